@@ -112,14 +112,18 @@ class _Iterate(NamedTuple):
         return jax.tree.map(lambda a: jax.lax.convert_element_type(a, a.dtype), whole)
 
 
-def _solved(matrix: list[list[Scalar]], shift: Scalar, r: list[Scalar]) -> tuple[list[Scalar], Scalar]:
-    """The step of (matrix + shift I) d = r, and whether its pivots are positive: then it goes downhill."""
-    shifted = [[a + shift if i == j else a for j, a in enumerate(row)] for i, row in enumerate(matrix)]
-    d, inverse = eliminate(shifted, r)
+def step_of(matrix: list[list[Scalar]], r: list[Scalar]) -> tuple[list[Scalar], Scalar]:
+    """The step d [m] of matrix d = r [N], and whether its pivots are positive: then it goes downhill."""
+    d, inverse = eliminate(matrix, r)
     definite = jnp.array(True)
     for p in inverse:
         definite = definite & (p > 0) & jnp.isfinite(p)
     return d, definite
+
+
+def entries(matrix: Array) -> list[list[Scalar]]:
+    """Those of a (6, 6) matrix, row by row."""
+    return [[matrix[i, j] for j in range(6)] for i in range(6)]
 
 
 def downhill(there: Surroundings, shift: Scalar) -> list[Scalar]:
@@ -127,10 +131,13 @@ def downhill(there: Surroundings, shift: Scalar) -> list[Scalar]:
 
     Elsewhere the stiff terms' own positive semidefinite part takes the tangent's place.
     """
-    r, stiffness = there.residual(), there.tangent()
-    tangent = [[stiffness[i, j] for j in range(6)] for i in range(6)]
+    r, tangent = there.residual(), entries(there.tangent())
+
+    def shifted_step(matrix: list[list[Scalar]]) -> tuple[list[Scalar], Scalar]:
+        return step_of([[a + shift if i == j else a for j, a in enumerate(row)] for i, row in enumerate(matrix)], r)
+
     both = jax.tree.map(lambda a, b: jnp.stack([a, b]), tangent, there.convex())  # compiled once for both
-    steps, definite = jax.vmap(lambda matrix: _solved(matrix, shift, r))(both)
+    steps, definite = jax.vmap(shifted_step)(both)
     return [jnp.where(definite[0], a[0], a[1]) for a in steps]
 
 

@@ -16,10 +16,9 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from pftwin.base.spatial import Scalar
-from pftwin.dynamics.equilibrium import REACH, tolerance_of
+from pftwin.dynamics.equilibrium import REACH, entries, step_of, tolerance_of
 from pftwin.dynamics.quasi_static.branch import Branch, Six, norm
 from pftwin.dynamics.quasi_static.stability import is_stable
-from pftwin.dynamics.solve import eliminate
 from pftwin.dynamics.static_load import Surroundings
 
 MOST_ITERATIONS = 20  # iterations with the exact tangent
@@ -70,7 +69,7 @@ def _one_by_one(branch: Branch, guess: Six, remainder: Array, allowed: Scalar) -
         there = branch.look_around(d, held, neighbours=False)
         r = there.residual()
         size = norm(r)
-        step, downhill = _step(_structured(branch, there) + remainder, r)
+        step, downhill = step_of(entries(_structured(branch, there) + remainder), r)
         better = downhill & (size < SLOW * last)
         size = jnp.where((count == 0) | ~better, jnp.inf, size)  # held on, it is another one's
         d = [jnp.where(better, a + b, a) for a, b in zip(d, step, strict=True)]
@@ -114,15 +113,6 @@ def _structured(branch: Branch, there: Surroundings) -> Array:
     return _matrix(there.convex()) + (branch.rates / branch.span()) * _matrix(there.viscosity())
 
 
-def _step(matrix: Array, r: Six) -> tuple[Six, Scalar]:
-    """The step of matrix d = r, and whether its pivots are positive: then it goes downhill."""
-    d, inverse = eliminate([[matrix[i, j] for j in range(6)] for i in range(6)], r)
-    positive = jnp.array(True)
-    for p in inverse:
-        positive = positive & (p > 0) & jnp.isfinite(p)
-    return d, positive
-
-
 def _downhill(branch: Branch, there: Surroundings, tangent: Array, size: Scalar) -> tuple[Six, Scalar]:
     """Newton's step where that leads downhill, and whether the tangent at rest, dashpots left out, is stable.
 
@@ -133,5 +123,5 @@ def _downhill(branch: Branch, there: Surroundings, tangent: Array, size: Scalar)
     at_rest = tangent - (branch.rates / branch.span()) * _matrix(there.viscosity())
     shift = (size / REACH) * one
     matrices = jnp.stack([tangent + shift, _matrix(there.convex()) + shift])
-    steps, definite = jax.vmap(lambda matrix: _step(matrix, r))(matrices)
+    steps, definite = jax.vmap(lambda matrix: step_of(entries(matrix), r))(matrices)
     return [jnp.where(definite[0], a[0], a[1]) for a in steps], is_stable(at_rest)

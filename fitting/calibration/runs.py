@@ -72,11 +72,8 @@ _OWN = "plant "  # before names of what is kept, which a batch has not itself
 
 
 def _kept(scene: Scene, seen: Observation) -> dict[str, Array]:
-    turn, place = seen.patella.orientation, seen.patella.position
-    found: dict[str, Any] = {
-        "position": jnp.stack([place.x, place.y, place.z], axis=-1),
-        "quaternion": jnp.stack([turn.w, turn.x, turn.y, turn.z], axis=-1),
-    }
+    patella = seen.patella
+    found: dict[str, Any] = {"position": patella.position.array(), "quaternion": patella.orientation.array()}
     for name, report in seen.effects.items():
         found |= {f"{name}.{key}": value for key, value in report.items() if jnp.ndim(value) == 1}
     return {f"{_OWN}{name}": value for name, value in found.items()}

@@ -28,6 +28,7 @@ from fitting.prediction.trochlear_section import TrochlearSection, section
 from fitting.treatments.parts import PATELLAR_TENDON, QUADRICEPS, line_element
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
+from pftwin.base.leaves import host_array
 from pftwin.base.spatial import Vec3
 from pftwin.dynamics.trajectory import knee_angles
 from pftwin.model.scene import Scene
@@ -224,19 +225,15 @@ def _of_tibia(scene: Scene, point: Floats, frame: int) -> Floats:
     """A point of the tibia in the femur's frame."""
     femur, tibia = scene.motion.frames(scene.motion.times[frame])
     world = tibia.point(Vec3(*point))
-    return _row(world if femur is None else femur.to_local(world))
+    return host_array(world if femur is None else femur.to_local(world))
 
 
 def _patella(scene: Scene, point: Vec3) -> Floats:
     """A point of the patella in the femur's frame at the start pose."""
     world = scene.start.apply(point)
     femur, _ = scene.motion.frames(scene.motion.times[0])
-    return _row(world if femur is None else femur.to_local(world))
+    return host_array(world if femur is None else femur.to_local(world))
 
 
 def _middle(points: Vec3) -> Floats:
     return np.array([float(np.mean(np.asarray(a))) for a in (points.x, points.y, points.z)])
-
-
-def _row(v: Vec3) -> Floats:
-    return np.array([float(v.x), float(v.y), float(v.z)])

@@ -16,7 +16,7 @@ from jaxtyping import Array
 from pftwin.base.errors import InputError
 from pftwin.base.rotations import patellar_angles
 from pftwin.base.spatial import Quaternion, Scalar, Vec3
-from pftwin.dynamics.batch.member import frames_with_flags, quaternions, rows
+from pftwin.dynamics.batch.member import frames_with_flags
 from pftwin.dynamics.error_estimate import Course as ComparedCourse
 from pftwin.dynamics.observe import ObservedFrame
 from pftwin.dynamics.trajectory import knee_angles
@@ -100,7 +100,7 @@ class CourseFrame(NamedTuple):
 
     def compared(self) -> ComparedCourse:
         """What an estimate of the error of steps compares, of all frames."""
-        return ComparedCourse(rows(self.center), quaternions(self.orientation), rows(self.total), *self.force)
+        return ComparedCourse(self.center.array(), self.orientation.array(), self.total.array(), *self.force)
 
 
 def course_of(scene: Scene, seen: CourseFrame, status: Array, groove: Groove) -> Course:

@@ -9,6 +9,7 @@ import numpy as np
 
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
+from pftwin.base.leaves import host_array
 from pftwin.geometry.patch.closest import Surface
 from pftwin.results.tracking import groove_line
 
@@ -65,7 +66,7 @@ def section(surface: Surface, level: float) -> TrochlearSection:
     chart = surface.chart
     low, high = (np.asarray(chart.point(jnp.asarray(u), jnp.asarray(bottom_v), jnp.asarray(h)).array()) for h in _LIFT)
     outward = (high - low) / np.linalg.norm(high - low)
-    across = np.array([float(a) for a in (chart.axes.ey.x, chart.axes.ey.y, chart.axes.ey.z)])
+    across = host_array(chart.axes.ey)
     bottom, note = _points(surface, np.array([u]), np.array([bottom_v]))[0], f"section at {level:.0%} of the groove"
     note += " from its proximal end"
     (medial_ridge, lateral_ridge), normal = ridges, np.cross(across, outward)

@@ -1,7 +1,8 @@
-"""Makes leaves of a scene from the host's numbers, without compiling a program for each shape, and their tangents."""
+"""Leaves of a scene from the host's numbers and back, no program compiled for each shape, and their tangents."""
 
 from __future__ import annotations
 
+from dataclasses import fields
 from typing import Any, TypeVar
 
 import equinox as eqx
@@ -11,7 +12,8 @@ import numpy as np
 from jax.dtypes import canonicalize_dtype
 from numpy.typing import ArrayLike
 
-from pftwin.base.spatial import Scalar, Vec3
+from pftwin.base.arrays import Floats
+from pftwin.base.spatial import Quaternion, Rotation, Scalar, Vec3
 
 Tree = TypeVar("Tree")
 
@@ -24,6 +26,12 @@ def number(value: ArrayLike) -> Scalar:
 def vector(values: ArrayLike) -> Vec3:
     """Vectors along the last axis (..., 3), likewise."""
     return Vec3(*(number(np.asarray(values)[..., k]) for k in range(3)))
+
+
+def host_array(value: Vec3 | Quaternion | Rotation) -> Floats:
+    """What `value.array()` gives, (..., 3), (..., 4) or (..., 3, 3), on the host and in double precision."""
+    parts = [getattr(value, field.name) for field in fields(value)]
+    return np.stack([host_array(p) if isinstance(p, Vec3) else np.asarray(p, np.float64) for p in parts], axis=-1)
 
 
 def what_changes(values: Tree, changes: Any) -> tuple[Tree, Tree]:

@@ -10,6 +10,7 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
+from pftwin.base.leaves import host_array
 from pftwin.base.program_cache import Program
 from pftwin.base.spatial import Pose, Quaternion
 from pftwin.dynamics.equilibrium import Solution, tolerance_on_host
@@ -61,19 +62,19 @@ class EquilibriumReport:
         pose, seen = on_host(_observe_at(scene.unnamed(), solution.pose) if there is None else there)
         # Plain numpy from here on: fetched first, no little programs are compiled for a handful of numbers.
         solution, guess, com = on_host((solution, scene.start, scene.patella.center_of_mass))
-        turn = _row(guess.orientation)
-        start = _row(guess.position) + _turned(turn, _row(com))
-        cosine = abs(float(np.dot(_row(solution.pose.orientation), turn)))
+        turn = host_array(guess.orientation)
+        start = host_array(guess.position) + _turned(turn, host_array(com))
+        cosine = abs(float(np.dot(host_array(solution.pose.orientation), turn)))
         return EquilibriumReport(
-            position=_row(pose.position),
-            quaternion=_row(pose.orientation),
+            position=host_array(pose.position),
+            quaternion=host_array(pose.orientation),
             residual=float(solution.residual),
             tolerance=float(tolerance_on_host(solution)),
             iterations=int(solution.iterations),
             relaxed=bool(relaxed),
             eigenvalues=_eigenvalues(np.asarray(solution.stiffness, dtype=np.float64)),
             facets=_loaded_facets(seen),
-            moved=float(np.linalg.norm(_row(solution.pose.position) - start)),
+            moved=float(np.linalg.norm(host_array(solution.pose.position) - start)),
             turned=2 * float(np.arccos(min(1.0, cosine))),
             effects={
                 name: {key: np.asarray(value, dtype=np.float64) for key, value in report.items()}
@@ -168,12 +169,6 @@ def _turned(q: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float6
     (w, x, y, z), (a, b, c) = q, v
     t = np.array([y * c - z * b, z * a - x * c, x * b - y * a])  # q x v
     return v + 2 * (w * t + np.array([y * t[2] - z * t[1], z * t[0] - x * t[2], x * t[1] - y * t[0]]))
-
-
-def _row(v: Any) -> NDArray[np.float64]:
-    """Components of a vector or quaternion on the host."""
-    parts = (v.w, v.x, v.y, v.z) if isinstance(v, Quaternion) else (v.x, v.y, v.z)
-    return np.array(parts, dtype=np.float64)
 
 
 def _eigenvalues(stiffness: NDArray[np.float64]) -> NDArray[np.float64]:

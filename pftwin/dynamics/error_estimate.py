@@ -19,7 +19,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pftwin.base.arrays import Floats
+from pftwin.base.leaves import host_array
+from pftwin.base.spatial import Vec3
 from pftwin.dynamics.observe import Observation
 from pftwin.dynamics.status import MOST_ERROR_SHARE, MOST_FORCE_ERROR, MOST_PATH_ERROR, Status
 
@@ -40,17 +41,12 @@ class Course(NamedTuple):
     @classmethod
     def of(cls, seen: Observation, contact: str | None) -> Course:
         """Of what was observed of a scene whose tracked contact has this name, on the host."""
-        c, q = seen.center, seen.patella.orientation
-        center, turn = _stacked(c.x, c.y, c.z), _stacked(q.w, q.x, q.y, q.z)
+        center, turn = host_array(seen.center), host_array(seen.patella.orientation)
         nothing = np.zeros(center.shape[:-1])
-        report = {} if contact is None else seen.effects[contact]
-        force = _stacked(*(report.get(f"force_{axis}", nothing) for axis in "xyz"))
+        report: dict[str, Any] = {} if contact is None else seen.effects[contact]
+        force = host_array(Vec3(*(report.get(f"force_{axis}", nothing) for axis in "xyz")))
         facets = (np.asarray(report.get(f"force_{facet}", nothing), float) for facet in ("medial", "lateral"))
         return cls(center, turn, force, *facets)
-
-
-def _stacked(*leaves: Any) -> Floats:
-    return np.stack([np.asarray(a, float) for a in leaves], axis=-1)
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,10 @@ import numpy as np
 
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
+from pftwin.base.leaves import host_array
 from pftwin.base.quantities import declarations
 from pftwin.base.rotations import tibiofemoral_angles
+from pftwin.base.spatial import Rotation
 from pftwin.model.motion_on_host import first_pose, tibia_orientation
 
 if TYPE_CHECKING:
@@ -100,7 +102,7 @@ def check_limits(scene: Scene, limits: Limits) -> None:
     Raises:
         InputError: the first number beyond its limit; principal moments of inertia that no body can have.
     """
-    inertia = _numbers(scene.patella.inertia)
+    inertia = host_array(scene.patella.inertia)
     if inertia.max() > (inertia.sum() - inertia.max()) * (1 + _ROUNDED):
         raise InputError(
             f"found principal moments of {', '.join(f'{v:.3g}' for v in inertia)} kg m^2",
@@ -124,7 +126,7 @@ def _unit(name: str) -> str:
 
 
 def _of_body(scene: Scene) -> Iterator[Found]:
-    mass, inertia = float(scene.patella.mass), _numbers(scene.patella.inertia)
+    mass, inertia = float(scene.patella.mass), host_array(scene.patella.inertia)
     yield Found("the patella's mass", mass, "least_mass_kg", "most_mass_kg")
     for radius in 1e3 * np.sqrt(np.sort(inertia)[[0, -1]] / mass):
         what = "the root of the patella's moment of inertia by its mass"
@@ -139,7 +141,7 @@ def _of_effects(scene: Scene) -> Iterator[Found]:
     for effect in scene.effects:
         contact = effect.contact_role()
         if contact is not None:
-            radius = 1e3 * float(np.max(_numbers(contact.button_radius())))
+            radius = 1e3 * float(np.max(np.asarray(contact.button_radius(), np.float64)))
             yield Found(
                 f"the button's radius ({effect.name})", radius, "least_button_radius_mm", "most_button_radius_mm"
             )
@@ -156,8 +158,8 @@ def _of_line(scene: Scene, line: LineElement) -> Iterator[Found]:
     """Of the line of a group that is farthest off."""
     inserted, body = line.line_ends
     start = scene.start
-    here = _numbers(start.position) + _turned(start.orientation.rotation(), _numbers(inserted))
-    there = _numbers(line.origin_at(float(scene.motion.times[0])))
+    here = host_array(start.position) + _turned(start.orientation.rotation(), host_array(inserted))
+    there = host_array(line.origin_at(float(scene.motion.times[0])))
     if body != "ground" and (pose := first_pose(scene.motion, body)) is not None:
         there = pose[0] + there @ pose[1].T
     length = np.atleast_1d(np.linalg.norm(there - here, axis=-1))
@@ -179,7 +181,7 @@ def _of_motion(scene: Scene) -> Iterator[Found]:
     q = tibia_orientation(scene.motion)
     angles = tibiofemoral_angles(q)
     flexion, adduction, rotation = (np.degrees(a) for a in angles)
-    rows = np.stack([q.w, q.x, q.y, q.z], axis=1)
+    rows = host_array(q)
     cosine = np.minimum(np.abs(np.einsum("ij,ij->i", rows[1:], rows[:-1])), 1.0)
     speed = 2 * np.arccos(cosine) / np.diff(scene.motion.times)
     fastest = int(np.argmax(speed))
@@ -196,12 +198,5 @@ def _of_motion(scene: Scene) -> Iterator[Found]:
             yield Found(f"the knee's {what} at {when}", float(values[i]), **kind)
 
 
-def _numbers(v: Any) -> Floats:
-    """A vector's components on the host, (3,) or (n, 3); a number's as it is."""
-    parts = (v.x, v.y, v.z) if hasattr(v, "x") else (v,)
-    return np.stack([np.asarray(p, dtype=np.float64) for p in parts], axis=-1)
-
-
-def _turned(rotation: Any, points: Floats) -> Floats:
-    axes = np.stack([_numbers(a) for a in (rotation.ex, rotation.ey, rotation.ez)])  # images of x, y, z
-    return points @ axes
+def _turned(rotation: Rotation, points: Floats) -> Floats:
+    return points @ host_array(rotation).T

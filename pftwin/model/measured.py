@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pftwin.base.errors import InputError
+from pftwin.base.leaves import host_array
 from pftwin.base.rotations import PatellarAngles, patellar_angles, patellar_orientation
 from pftwin.base.spatial import Quaternion
 from pftwin.files.mocap.tables import increasing_times
@@ -109,7 +110,7 @@ class Measured:
         return Measured(
             np.asarray(times),
             np.asarray(center),
-            np.stack([q.w, q.x, q.y, q.z], axis=1),
+            host_array(q),
             contact_force,
             tibial_spring_force,
             femoral_spring_force,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pftwin.base.arrays import Floats
+from pftwin.base.leaves import host_array
 from pftwin.base.spatial import Quaternion
 from pftwin.model.motion import KneeMotion, SegmentMotion
 
@@ -28,8 +29,7 @@ def seen_from_femur(motion: KneeMotion, points: Floats) -> Floats:
     """
     if motion.femur is None:
         return points
-    turn = _orientation(motion.femur, motion.times).rotation()
-    axes = np.stack([np.stack([a.x, a.y, a.z], axis=1) for a in (turn.ex, turn.ey, turn.ez)], axis=2)
+    axes = host_array(_orientation(motion.femur, motion.times).rotation())
     origin = _spline(motion.femur, motion.femur.position_coefficients, motion.times)
     return np.einsum("nij,nki->nkj", axes, points - origin[:, None])
 
@@ -40,8 +40,7 @@ def first_pose(motion: KneeMotion, body: str) -> tuple[Floats, Floats] | None:
     if segment is None:
         return None
     times = motion.times[:1]
-    turn = _orientation(segment, times).rotation()
-    axes = np.stack([np.concatenate([a.x, a.y, a.z]) for a in (turn.ex, turn.ey, turn.ez)], axis=1)
+    axes = host_array(_orientation(segment, times).rotation())[0]
     return _spline(segment, segment.position_coefficients, times)[0], axes
 
 

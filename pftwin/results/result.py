@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pftwin.base.arrays import Floats
+from pftwin.base.leaves import host_array
 from pftwin.base.rotations import (
     PatellarAngles,
     TibiofemoralAngles,
@@ -20,7 +21,7 @@ from pftwin.base.rotations import (
     patellar_angles,
     tibiofemoral_angles,
 )
-from pftwin.base.spatial import Quaternion, Vec3
+from pftwin.base.spatial import Quaternion
 from pftwin.dynamics.equilibrium import Solution
 from pftwin.dynamics.equilibrium_report import EquilibriumReport, on_host
 from pftwin.dynamics.error_estimate import ErrorEstimate
@@ -136,9 +137,9 @@ class Result:
         return cls(
             scene_name=scene.name,
             times=scene.motion.times,
-            center=_rows(seen.center),
-            position=_rows(seen.patella.position),
-            quaternion=continuous_signs(_rows(seen.patella.orientation)),
+            center=host_array(seen.center),
+            position=host_array(seen.patella.position),
+            quaternion=continuous_signs(host_array(seen.patella.orientation)),
             motion=scene.motion,
             effects={n: {k: _double(v) for k, v in report.items()} for n, report in seen.effects.items()},
             observables={e.name: dict(type(e).observables) for e in scene.effects},
@@ -170,7 +171,7 @@ class Result:
     @cached_property
     def tibia(self) -> tuple[Floats, Floats]:
         """The tibia's frame in the femur's: position (n, 3) [m] and quaternion (n, 4), continuous in sign."""
-        return tibia_position(self.motion), continuous_signs(_rows(tibia_orientation(self.motion)))
+        return tibia_position(self.motion), continuous_signs(host_array(tibia_orientation(self.motion)))
 
     @property
     def shift(self) -> Floats:
@@ -364,12 +365,6 @@ class Result:
 
 def _double(values: Any) -> NDArray[np.float64]:
     return np.asarray(values, dtype=np.float64)
-
-
-def _rows(v: Vec3 | Quaternion | Any) -> Floats:
-    """(n, 3) or (n, 4) from arrays per component."""
-    parts = (v.w, v.x, v.y, v.z) if isinstance(v, Quaternion) else (v.x, v.y, v.z)
-    return np.stack([_double(p) for p in parts], axis=1)
 
 
 __all__ = ["Energies", "EquilibriumReport", "Result"]

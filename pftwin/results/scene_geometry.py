@@ -23,6 +23,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pftwin.base.attributes import about
+from pftwin.base.leaves import host_array
 from pftwin.base.spatial import Vec3
 from pftwin.geometry.patch.closest import Surface
 from pftwin.model.effects.base import Effect
@@ -122,7 +123,7 @@ def geometry(scene: Scene, effects: Effects | None = None) -> Dataset:
             beyond = continuation(scene.surface, _points((effects or {}).get(contact.name, {})))
             if beyond is not None:
                 variables |= _mesh("continuation", beyond, "femur", "the smooth surface beyond its rectangle")
-        center = _rows(contact.tracked_point())
+        center = host_array(contact.tracked_point())
         if button is not None:
             vertices, faces = indexed(button)
             variables |= _mesh("button", (vertices + center, faces), "patella", "the button's mesh")
@@ -143,11 +144,11 @@ def _lines(effect: Effect, motion: KneeMotion) -> Variables:
         return {}
     name, words = effect.name, effect.name.replace("_", " ")
     insertion, body = element.line_ends
-    ends, line = np.atleast_2d(_rows(insertion)), f"{effect.name}_line"
-    start = _rows(jax.vmap(element.origin_at)(jnp.asarray(motion.times, float)))
+    ends, line = np.atleast_2d(host_array(insertion)), f"{effect.name}_line"
+    start = host_array(jax.vmap(element.origin_at)(jnp.asarray(motion.times, float)))
     if np.ptp(start, axis=0).max() == 0:  # origins that do not move on their body
         start = start[0]
-    moves = start.ndim > np.ndim(_rows(insertion))
+    moves = start.ndim > np.ndim(host_array(insertion))
     start = start.reshape((len(motion.times), *ends.shape) if moves else ends.shape)
     if body == "ground":  # seen from a femur that moves, so does what is fixed to the ground
         start, body = seen_from_femur(motion, start), "femur"
@@ -183,7 +184,3 @@ def _mesh(name: str, mesh: tuple[NDArray[Any], NDArray[Any]], frame: str, words:
 
 def _about(unit: str, long_name: str, body: str) -> dict[str, str]:
     return {**about(unit, f"{long_name} ({body} frame)"), "body": body}
-
-
-def _rows(v: Vec3) -> NDArray[np.float64]:
-    return np.stack([np.asarray(c, dtype=np.float64) for c in (v.x, v.y, v.z)], axis=-1)

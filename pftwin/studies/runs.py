@@ -12,6 +12,7 @@ import jax
 import numpy as np
 
 from pftwin.base.arrays import Floats
+from pftwin.base.leaves import host_array
 from pftwin.base.rotations import patellar_angles
 from pftwin.base.spatial import Quaternion
 from pftwin.results.result import Result
@@ -126,7 +127,7 @@ def rms(a: Floats) -> float:
 def _path(result: Result, point: Floats) -> Floats:
     """The path of a point of the patella, in the femur (n, 3)."""
     turn = Quaternion(*result.quaternion.T).rotation()
-    axes = [np.stack([np.asarray(c) for c in (a.x, a.y, a.z)], axis=1) for a in (turn.ex, turn.ey, turn.ez)]
+    axes = [host_array(a) for a in (turn.ex, turn.ey, turn.ez)]
     return result.position + sum(p * a for p, a in zip(point, axes, strict=True))
 
 

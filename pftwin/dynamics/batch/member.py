@@ -13,7 +13,7 @@ from jaxtyping import Array
 from pftwin.base.errors import InputError
 from pftwin.base.quantities import bounded_leaves
 from pftwin.base.rotations import patellar_angles
-from pftwin.base.spatial import Pose, Quaternion, Scalar, Vec3
+from pftwin.base.spatial import Pose, Scalar, Vec3
 from pftwin.dynamics.equilibrium import Solution
 from pftwin.dynamics.error_estimate import Course, ErrorEstimate, error_of
 from pftwin.dynamics.frame_states import first_guide, frame_states, starting_equilibrium
@@ -137,7 +137,7 @@ class _Kept(NamedTuple):
     def course(self) -> Course:
         """What an estimate of the error compares."""
         force = jnp.stack(self.push[:3], axis=-1)
-        return Course(rows(self.center), quaternions(self.patella.orientation), force, *self.push[3:])
+        return Course(self.center.array(), self.patella.orientation.array(), force, *self.push[3:])
 
     def summary(self) -> dict[str, Scalar]:
         """Of the whole motion."""
@@ -158,21 +158,11 @@ class _Kept(NamedTuple):
     def courses(self, status: Array) -> dict[str, Array]:
         """Frame by frame."""
         return {
-            "sphere_center": rows(self.center),
-            "patella_position": rows(self.patella.position),
-            "patella_quaternion": quaternions(self.patella.orientation),
+            "sphere_center": self.center.array(),
+            "patella_position": self.patella.position.array(),
+            "patella_quaternion": self.patella.orientation.array(),
             "frame_status": status,
         }
-
-
-def quaternions(q: Quaternion) -> Array:
-    """(..., 4)."""
-    return jnp.stack([q.w, q.x, q.y, q.z], axis=-1)
-
-
-def rows(v: Vec3) -> Array:
-    """(..., 3)."""
-    return jnp.stack([v.x, v.y, v.z], axis=-1)
 
 
 def scene_is_valid(scene: Scene) -> Array:

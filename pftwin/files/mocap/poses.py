@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pftwin.base.errors import InputError
+from pftwin.base.leaves import host_array
 from pftwin.base.rotations import continuous_signs
 from pftwin.files.mocap.markers import MarkerTrajectories
 from pftwin.files.mocap.tables import Sampled, increasing_times
@@ -122,11 +123,9 @@ class PoseSeries(Sampled):
 
 def pose_arrays(pose: Pose) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Position (3,) and quaternion (4,) of one fixed pose, in float64."""
-    p, q = pose.position, pose.orientation
-    position = np.array([np.asarray(v, dtype=np.float64) for v in (p.x, p.y, p.z)])
-    quaternion = np.array([np.asarray(v, dtype=np.float64) for v in (q.w, q.x, q.y, q.z)])
+    position, quaternion = host_array(pose.position), host_array(pose.orientation)
     if position.shape != (3,) or quaternion.shape != (4,):
-        raise InputError(f"a batch of poses of shape {position.shape[1:]}", where="pose", expected="one fixed pose")
+        raise InputError(f"a batch of poses of shape {position.shape[:-1]}", where="pose", expected="one fixed pose")
     return position, quaternion
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pftwin.base.errors import InputError, PftwinWarning
+from pftwin.base.leaves import host_array
 from pftwin.geometry.mesh.mesh import SurfaceMesh
 from pftwin.geometry.patch.charts import Chart, CylindricalChart, PlaneChart
 from pftwin.geometry.patch.polynomial import PolynomialPatch
@@ -41,7 +42,7 @@ class Vertices:
         """Refuses normals that point away from the chart's height: the surface is then folded over in (u, v)."""
         if self.normals is None:
             return
-        local = _in_frame(self.chart, self.normals + as_vector(self.chart.origin))
+        local = _in_frame(self.chart, self.normals + host_array(self.chart.origin))
         if isinstance(self.chart, CylindricalChart):
             x, _, z = _in_frame(self.chart, self.points).T
             up = (local[:, 0] * x + local[:, 2] * z) / np.hypot(x, z)
@@ -142,15 +143,9 @@ def _weights(
     return w / w.mean() if w.size else w
 
 
-def as_vector(v: object) -> Points:
-    """A Vec3 as an array in double precision, whatever JAX's default is."""
-    return np.array([np.asarray(getattr(v, k), dtype=np.float64) for k in "xyz"])
-
-
 def _in_frame(chart: Chart, points: Points) -> Points:
     """Coordinates in the chart's frame, in double precision."""
-    axes = np.stack([as_vector(chart.axes.ex), as_vector(chart.axes.ey), as_vector(chart.axes.ez)], axis=1)
-    return (points - as_vector(chart.origin)) @ axes
+    return (points - host_array(chart.origin)) @ host_array(chart.axes)
 
 
 def chart_coordinates(chart: Chart, points: Points) -> tuple[Points, Points, Points]:

@@ -16,10 +16,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pftwin.base.errors import InputError
-from pftwin.base.leaves import number, vector
+from pftwin.base.leaves import host_array, number, vector
 from pftwin.base.spatial import Rotation
 from pftwin.geometry.patch.charts import CylindricalChart, PlaneChart
-from pftwin.geometry.patch.fit_vertices import as_vector
 from pftwin.geometry.patch.groove import deepest_points, fit_axis_direction, fit_circle
 
 if TYPE_CHECKING:
@@ -108,8 +107,7 @@ def region_about(
     mesh: SurfaceMesh, cylinder: CylindricalChart, *, angles: tuple[float, float], half_width: float
 ) -> TrochlearRegion:
     """The region about a known axis, the chart's y, without a search; otherwise as `trochlear_region`."""
-    axes = np.stack([as_vector(e) for e in (cylinder.axes.ex, cylinder.axes.ey, cylinder.axes.ez)], axis=1)
-    origin = as_vector(cylinder.origin)
+    axes, origin = host_array(cylinder.axes), host_array(cylinder.origin)
     points, normals = (mesh.vertices - origin) @ axes, mesh.vertex_normals @ axes
     center = np.zeros(2)
     mask = _rectangle(points, normals, center, 0.0, angles, half_width)

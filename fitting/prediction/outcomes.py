@@ -18,7 +18,7 @@ from pftwin.base.rotations import patellar_angles
 from pftwin.base.spatial import Quaternion, Scalar, Vec3
 from pftwin.dynamics.batch.member import frames_with_flags
 from pftwin.dynamics.error_estimate import Course as ComparedCourse
-from pftwin.dynamics.observe import ObservedFrame
+from pftwin.dynamics.observe import Observation
 from pftwin.dynamics.trajectory import knee_angles
 from pftwin.geometry.patch.closest import Surface
 from pftwin.model.scene import Scene
@@ -89,7 +89,7 @@ class CourseFrame(NamedTuple):
     total: Vec3  # contact force on the patella, femur frame [N]
 
     @staticmethod
-    def of(scene: Scene, seen: ObservedFrame) -> CourseFrame:
+    def of(scene: Scene, seen: Observation) -> CourseFrame:
         """The frame of a state of a scene with contact."""
         contact = scene.contact
         assert contact is not None

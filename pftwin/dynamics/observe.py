@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from dataclasses import replace
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -24,26 +25,15 @@ from pftwin.model.scene import Scene
 
 
 class Observation(eqx.Module):
-    """Arrays over the recorded frames (leading axis n)."""
-
-    patella: Pose  # patella frame in the femur's
-    center: Vec3  # the button's sphere centre (else the patella's origin) in the femur's frame [m]
-    effects: dict[str, dict[str, Array]]
-    kinetic_energy: Scalar
-    potential_energy: dict[str, Scalar]  # stored by each effect that stores any [J]
-    status: Array  # (n,) int, bits of `Status`
-    drift: Array | None = None  # (n,) largest violation of a constraint so far, where the integrator has any [m]
-
-
-class ObservedFrame(NamedTuple):
-    """The observables of one frame."""
+    """Arrays over the recorded frames (leading axis n), or those of one frame, without what needs the whole motion."""
 
     patella: Pose  # patella frame in the femur's
     center: Vec3  # the button's sphere centre (else the patella's origin) in the femur's frame [m]
     effects: dict[str, dict[str, Array]]
     kinetic_energy: Scalar  # [J]
-    potential_energy: dict[str, Scalar]  # [J]
-    status: Array  # () int, without the flags that need the whole motion
+    potential_energy: dict[str, Scalar]  # stored by each effect that stores any [J]
+    status: Array  # (n,) int, bits of `Status`
+    drift: Array | None = None  # (n,) largest violation of a constraint so far, where the integrator has any [m]
 
 
 def observe(scene: Scene, path: FrameStates) -> Observation:
@@ -56,20 +46,12 @@ def observe(scene: Scene, path: FrameStates) -> Observation:
     if path.ledger is not None:
         energies = seen.kinetic_energy, seen.potential_energy, path.ledger.work
     flags = status_of_all(seen.status, path.start, energies, path.step, chosen.diagnostics(path.states).snaps)
-    return Observation(
-        seen.patella,
-        seen.center,
-        seen.effects,
-        seen.kinetic_energy,
-        seen.potential_energy,
-        flags,
-        chosen.diagnostics(path.states).drift,
-    )
+    return replace(seen, status=flags, drift=chosen.diagnostics(path.states).drift)
 
 
 def observe_on_the_way(
     scene: Scene,
-    kept: Callable[[ObservedFrame], Any],
+    kept: Callable[[Observation], Any],
     *,
     integrator: Integrator = LinearImplicit(),
     substeps: int | Scalar = 10,
@@ -119,19 +101,19 @@ def tracked_center(scene: Scene, states: State) -> Vec3:
     return center if femur is None else femur.frames(scene.motion.frame_times()).to_local(center)
 
 
-def _frame_observer(scene: Scene, chosen: Integrator) -> tuple[Callable[[State, Guide, Scalar], ObservedFrame], Guide]:
+def _frame_observer(scene: Scene, chosen: Integrator) -> tuple[Callable[[State, Guide, Scalar], Observation], Guide]:
     """A function of (state, guided bodies, step) to a frame's observables; and the guided bodies at all frames."""
     system = System.of(scene)
     # Exact frame times, so that the last frame is not extrapolated by rounding.
     times = scene.motion.frame_times()
 
-    def look(state: State, guide: Guide, step: Scalar) -> ObservedFrame:
+    def look(state: State, guide: Guide, step: Scalar) -> Observation:
         now, patella, center = instant_and_frame(scene, state, guide)
         reports = {e.name: e.report(now, m) for e, m in zip(system.effects, state.memories, strict=True)}
         seen = {name: shown for name, (shown, _) in reports.items()}
         stored = {name: energy for name, (_, energy) in reports.items() if energy is not None}
         status = status_of_frame(scene, seen, state, step, chosen.diagnostics(state).residual)
         kinetic = system.kinetic_energy(state) if chosen.inertia else jnp.zeros_like(step)
-        return ObservedFrame(patella, center, seen, kinetic, stored, status)
+        return Observation(patella, center, seen, kinetic, stored, status)
 
     return look, Guide.sample(scene.motion, times)

@@ -18,7 +18,7 @@ from pftwin.dynamics.equilibrium import Solution
 from pftwin.dynamics.error_estimate import Course, ErrorEstimate, error_of
 from pftwin.dynamics.frame_states import first_guide, frame_states, starting_equilibrium
 from pftwin.dynamics.integrator import Integrator
-from pftwin.dynamics.observe import Observation, ObservedFrame, observe, observe_on_the_way
+from pftwin.dynamics.observe import Observation, observe, observe_on_the_way
 from pftwin.dynamics.relaxation import THROWN, relax
 from pftwin.dynamics.state import System
 from pftwin.dynamics.status import FLAGS
@@ -127,7 +127,7 @@ class _Kept(NamedTuple):
     push: tuple[Scalar, ...]  # of contact: x, y, z; sizes on the medial and the lateral facet [N]
 
     @staticmethod
-    def of(scene: Scene, seen: ObservedFrame | Observation) -> _Kept:
+    def of(scene: Scene, seen: Observation) -> _Kept:
         """Of what is seen."""
         contact, nothing = scene.contact, jnp.zeros_like(seen.center.x)
         report = {} if contact is None else seen.effects[contact.name]

@@ -167,11 +167,10 @@ def _cubic(c: Sequence[Scalar], x: Scalar) -> tuple[Scalar, Scalar, Scalar]:
 
 
 class Basis(NamedTuple):
-    """The four basis functions of a cell, with derivatives by its own coordinate x, 0 to 1; scalars or arrays."""
+    """The four basis functions of a cell, with their derivatives by its own coordinate x, 0 to 1; scalars or arrays."""
 
     values: tuple[Any, Any, Any, Any]
     slopes: tuple[Any, Any, Any, Any]
-    bends: tuple[Any, Any, Any, Any]
 
 
 def cubic_basis(x: Any) -> Basis:
@@ -181,7 +180,6 @@ def cubic_basis(x: Any) -> Basis:
     return Basis(
         (y2 * y * (1 / 6), 2 / 3 - x2 + 0.5 * (x2 * x), 2 / 3 - y2 + 0.5 * (y2 * y), x2 * x * (1 / 6)),
         (-0.5 * y2, 1.5 * x2 - 2 * x, 2 * y - 1.5 * y2, 0.5 * x2),
-        (y, 3 * x - 2, 3 * y - 2, x),
     )
 
 

@@ -40,7 +40,7 @@ def doctor_mesh(
     Example: `pftwin doctor-mesh femur.stl --units mm --repair femur_repaired.stl`
     """
     from pftwin.geometry.mesh.doctor import examine_file
-    from pftwin.geometry.mesh.files import check_format
+    from pftwin.geometry.mesh.files import check_format, read_triangles
 
     if repair is not None:
         check_format(repair)
@@ -56,11 +56,11 @@ def doctor_mesh(
         parts.append(Sheet(found.source, ("finding", "", "what", "where (first)"), rows))
     parts.append(f"verdict: {found.verdict}")
     if repair is not None:
-        from pftwin.geometry.mesh.doctor import repaired_file
+        from pftwin.geometry.mesh.doctor import repaired
         from pftwin.geometry.mesh.mesh import save_mesh
 
         with terminal.spinner("repairing"):
-            healed, after = repaired_file(mesh, units=units)
+            healed, after = repaired(*read_triangles(mesh), source=str(mesh), units=units)
         save_mesh(healed, repair)  # numbers as they are: the unit stays the file's
         facts["repaired"] = {**after.facts(), "file": str(repair)}
         parts.append(f"written: {repair}, {after.n_faces} triangles: {after.verdict}")

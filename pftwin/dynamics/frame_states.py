@@ -201,16 +201,3 @@ def _run(scene: Scene, chosen: Integrator, substeps: int | Scalar, start: Soluti
 
     poses, others = (Layout.of(lambda i=i: _parts(carry)[i]) for i in (0, 1))
     return _Run(carry, start, step, next_frame, rows_of, whole)
-
-
-__all__ = [
-    "FrameStates",
-    "System",
-    "first_guide",
-    "frame_states",
-    "scan_observations",
-    "start_before_search",
-    "starting_equilibrium",
-    "starting_state",
-    "substeps_for",
-]

@@ -28,9 +28,9 @@ from pftwin.dynamics.integrator import Integrator, with_carried
 from pftwin.dynamics.integrators.implicit_solve import Span, change_of_velocity, load_at_end
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.state import Guide, GuideAt, State, System, displaced_state, gyroscopic
+from pftwin.dynamics.static_load import LEVER
 
 ROUGH = 20.0  # change of the acceleration between two steps above which it may be that of an impact [m/s^2]
-LEVER = 0.02  # [m] turns angles into lengths
 
 
 class LastStep(NamedTuple):

@@ -29,10 +29,10 @@ from pftwin.dynamics.integrators.implicit_solve import Span, change_of_velocity
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.solve import changed_by, six, solution_changes, tangent_of
 from pftwin.dynamics.state import Guide, GuideAt, State, System, acceleration, displaced_state, gyroscopic
+from pftwin.dynamics.static_load import LEVER
 from pftwin.model.effects.base import Load
 
 MOST_ITERATIONS = 20
-LEVER = 0.02  # [m] turns angles into lengths
 # Last change of the velocity at a step's end [m/s]. The iteration converges linearly: with 1e-9 the
 # differences of two runs were 3 % off by a contact's stiffness, and 1e-11 takes a twentieth more time.
 SETTLED = {"float64": 1e-11, "float32": 1e-4}

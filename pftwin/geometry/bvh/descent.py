@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from pftwin.geometry.bvh.loops import LANES, Queue, pushed_where, queue_of
+from pftwin.geometry.bvh.loops import Queue, pushed_where, queue_of
 
 Blocks = Array  # (parents, components, children): the volumes of nodes' descendants, a component a row
 Test = Callable[[Array, Array], Array]  # both nodes' descendants (components, m, n) -> (m, n) bool
@@ -180,6 +180,3 @@ def _one_down(step: LevelStep, blocks: tuple[Blocks, Blocks], queue: Queue, test
 
     start = queue_of(width, dtype=queue.entries.dtype)
     return jax.lax.fori_loop(jnp.zeros((), jnp.int32), queue.length, body, start)
-
-
-__all__ = ["LANES", "Descent", "descent", "go_down", "side_by_side", "unpacked"]

@@ -182,15 +182,14 @@ def fit_discs(corners: NDArray[np.float64], vectors: NDArray[np.float64], margin
     return np.concatenate([center, normal, sizes], axis=1).astype(np.float32)
 
 
-def disc_distances(rows: Array, point: Array) -> tuple[Array, Array]:
-    """Bounds (...) on the distance from a point (3,) to the surface in discs (..., 8): at least, and at most."""
+def disc_distances(rows: Array, point: Array) -> Array:
+    """The least distances (...) that a point (3,) may have from the surface in discs (..., 8) [m]."""
     away = [point[i] - rows[..., i] for i in range(3)]
     height = jnp.abs(_dot(away, [rows[..., 3 + i] for i in range(3)]))
     beside = jnp.sqrt(jnp.maximum(_dot(away, away) - height * height, 0))
     radius, thickness = rows[..., 6], rows[..., 7]
     over, beyond = jnp.maximum(height - thickness, 0), jnp.maximum(beside - radius, 0)
-    far_over, far_beyond = height + thickness, beside + radius
-    return jnp.sqrt(over * over + beyond * beyond), jnp.sqrt(far_over * far_over + far_beyond * far_beyond)
+    return jnp.sqrt(over * over + beyond * beyond)
 
 
 def discs_overlap(a: Array, b: Array, rotation: Array, translation: Array) -> Array:

@@ -7,6 +7,7 @@ femur's tree together. Nothing here is differentiated; batches are taken one by 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -154,16 +155,7 @@ def nearest_triangle(femur: PressedSurface, p: Vec3, guess: Array) -> NearestDis
         return NearestDistances(*(jnp.where(better, n, o) for n, o in zip((square[best], place), known, strict=True)))
 
     start = NearestDistances(closest_on_triangle(_corners_at(femur, guess), p).square, guess)
-    at = _single(p)
-    return walk(
-        femur.bounds,
-        femur.rows,
-        femur.first,
-        lambda rows: disc_distances(rows, at)[0],
-        lambda known: jnp.sqrt(known.square),
-        at_leaf,
-        start,
-    )
+    return _nearest(femur, p, lambda known: jnp.sqrt(known.square), at_leaf, start)
 
 
 def nearest_to_all(femur: PressedSurface, points: Vec3, guess: Array) -> Array:
@@ -183,17 +175,21 @@ def nearest_to_all(femur: PressedSurface, points: Vec3, guess: Array) -> Array:
     lanes = points.x.shape
     same = jax.tree.map(lambda a: jnp.broadcast_to(a, lanes), _corners_at(femur, guess))
     start = NearestDistances(closest_on_triangle(same, points).square, jnp.broadcast_to(guess, lanes))
-    at, around = _single(middle), points - jax.tree.map(lambda a: jnp.broadcast_to(a, lanes), middle)
+    around = points - jax.tree.map(lambda a: jnp.broadcast_to(a, lanes), middle)
     spread = jnp.sqrt(jnp.max(around.squared_norm()))
-    return walk(
-        femur.bounds,
-        femur.rows,
-        femur.first,
-        lambda rows: disc_distances(rows, at)[0],
-        lambda known: jnp.sqrt(jnp.max(known.square)) + spread,
-        at_leaf,
-        start,
-    ).place
+    return _nearest(femur, middle, lambda known: jnp.sqrt(jnp.max(known.square)) + spread, at_leaf, start).place
+
+
+def _nearest(
+    femur: PressedSurface,
+    p: Vec3,
+    reach: Callable[[NearestDistances], Array],
+    at_leaf: Callable[[NearestDistances, Array], NearestDistances],
+    start: NearestDistances,
+) -> NearestDistances:
+    """What is known at the end of a walk through the leaves that may be within reach [m] of a point."""
+    at = p.array().astype(jnp.float32)
+    return walk(femur.bounds, femur.rows, femur.first, lambda rows: disc_distances(rows, at), reach, at_leaf, start)
 
 
 def signed_depth(femur: PressedSurface, p: Vec3, place: Array) -> tuple[Scalar, Array]:
@@ -214,7 +210,3 @@ def _corners_at(femur: PressedSurface, place: Array) -> Triangle:
 
 def _as_lanes(p: Vec3, femur: PressedSurface) -> Vec3:
     return jax.tree.map(lambda a: jnp.broadcast_to(a, (femur.width,)), p)
-
-
-def _single(p: Vec3) -> Array:
-    return p.array().astype(jnp.float32)

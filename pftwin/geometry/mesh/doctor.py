@@ -147,11 +147,6 @@ def examine(vertices: ArrayLike, faces: ArrayLike, *, source: str = "mesh", unit
     return Diagnosis(source, len(used), n, longest, likely, parts, findings, turn, drop)
 
 
-def repaired_file(path: str | os.PathLike[str], *, units: str | None = None) -> tuple[SurfaceMesh, Diagnosis]:
-    """Repair the mesh of a file; see `repaired`."""
-    return repaired(*read_triangles(Path(path)), source=str(path), units=units)
-
-
 def repaired(
     vertices: ArrayLike, faces: ArrayLike, *, source: str = "mesh", units: str | None = None
 ) -> tuple[SurfaceMesh, Diagnosis]:

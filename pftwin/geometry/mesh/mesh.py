@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pftwin.base.errors import InputError, OutputError
+from pftwin.base.errors import InputError
+from pftwin.base.output import written_whole
 from pftwin.geometry.mesh.files import check_format, read_triangles
 
 # In metres; what meshes are exported in, most often first.
@@ -159,13 +160,8 @@ def save_mesh(mesh: SurfaceMesh, path: str | os.PathLike[str], *, units: str = "
     check_format(target)
     exported = trimesh.Trimesh(mesh.vertices / UNITS[units], mesh.faces, process=False)
     data = exported.export(file_type=target.suffix[1:].lower())
-    partial = target.with_name(target.name + ".part")
-    try:
+    with written_whole(target) as partial:
         partial.write_bytes(data.encode() if isinstance(data, str) else data)  # pyright: ignore[reportArgumentType]
-        partial.replace(target)
-    except OSError as error:
-        partial.unlink(missing_ok=True)
-        raise OutputError(f"{target}: cannot write the mesh: {error.strerror}") from error
 
 
 def weld(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:

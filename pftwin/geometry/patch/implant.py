@@ -226,9 +226,7 @@ def rig_implant() -> FemoralComponent:
     return FemoralComponent()
 
 
-def rig_region(
-    mesh: SurfaceMesh, component: FemoralComponent | None = None, *, half_width: float = RIG_HALF_WIDTH
-) -> TrochlearRegion:
+def rig_region(mesh: SurfaceMesh, *, half_width: float = RIG_HALF_WIDTH) -> TrochlearRegion:
     """The vertices of the rig implant's mesh that the patches are fitted to, with the charts to fit them over.
 
     From 42 deg proximal to 75 deg distal of the most anterior direction: the button touches the true surface from 35
@@ -236,5 +234,4 @@ def rig_region(
     """
     from pftwin.geometry.patch.region import region_about
 
-    chart = (component or rig_implant()).chart
-    return region_about(mesh, chart, angles=RIG_ANGLES, half_width=half_width)
+    return region_about(mesh, rig_implant().chart, angles=RIG_ANGLES, half_width=half_width)

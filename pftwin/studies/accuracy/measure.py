@@ -67,13 +67,6 @@ class Converged:
 
 
 @contextlib.contextmanager
-def float_type(name: str) -> Iterator[None]:
-    """JAX set to that precision."""
-    with jax.enable_x64(name == "float64"):
-        yield
-
-
-@contextlib.contextmanager
 def compiling_anew() -> Iterator[None]:
     """The folder of compiled programs is not used, so that compile times are those of a first run."""
     from jax.experimental.compilation_cache import compilation_cache

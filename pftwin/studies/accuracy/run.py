@@ -7,13 +7,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import jax
+
 from pftwin.base.sheet import Sheet
 from pftwin.base.text_files import write_text
 from pftwin.files.result_files import save_dataset
 from pftwin.model.measured import Measured
 from pftwin.results.metrics import PAPER_TABLE_1, Validation, validate
 from pftwin.results.plots import save_figure
-from pftwin.studies.accuracy.measure import AccuracyRow, Converged, SceneOf, compiling_anew, converged, float_type, rows
+from pftwin.studies.accuracy.measure import AccuracyRow, Converged, SceneOf, compiling_anew, converged, rows
 from pftwin.studies.accuracy.programs import MeasuredProgram
 from pftwin.studies.accuracy.table import advice, all_figures, columns, work_precision
 from pftwin.studies.runs import run_each
@@ -50,12 +52,12 @@ def measure_all(
     def before(k: int, setting: MeasuredProgram) -> None:
         if setting.contact not in references:
             tell(f"{setting.contact}: converged run")
-            with float_type("float64"):
+            with jax.enable_x64(True):
                 references[setting.contact] = converged(scene_of(setting.contact), setting.contact)
         tell(f"{k + 1} of {len(plan)}: {setting.contact}, {setting.integrator}, {setting.dtype}")
 
     def one(setting: MeasuredProgram) -> list[AccuracyRow]:
-        with float_type(setting.dtype):
+        with jax.enable_x64(setting.dtype == "float64"):
             return rows(setting, scene_of(setting.contact), references[setting.contact], measured)
 
     with compiling_anew():

@@ -17,7 +17,7 @@ from pftwin.cli.program import app
 from pftwin.dynamics.status import FLAGS
 from pftwin.files.result_files import load_dataset
 from pftwin.results.metrics import validate
-from pftwin.studies.accuracy.measure import AccuracyRow, compiling_anew, converged, float_type, rows
+from pftwin.studies.accuracy.measure import AccuracyRow, compiling_anew, converged, rows
 from pftwin.studies.accuracy.programs import COMMON, FLOATS, MESHES, SMOOTH, MeasuredProgram, chosen, full_table
 from pftwin.studies.accuracy.run import AccuracyMeasured, report, write
 from pftwin.studies.accuracy.table import advice, columns, front, read_csv, recommended
@@ -87,7 +87,7 @@ def found(short_case) -> AccuracyMeasured:
     ]
     measured_rows = []
     for setting in plan:
-        with float_type(setting.dtype):
+        with jax.enable_x64(setting.dtype == "float64"):
             measured_rows += rows(setting, scene_of("P5"), reference, measured)
     return AccuracyMeasured(measured_rows, {"P5": reference}, {"P5": validate(reference.result, measured)})
 

@@ -66,6 +66,11 @@ def tolerance_on_host(solution: Solution) -> NDArray[np.floating]:
     return np.maximum(tolerance_of(solution.residual.dtype), np.asarray(solution.rounding))
 
 
+def converged_on_host(solution: Solution) -> NDArray[np.bool_]:
+    """`Solution.converged` without a program, of one or a batch."""
+    return np.asarray(solution.residual) < tolerance_on_host(solution)
+
+
 def place_unknown(solution: Solution) -> float:
     """How far from the true equilibrium the patella may rest because of the float type's rounding [m]; on the host.
 

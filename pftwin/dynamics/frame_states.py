@@ -18,6 +18,7 @@ from pftwin.dynamics.integrator import Integrator
 from pftwin.dynamics.integrators import LinearImplicit
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.packing import Layout
+from pftwin.dynamics.relaxation import relax
 from pftwin.dynamics.state import Guide, State, System
 from pftwin.model.scene import Scene
 
@@ -54,6 +55,12 @@ def starting_equilibrium(scene: Scene, guess: Pose | None = None) -> Solution:
 def start_before_search(scene: Scene) -> Solution:
     """An unsolved `Solution` of the structure that `starting_equilibrium` returns, without the search."""
     return initial_solution(System.of(scene), first_guide(scene), scene.center_of_mass_pose())
+
+
+def relaxed_start(scene: Scene) -> Pose:
+    """Where damped motion from the scene's start comes to rest, a pose of the patella's frame to search from."""
+    rested = relax(System.of(scene), first_guide(scene), scene.center_of_mass_pose())
+    return Pose(rested.apply(-scene.patella.center_of_mass), rested.orientation)
 
 
 def _of_center(scene: Scene, pose: Pose) -> Pose:

@@ -19,11 +19,11 @@ from pftwin.base.program_cache import Program, Timed
 from pftwin.base.program_cache import settings as jax_settings
 from pftwin.base.runtime import warn_of_accelerator
 from pftwin.base.spatial import Pose
-from pftwin.dynamics.equilibrium import Solution, place_unknown, tolerance_on_host
+from pftwin.dynamics.equilibrium import Solution, converged_on_host, place_unknown
 from pftwin.dynamics.error_estimate import Course
 from pftwin.dynamics.frame_states import (
-    first_guide,
     frame_states,
+    relaxed_start,
     start_before_search,
     starting_equilibrium,
     substeps_for,
@@ -33,8 +33,7 @@ from pftwin.dynamics.integrators import BDF2
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.observe import Observation, observe
 from pftwin.dynamics.rebound import impact_of
-from pftwin.dynamics.relaxation import ended_far_away, relax
-from pftwin.dynamics.state import System
+from pftwin.dynamics.relaxation import ended_far_away
 from pftwin.dynamics.status import Status
 from pftwin.dynamics.tolerance import (
     Choice,
@@ -59,8 +58,7 @@ def _solve(scene: Scene) -> Solution:
 
 @Program
 def _relaxed(scene: Scene) -> Pose:
-    pose = relax(System.of(scene), first_guide(scene), scene.center_of_mass_pose())
-    return Pose(pose.apply(-scene.patella.center_of_mass), pose.orientation)
+    return relaxed_start(scene)
 
 
 @Program
@@ -74,25 +72,20 @@ def _run(
 def settle_first_frame(scene: Scene) -> tuple[Timed, bool]:
     """The equilibrium at the first frame, and whether the damped relaxation helped to find it."""
     found = _solve.timed(scene)
-    if _converged(found.answer):
+    if converged_on_host(found.answer):
         return found, False
     tried = [found, _relaxed.timed(scene)]
     if not ended_far_away(scene.start, tried[-1].answer):
         # A scene that starts there is one of the same structure: nothing is compiled again.
         tried.append(_solve.timed(eqx.tree_at(lambda s: s.start, scene, tried[-1].answer)))
     run, preparation = (sum(t[i] for t in tried) for i in (1, 2))
-    helped = len(tried) > 2 and _converged(tried[-1].answer)
+    helped = len(tried) > 2 and bool(converged_on_host(tried[-1].answer))
     return Timed((tried[-1] if helped else found).answer, run, preparation), helped
 
 
 def prepare_relaxation(scene: Scene) -> None:
     """Compiles the fallback of `settle_first_frame` for scenes of this structure ahead of time."""
     _relaxed.prepare(scene.unnamed())
-
-
-def _converged(solution: Solution) -> bool:
-    """`Solution.converged` on the host: no program is compiled for it."""
-    return bool(np.asarray(solution.residual) < tolerance_on_host(solution))
 
 
 def compiled_aside(scene: Scene, integrator: Integrator | None = None, energy: bool = True) -> Callable[[], object]:

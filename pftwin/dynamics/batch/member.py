@@ -16,11 +16,10 @@ from pftwin.base.rotations import patellar_angles
 from pftwin.base.spatial import Pose, Scalar, Vec3
 from pftwin.dynamics.equilibrium import Solution
 from pftwin.dynamics.error_estimate import Course, ErrorEstimate, error_of
-from pftwin.dynamics.frame_states import first_guide, frame_states, starting_equilibrium
+from pftwin.dynamics.frame_states import frame_states, relaxed_start, starting_equilibrium
 from pftwin.dynamics.integrator import Integrator
 from pftwin.dynamics.observe import Observation, observe, observe_on_the_way
-from pftwin.dynamics.relaxation import THROWN, relax
-from pftwin.dynamics.state import System
+from pftwin.dynamics.relaxation import THROWN
 from pftwin.dynamics.status import FLAGS
 from pftwin.model.scene import Scene
 
@@ -49,8 +48,7 @@ def member_equilibrium(task: Task, row: Any) -> Solution:
 def settled_after_relaxing(task: Task, row: Any) -> Solution:
     """As `pftwin.simulate` does it where the search fails: from where damped motion comes to rest, if that is near."""
     scene = task.change(task.scene, row)
-    rested = relax(System.of(scene), first_guide(scene), scene.center_of_mass_pose())
-    pose = Pose(rested.apply(-scene.patella.center_of_mass), rested.orientation)
+    pose = relaxed_start(scene)
     near = (pose.position - scene.start.position).norm() < THROWN
     return starting_equilibrium(scene, jax.tree.map(lambda a, b: jnp.where(near, a, b), pose, scene.start))
 

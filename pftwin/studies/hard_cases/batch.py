@@ -12,8 +12,8 @@ import numpy as np
 
 from pftwin.base.errors import InputError
 from pftwin.base.spatial import Pose
-from pftwin.dynamics.equilibrium import Solution, tolerance_on_host
-from pftwin.dynamics.frame_states import substeps_for
+from pftwin.dynamics.equilibrium import Solution, converged_on_host
+from pftwin.dynamics.frame_states import relaxed_start, substeps_for
 from pftwin.dynamics.relaxation import ended_far_away
 from pftwin.dynamics.trajectory import DEFAULT_STEP
 from pftwin.model.scene import Scene, check
@@ -26,7 +26,6 @@ from pftwin.studies.hard_cases.programs import (
     compiled,
     equilibrium_with_derivatives,
     poses,
-    relaxed,
     run,
     side_by_side,
 )
@@ -170,13 +169,13 @@ def starts_of(batch: CaseBatch, dtype: str) -> Starts:
     search, nothing = compiled(equilibrium_with_derivatives, double), jnp.zeros((n, len(PARAMETERS)))
     found: Rest = search(batch.scenes, nothing)
     scenes, wanted = batch.scenes, np.array([not c.released for c in batch.cases])
-    lost = ~converged(found.equilibrium) & wanted  # a patella released from its start pose keeps that pose
+    lost = ~converged_on_host(found.equilibrium) & wanted  # a patella released from its start pose keeps that pose
     if lost.any():
-        there = compiled(relaxed, double)(scenes)
+        there = compiled(relaxed_start, double)(scenes)
         usable = lost & ~ended_far_away(scenes.start, there)
         scenes = eqx.tree_at(lambda s: s.start, scenes, _select_members(usable, there, scenes.start))
         again: Rest = search(scenes, nothing)
-        found = _select_members(lost & converged(again.equilibrium), again, found)
+        found = _select_members(lost & converged_on_host(again.equilibrium), again, found)
     released = jnp.asarray(~wanted)
     chosen = _select_members(released, found.released, found.equilibrium)
     return Starts(chosen, _failing_equilibria(batch, found, scenes, search, dtype))
@@ -186,11 +185,6 @@ def starts_part(starts: Starts, which: list[int]) -> Starts:
     """The starts of the chosen cases."""
     at = np.asarray(which)
     return Starts(jax.tree.map(lambda a: a[at], starts.chosen), starts.wrong)
-
-
-def converged(solution: Solution) -> np.ndarray:
-    """(n,) which starts are equilibria."""
-    return np.asarray(solution.residual) < tolerance_on_host(solution)
 
 
 def _select_members(which: Any, a: Any, b: Any) -> Any:
@@ -207,7 +201,7 @@ def _failing_equilibria(batch: CaseBatch, found: Rest, scenes: Any, search: Any,
     """Cases that start from an equilibrium: does the search end, and are its derivatives finite, and right."""
     n, near = len(batch.cases), eqx.tree_at(lambda s: s.start, scenes, _patella_frame(scenes, found.equilibrium))
     said, columns = {}, np.asarray(found.slopes)
-    at_rest = converged(found.equilibrium)
+    at_rest = converged_on_host(found.equilibrium)
     # A failed search flags every frame.
     looked = [k for k, case in enumerate(batch.cases) if not case.released and at_rest[k]]
     smooth = [k for k in looked if batch.cases[k].expected.smooth and dtype == "float64"]

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
-from pftwin.dynamics.equilibrium import place_unknown
+from pftwin.dynamics.equilibrium import converged_on_host, place_unknown
 from pftwin.dynamics.error_estimate import Course, ErrorEstimate, apart
 from pftwin.dynamics.integrator import Integrator
 from pftwin.dynamics.integrators import BDF2
@@ -26,7 +26,7 @@ from pftwin.dynamics.status import ALLOWED_PATH_ERROR, Status
 from pftwin.dynamics.tolerance import Choice, Tried, accurate_enough, with_estimate
 from pftwin.model.scene import Scene
 from pftwin.results.verdict import most_frames, verdict_of
-from pftwin.studies.hard_cases.batch import CaseBatch, converged, member
+from pftwin.studies.hard_cases.batch import CaseBatch, member
 from pftwin.studies.hard_cases.case import UNKNOWN, CaseIntegrator
 from pftwin.studies.hard_cases.contacts import MESHES
 from pftwin.studies.hard_cases.programs import PARAMETERS, CaseRun, compiled, run
@@ -111,7 +111,7 @@ def truths(batch: CaseBatch, starts: Any, contact: str) -> dict[str, Truth]:
     it is no answer, and a run in float32 that starts elsewhere is not off for that.
     """
     fine, runs = FINE["mesh" if contact in MESHES else "patch"], BatchRuns(batch, starts, BDF2(), True)
-    found, at_rest = {}, converged(starts)
+    found, at_rest = {}, converged_on_host(starts)
     for k, case in enumerate(batch.cases):
         if not (case.released or at_rest[k]):
             continue

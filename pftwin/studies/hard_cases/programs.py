@@ -23,7 +23,6 @@ from pftwin.dynamics.frame_states import first_guide, frame_states, starting_equ
 from pftwin.dynamics.integrator import Integrator
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.observe import Observation, observe
-from pftwin.dynamics.relaxation import relax
 from pftwin.dynamics.state import State, System
 from pftwin.dynamics.static_load import patella_at_rest
 from pftwin.geometry.bvh.triangle import Triangle, closest_on_triangle
@@ -110,12 +109,6 @@ def equilibrium_with_derivatives(scene: Scene, p: Array) -> Rest:
     nothing = jnp.zeros_like(solution.residual)
     released = Solution(pose, memories, unknown, solution.iterations * 0, 0 * solution.stiffness, nothing)
     return Rest(solution, released, _columns(found))
-
-
-def relaxed(scene: Scene) -> Pose:
-    """The end of the damped relaxation: a start for another search."""
-    pose = relax(System.of(scene), first_guide(scene), scene.center_of_mass_pose())
-    return Pose(pose.apply(-scene.patella.center_of_mass), pose.orientation)
 
 
 def run(scene: Scene, start: Solution, substeps: Array, p: Array, integrator: Integrator) -> CaseRun:

@@ -11,9 +11,10 @@ import pytest
 
 from pftwin.base.spatial import Pose, Quaternion, Vec3
 from pftwin.dynamics.equilibrium import Solution
+from pftwin.dynamics.frame_states import relaxed_start
 from pftwin.studies.hard_cases import batch
 from pftwin.studies.hard_cases.batch import CaseBatch
-from pftwin.studies.hard_cases.programs import Rest, relaxed
+from pftwin.studies.hard_cases.programs import Rest
 
 HIGH, LOW = 22.5e-3, 21.9e-3  # where both are put, and where they come to rest [m]
 
@@ -46,7 +47,9 @@ def test_a_case_that_is_let_go_stays_where_it_was_put(monkeypatch, wanted):
     """It had the relaxed place, already fallen, wherever another case of its batch had to be relaxed."""
 
     monkeypatch.setattr(
-        batch, "compiled", lambda function, double: (lambda scenes: pose(LOW)) if function is relaxed else searched
+        batch,
+        "compiled",
+        lambda function, double: (lambda scenes: pose(LOW)) if function is relaxed_start else searched,
     )
     monkeypatch.setattr(batch, "_failing_equilibria", lambda *given: {})
     cases = tuple(SimpleNamespace(released=r, name=n) for r, n in ((not wanted, "one"), (True, "let go")))

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from pftwin.dynamics.integrator import Integrator
 from pftwin.dynamics.integrators import integrator_from_text
 from pftwin.dynamics.status import Status
 from pftwin.studies.hard_cases.contacts import CONTACTS, PATCHES
-from pftwin.studies.hard_cases.knee import Numbers
+
+if TYPE_CHECKING:
+    from pftwin.studies.hard_cases.knee import KneeNumbers
+    from pftwin.studies.hard_cases.rig_numbers import RigNumbers
 
 NOTHING = Status.OK
 RELEASED = Status.START_NOT_IN_EQUILIBRIUM
@@ -47,7 +50,7 @@ class HardCase:
     name: str
     topic: str
     about: str  # what is hard, and what is expected, in a sentence or two
-    builder: Callable[[], Numbers]
+    builder: Callable[[], KneeNumbers | RigNumbers]
     expected: Expected = Expected()
     step: float = 1e-3  # [s]
     released: bool = False  # released at rest from the scene's start pose, not from its equilibrium

@@ -19,7 +19,6 @@ from pftwin.studies.hard_cases.knee import (
     RADIUS,
     TROCHLEA,
     KneeNumbers,
-    Numbers,
     TendonNumbers,
     drawn,
     standing,
@@ -84,7 +83,7 @@ def _case(topic: str, entry: dict[str, Any], texts: dict[str, str]) -> HardCase:
     return HardCase(topic=topic, builder=lambda: _knee(entry), expected=expected, contacts=tuple(kinds), **own)
 
 
-def _knee(entry: dict[str, Any]) -> Numbers:
+def _knee(entry: dict[str, Any]) -> KneeNumbers | RigNumbers:
     if "rig" in entry:
         return RigNumbers(entry["rig"], entry.get("factors", {}))
     base = drawn(entry["seed"]) if "seed" in entry else KNEES[entry.get("knee", "plain")]

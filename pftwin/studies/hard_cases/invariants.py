@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,8 +11,11 @@ from numpy.typing import NDArray
 from pftwin.base.arrays import Floats
 from pftwin.dynamics.status import DEEPEST, Status
 from pftwin.studies.hard_cases.case import UNKNOWN, HardCase
-from pftwin.studies.hard_cases.knee import Numbers
 from pftwin.studies.hard_cases.programs import CaseRun
+
+if TYPE_CHECKING:
+    from pftwin.studies.hard_cases.knee import KneeNumbers
+    from pftwin.studies.hard_cases.rig_numbers import RigNumbers
 
 GEOMETRY = Status.NO_CONTACT | Status.LEFT_PATCH | Status.DEEP_INDENTATION  # flags with checks of their own
 ERRORS = Status.INACCURATE | Status.FACETS_INACCURATE  # and those of steps, which are judged by a converged run
@@ -40,7 +43,7 @@ class Look(NamedTuple):
     """One case's run on the host, with what the checks need."""
 
     case: HardCase
-    knee: Numbers
+    knee: KneeNumbers | RigNumbers
     contact: str
     run: CaseRun
     tolerance: Tolerance

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Protocol
 
 import numpy as np
 
@@ -96,39 +95,13 @@ QUADRICEPS = TendonNumbers(156, 0.1432, (0.02, 0, -0.008), (0.22, 0.012, 0.035))
 PATELLAR_TENDON = TendonNumbers(629, 0.0714, (-0.02, 0, -0.008), (-0.07, 0.01, 0.045))
 
 
-class Numbers(Protocol):
-    """What a case's checks have to know of its scene, and how it is made."""
-
-    @property
-    def law(self) -> Law:
-        """Of the contact."""
-        ...
-
-    @property
-    def radius(self) -> float:
-        """Of the button [m]."""
-        ...
-
-    def scene_on(self, kind: str, name: str) -> Scene:
-        """The scene with a kind of contact.
-
-        Raises:
-            InputError: impossible numbers, motion or surface.
-        """
-        ...
-
-    def axis_below(self, kind: str) -> float:
-        """Depth of a cylindrical patch's axis below the ground; 0 where there is none [m]."""
-        ...
-
-
 @dataclass(frozen=True)
 class KneeNumbers:
     """All numbers of a scene."""
 
     ground: TiltedGround = TROCHLEA
     law: Law = Law()
-    radius: float = RADIUS
+    radius: float = RADIUS  # of the button [m]
     center: Triple = (0.0, 0.0, 0.0)  # of the button, patella frame [m]
     mass: float = MASS
     center_of_mass: Triple = (0.001, 0.0, 0.004)
@@ -142,11 +115,15 @@ class KneeNumbers:
     facets: int = 2  # of that mesh
 
     def scene_on(self, kind: str, name: str) -> Scene:
-        """See `Numbers`."""
+        """The scene with a kind of contact.
+
+        Raises:
+            InputError: impossible numbers, motion or surface.
+        """
         return self._scene(contact_on(self, kind), name)
 
     def axis_below(self, kind: str) -> float:
-        """See `Numbers`."""
+        """Depth of a cylindrical patch's axis below the ground; 0 where there is none [m]."""
         return axis_below(self.ground, kind)
 
     def _scene(self, contact: Effect, name: str) -> Scene:

@@ -20,7 +20,7 @@ STIFFNESS = "contact.law.contact_stiffness"
 
 @dataclass(frozen=True)
 class RigNumbers:
-    """A case of the rig; see `pftwin.studies.hard_cases.knee.Numbers`."""
+    """A case of the rig, which tells what `pftwin.studies.hard_cases.knee.KneeNumbers` does."""
 
     case: int
     factors: Mapping[str, float] = field(default_factory=dict)  # by the numbers' names
@@ -36,7 +36,7 @@ class RigNumbers:
         return geometry.BUTTON_RADIUS
 
     def scene_on(self, kind: str, name: str) -> Scene:
-        """See `Numbers`."""
+        """See `KneeNumbers`."""
         patch, chart = _parts(kind)
         scene = rig.case(self.case, contact=patch, chart=chart)
         for number, factor in self.factors.items():
@@ -44,7 +44,7 @@ class RigNumbers:
         return dataclasses.replace(scene, name=name)
 
     def axis_below(self, kind: str) -> float:
-        """See `Numbers`."""
+        """See `KneeNumbers`."""
         patch, chart = _parts(kind)
         surface = contact_fit(patch, chart=chart).patch
         return float(surface.chart.radius) if isinstance(surface.chart, CylindricalChart) else 0.0

@@ -115,11 +115,11 @@ def _fitted(name: str, chart: Literal["plane", "cylinder"], float64: bool) -> Pa
 
 def _of_meshes(name: str, law: ContactLaw) -> Effect:
     from pftwin.geometry.contact.contact_mesh import contact_mesh
-    from pftwin.geometry.mesh.resolution import button_mesh, resolution
+    from pftwin.geometry.mesh.resolution import RESOLUTIONS, button_mesh
     from pftwin.model.effects.mesh_contact import MeshContact
 
     mesh, lateral = _femur(name)
-    button = button_mesh(rig.BUTTON_RADIUS, resolution(name))
+    button = button_mesh(rig.BUTTON_RADIUS, RESOLUTIONS[name])
     femur, patella = contact_mesh(mesh, lateral), contact_mesh(button)
     return MeshContact(femur, patella, law, vector(_CENTER), surface=contact_fit(SPLINE).patch)
 
@@ -143,11 +143,10 @@ def _femur(name: str) -> tuple[SurfaceMesh, NDArray[np.bool_]]:
 
 def _meshed(name: str) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.bool_]]:
     from pftwin.geometry.contact.mesh_facets import lateral_of_groove
-    from pftwin.geometry.mesh.resolution import implant_mesh as meshed
-    from pftwin.geometry.mesh.resolution import resolution
+    from pftwin.geometry.mesh.resolution import RESOLUTIONS
 
     with jax.enable_x64(True):
-        mesh = meshed(resolution(name), replace(rig_implant(), half_width=_WIDE))
+        mesh = replace(rig_implant(), half_width=_WIDE).mesh(deviation=RESOLUTIONS[name])
         return mesh.vertices, mesh.faces, lateral_of_groove(mesh, rig_region(mesh))
 
 

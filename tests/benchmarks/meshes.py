@@ -24,8 +24,7 @@ from pftwin.geometry.contact.patch_mesh import patch_mesh
 from pftwin.geometry.contact.sphere_patch import sphere_patch
 from pftwin.geometry.mesh.icosphere import icosphere
 from pftwin.geometry.mesh.mesh import SurfaceMesh
-from pftwin.geometry.mesh.resolution import Resolution, implant_mesh
-from pftwin.geometry.patch.implant import rig_region
+from pftwin.geometry.patch.implant import rig_implant, rig_region
 from pftwin.model.scene import Scene
 from pftwin.rig import geometry as rig
 from tests.benchmarks.clock import measure, measure_in_turn
@@ -49,7 +48,7 @@ def rows(count: int = 200, *, whole_motions: bool = True) -> list[Row]:
         count: poses of a query.
         whole_motions: whether to simulate as well.
     """
-    made = {name: implant_mesh(Resolution(deviation)) for name, deviation in SIZES.items()}
+    made = {name: rig_implant().mesh(deviation=deviation) for name, deviation in SIZES.items()}
     out = _queries(made["28k"], count) + _growth(made, count)
     return out + (_motions() + _spline() if whole_motions else [])
 

@@ -55,9 +55,9 @@ def path() -> NDArray[np.float64]:
     """Places of the sphere's middle (n, 3) in the femur's frame [m]: an arc that presses as deep as is wanted."""
     from scipy.spatial import cKDTree
 
-    from pftwin.geometry.mesh.resolution import Resolution, implant_mesh
+    from pftwin.geometry.patch.implant import rig_implant
 
-    surface = cKDTree(implant_mesh(Resolution(SIZES["100k"])).vertices)
+    surface = cKDTree(rig_implant().mesh(deviation=SIZES["100k"]).vertices)
     angles = AT + np.linspace(0, WAY / 0.049, POINTS)
 
     def arc(radius: float) -> NDArray[np.float64]:
@@ -82,8 +82,8 @@ def effects() -> Iterator[tuple[str, str, Any]]:
     from pftwin.geometry.contact.contact_mesh import contact_mesh
     from pftwin.geometry.contact.mesh_facets import lateral_of_groove, mesh_facets
     from pftwin.geometry.contact.patch_mesh import patch_mesh
-    from pftwin.geometry.mesh.resolution import Resolution, button_mesh, implant_mesh
-    from pftwin.geometry.patch.implant import rig_region
+    from pftwin.geometry.mesh.resolution import button_mesh
+    from pftwin.geometry.patch.implant import rig_implant, rig_region
     from pftwin.model.effects.mesh_contact import MeshContact
     from pftwin.model.effects.mesh_sphere_contact import MeshSphereContact
     from pftwin.model.effects.mesh_volume_contact import MeshVolumeContact
@@ -91,9 +91,9 @@ def effects() -> Iterator[tuple[str, str, Any]]:
 
     law, radius, zero = Hertz(jnp.asarray(rig.CONTACT_STIFFNESS)), jnp.asarray(rig.BUTTON_RADIUS), Vec3.zero()
     for size, deviation in SIZES.items():
-        mesh = implant_mesh(Resolution(deviation))
+        mesh = rig_implant().mesh(deviation=deviation)
         lateral = lateral_of_groove(mesh, rig_region(mesh))
-        button = button_mesh(rig.BUTTON_RADIUS, Resolution(deviation))
+        button = button_mesh(rig.BUTTON_RADIUS, deviation)
         sides = contact_mesh(mesh, lateral), contact_mesh(button)
         yield "contour, largest indentation", size, MeshContact(*sides, law, zero)
         yield "sphere, nearest point", size, MeshSphereContact(mesh_facets(mesh, lateral), law, zero, radius)

@@ -124,10 +124,10 @@ class SphereButtonSection(Section):
 
     def triangles(self, setting: Setting, at: Place) -> ButtonMesh:
         """An icosphere, the coarsest that keeps to the deviation."""
-        from pftwin.geometry.mesh.resolution import Resolution, button_mesh
+        from pftwin.geometry.mesh.resolution import RESOLUTIONS, button_mesh
 
         with setting.document.naming(*at, "deviation_m"):
-            mesh = button_mesh(self.radius_m, Resolution(self.deviation_m or 0.006e-3))
+            mesh = button_mesh(self.radius_m, self.deviation_m or RESOLUTIONS["FM"])
         return ButtonMesh(mesh, setting.points("patella", self.center_m))
 
     def sphere(self, setting: Setting, at: Place, label: str) -> ButtonSphere:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,14 +10,6 @@ from numpy.typing import NDArray
 from pftwin.base.errors import InputError
 from pftwin.base.text_files import MESH_TRIANGLES
 from pftwin.geometry.mesh.mesh import SurfaceMesh, weld
-from pftwin.geometry.mesh.topology import adjacent
-
-
-class Deviation(NamedTuple):
-    """Deviation of an icosphere from the sphere."""
-
-    deviation: float  # largest distance, in radii
-    angle: float  # largest between neighbouring triangles [rad]
 
 
 def icosphere(radius: float, frequency: int) -> SurfaceMesh:
@@ -37,15 +28,13 @@ def icosphere(radius: float, frequency: int) -> SurfaceMesh:
     return SurfaceMesh(radius * vertices, faces, f"icosphere, {len(faces)} triangles")
 
 
-def icosphere_deviation(frequency: int) -> Deviation:
-    """The deviation of an icosphere from its sphere."""
+def icosphere_deviation(frequency: int) -> float:
+    """The largest distance of an icosphere from its sphere, in radii."""
     vertices, faces = _unit(frequency)
     mesh = SurfaceMesh(vertices, faces)
     normals = mesh.area_vectors / mesh.face_areas[:, None]
     inward = 1 - np.einsum("ij,ij->i", normals, vertices[faces[:, 0]])  # a face is nearest where its normal passes
-    a, b, _ = adjacent(faces)
-    turn = 2 * np.arcsin(0.5 * np.linalg.norm(normals[a] - normals[b], axis=1))
-    return Deviation(float(inward.max()), float(turn.max()))
+    return float(inward.max())
 
 
 @lru_cache(maxsize=8)

@@ -28,7 +28,7 @@ FIELDS = [
     (CONTOURS, BALL, "{}", "[mesh_contact] button.mesh: is missing"),
     (CONTOURS, BALL, "{ radius_mm = 0 }", "button.radius_mm: found 0; expected: a positive number"),
     (CONTOURS, BALL, "{ radius_mm = 22, deviation_mm = -1 }", "button.deviation_mm: found -1"),
-    (CONTOURS, BALL, "{ radius_mm = 22, deviation_mm = 1e-9 }", "button.deviation_mm: deviation, angle: more than"),
+    (CONTOURS, BALL, "{ radius_mm = 22, deviation_mm = 1e-9 }", "button.deviation_mm: deviation: more than"),
     (CONTOURS, BALL, "{ radius_mm = 22, tolerance_mm = 1 }", "button.tolerance_mm: unknown field"),
     (CONTOURS, BALL, '{ mesh = "ball.stl" }', "button.units: is missing; expected: unit of the mesh's coordinates"),
     (CONTOURS, BALL, '{ mesh = "ball.stl", units = "inch" }', "button.units: found 'inch'; expected: one of 'm', 'dm'"),

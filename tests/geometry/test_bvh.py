@@ -21,13 +21,13 @@ from pftwin.geometry.mesh.mesh import SurfaceMesh
 from pftwin.rig.contacts import implant_mesh
 
 
-def searched(t: MeshTree, points: np.ndarray, width: int | None = None, half: int | None = None) -> NearestTriangle:
-    return _searched(wide_tree(t), t.triangles, jnp.asarray(points), half, width)
+def searched(t: MeshTree, points: np.ndarray, half: int | None = None) -> NearestTriangle:
+    return _searched(wide_tree(t), t.triangles, jnp.asarray(points), half)
 
 
 @eqx.filter_jit
-def _searched(wide, triangles, points, half, width):
-    return jax.vmap(lambda p: nearest_wide(wide, triangles, point(p), half, width=width))(points)
+def _searched(wide, triangles, points, half):
+    return jax.vmap(lambda p: nearest_wide(wide, triangles, point(p), half))(points)
 
 
 @pytest.mark.parametrize("n", [1, 3, 4, 5, 63, 300])
@@ -65,8 +65,12 @@ def test_the_nearest_on_an_implant():
         assert distances[own] <= distances.min() + 1e-12
 
 
-def test_a_search_without_room_says_so():
-    assert searched(build_tree(implant_mesh(), leaf=1), above_the_groove(50), 2).overflow.all()
+def test_a_search_without_room_says_so(monkeypatch):
+    monkeypatch.setattr("pftwin.geometry.bvh.wide.WIDTH", 2)
+    tree = build_tree(implant_mesh(), leaf=1)
+    wide = wide_tree(tree)
+    found = jax.jit(jax.vmap(lambda p: nearest_wide(wide, tree.triangles, point(p))))  # a program of its own
+    assert found(jnp.asarray(above_the_groove(50))).overflow.all()
 
 
 def test_one_program_serves_moved_meshes_and_maps_over_them():

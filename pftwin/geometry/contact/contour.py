@@ -92,17 +92,14 @@ class MeshPair(eqx.Module):
         return [depth[k] for k in range(self.a.facets)]
 
 
-def mesh_pair(
-    a: ContactMesh, b: ContactMesh, *, limit: Scalar | float = LIMIT, room: PairListLengths | None = None
-) -> MeshPair:
+def mesh_pair(a: ContactMesh, b: ContactMesh, *, room: PairListLengths | None = None) -> MeshPair:
     """The searches of two meshes, b's corners looked for inside a.
 
     Args:
         a, b: with trees of one kind.
-        limit: no indentation is looked for beyond it [m].
         room: for lists of pairs; None: more than an implant and a button need.
     """
-    return MeshPair(a, b, pair_search(a.tree, b.tree, room), depth_search(a, b.corners, jnp.asarray(limit, float)))
+    return MeshPair(a, b, pair_search(a.tree, b.tree, room), depth_search(a, b.corners, jnp.asarray(LIMIT, float)))
 
 
 def _select(which: Array, one: SegmentSums, other: SegmentSums) -> SegmentSums:

@@ -37,7 +37,6 @@ class Depths(NamedTuple):
     area: Scalar  # of the triangle, projected along the normal [m^2]
     tilting: Vec3  # minus that area's change for each radian that the button turns about an axis of its own [m^2]
     facet: Array | None  # int32: the label of the femur's nearest triangle
-    overflow: Array  # () bool: the list was too short, so some depths are missing
 
 
 def depths(
@@ -46,24 +45,20 @@ def depths(
     position: Vec3,
     rotation: Rotation,
     *,
-    leaves: int | None = None,
     band: float = 0.0,
-    reach: float = REACH,
 ) -> Depths:
     """The depths of those triangles of the button that are in the femur, or near it. jit, vmap and grad apply.
+
+    The list has room for all of them, so that nothing is ever lost.
 
     Args:
         button, femur: the surfaces.
         position, rotation: of the button's frame in the femur's.
-        leaves: of the button's tree that the list has room for; None: all of them, so that nothing is ever lost.
         band: how far outside triangles are listed too [m].
-        reach: how deep they are looked for [m].
     """
-    width = button.leaves if leaves is None else min(leaves, button.leaves)
-    found = femur.touching(button, position, rotation, width=width, band=band, reach=reach)
-    there = jnp.arange(width, dtype=jnp.int32) < found.total
-    where = button, femur, position, rotation, found.leaf, found.place, there
-    return depths_in(*where, overflow=found.total > width, band=band, reach=reach)
+    found = femur.touching(button, position, rotation, width=button.leaves, band=band, reach=REACH)
+    there = jnp.arange(button.leaves, dtype=jnp.int32) < found.total
+    return depths_in(button, femur, position, rotation, found.leaf, found.place, there, band=band)
 
 
 def depths_in(
@@ -75,18 +70,15 @@ def depths_in(
     place: Array,
     there: Array,
     *,
-    overflow: Array,
     band: float = 0.0,
-    reach: float = REACH,
 ) -> Depths:
     """The depths of the triangles in some leaves of the button, (leaves * lanes,).
 
     Args:
-        button, femur, position, rotation, band, reach: as of `depths`.
+        button, femur, position, rotation, band: as of `depths`.
         leaf: (leaves,) int32.
         place: (leaves, lanes) int32, from `pftwin.geometry.contact.depth_search`.
         there: (leaves,) bool, whether a leaf counts.
-        overflow: () bool, to go with the answer.
     """
     lane = jnp.arange(button.lanes, dtype=jnp.int32)
     own_places = (leaf[:, None] * jnp.int32(button.lanes) + lane[None, :]).reshape(-1)
@@ -100,7 +92,7 @@ def depths_in(
     vector, along = own.area_vector(), rotation.unapply(normal)
     projected = 0.5 * vector.dot(along)
     facing = jnp.where(stop_gradient(projected) < 0, -1.0, 1.0)  # whichever side the mesh calls outer
-    inside = (stop_gradient(depth) >= -band) & (stop_gradient(depth) <= reach) & ~rim
+    inside = (stop_gradient(depth) >= -band) & (stop_gradient(depth) <= REACH) & ~rim
     return Depths(
         depth=depth,
         listed=inside & (index >= 0) & jnp.repeat(there, button.lanes),
@@ -111,5 +103,4 @@ def depths_in(
         area=facing * projected,
         tilting=(0.5 * facing) * along.cross(vector),
         facet=femur.facet(place, point),
-        overflow=overflow,
     )

@@ -123,7 +123,7 @@ def _sums_over_leaves(at: Bedded, found: TouchingLeaves, start: Array) -> Sums:
     leaf, place = (jax.lax.dynamic_slice_in_dim(x, first, min(PIECE, at.button.leaves)) for x in found[:2])
     number = first + jnp.arange(leaf.shape[0], dtype=jnp.int32)
     there = (number >= start) & (number < found.total)
-    d = depths_in(at.button, at.femur, at.position, at.rotation, leaf, place, there, overflow=jnp.zeros((), bool))
+    d = depths_in(at.button, at.femur, at.position, at.rotation, leaf, place, there)
     rows = _unit_wrenches(at, d)
     # Per triangle; all zero where it is not in contact.
     pressure, slope, stored = at.law.press(jnp.where(d.listed, d.depth, -1.0))

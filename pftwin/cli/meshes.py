@@ -15,6 +15,7 @@ from pftwin.cli.exit_codes import exit_flagged
 
 if TYPE_CHECKING:
     from pftwin.geometry.mesh.doctor import Diagnosis
+    from pftwin.geometry.mesh.mesh import SurfaceMesh
     from pftwin.geometry.patch.fit import PatchFit
 
 _SEVERITIES = {"safe": "can be repaired", "left": "stays as it is", "fatal": "makes it unusable"}
@@ -124,7 +125,11 @@ def fit_surface(
         surface = load_mesh(mesh, units=units)
     with terminal.spinner("looking for the trochlea"):
         limits = float(np.radians(angles[0])), float(np.radians(angles[1]))
-        region = trochlear_region(surface, **directions, half_width=1e-3 * half_width, angles=limits)
+        wanted: dict[str, Any] = {"half_width": 1e-3 * half_width, "angles": limits}
+        try:
+            region = trochlear_region(surface, **directions, **wanted)
+        except InputError as error:
+            raise _with_directions(error, surface, wanted) from None
     with terminal.spinner("fitting"):
         fits = [fit_named(surface, name, chart=chart, region=region, **asked) for name in names]
     if output is not None:
@@ -165,6 +170,18 @@ def _patches(kind: str, degree: str | None, tolerance: float | None) -> tuple[li
     if tolerance is not None:
         raise InputError("polynomials reach what they reach", where="--tolerance-mm", remedy="--kind spline")
     return [parse_name(name) for name in (degree or "P2,P4,P5").split(",")], {}
+
+
+def _with_directions(error: InputError, surface: SurfaceMesh, wanted: dict[str, Any]) -> InputError:
+    """The refusal of a mesh's region, with the options under which there is one."""
+    from pftwin.geometry.patch.directions import directions_with_groove
+
+    found = directions_with_groove(surface, **wanted)
+    if not found:
+        return error
+    options = " or ".join(f"--anterior={c.anterior} --proximal={c.proximal}" for c in found)
+    remedy = f"{options}: along these axes a groove is found; -o shows which one is the trochlea"
+    return InputError(error.problem, where=error.where, expected=error.expected, remedy=remedy)
 
 
 def _direction(text: str, name: str) -> tuple[float, ...]:

@@ -167,6 +167,14 @@ def test_fit_surface(toy: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert "rms [mm]" in result.stderr
 
 
+def test_fit_surface_names_the_axes_along_which_there_is_a_groove(tmp_path: Path) -> None:
+    mesh = tmp_path / "femur.stl"
+    save_mesh(rig_implant().mesh(deviation=0.03e-3), mesh)
+    said = refused("fit-surface", mesh, "--units", "m", "--anterior=-x", "--proximal=+y")
+    assert "try: --anterior=+z --proximal=+x" in said
+    assert "anterior=," not in said
+
+
 def test_fit_surface_refuses(toy: Path, tmp_path: Path) -> None:
     mesh = toy.parent / "femur.stl"
     assert "femurs.stl: no such file" in refused("fit-surface", tmp_path / "femurs.stl", "--units", "m")

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation as ScipyRotation
 
 from pftwin.base.errors import InputError
 from pftwin.geometry.mesh.mesh import SurfaceMesh, check_mesh, load_mesh
+from pftwin.geometry.patch.directions import AXES, directions_with_groove
 from pftwin.geometry.patch.fit import fit_patch
 from pftwin.geometry.patch.groove import fit_axis_direction, fit_circle
 from pftwin.geometry.patch.implant import FemoralComponent, rig_implant
@@ -135,10 +136,10 @@ def test_figure_shows_both_views(component):
         ({"anterior": (0, 0, 0)}, "anterior: .* is not a direction"),
         ({"proximal": (1, 0)}, "proximal: .* is not a direction"),
         ({"proximal": (0.05, 0, 1)}, "anterior and proximal are 3 deg apart"),
-        ({"anterior": (0, 0, -1)}, "check anterior="),
+        ({"anterior": (0, 0, -1)}, "check the anterior and proximal directions"),
         ({"half_width": -1.0}, "a positive width"),
         ({"angles": (1.0, -1.0)}, "ascending angles"),
-        ({"anterior": (0, 1, 0), "proximal": (1, 0, 0)}, "anterior="),
+        ({"anterior": (0, 1, 0), "proximal": (1, 0, 0)}, "anterior"),
     ],
 )
 def test_bad_arguments(component, arguments, message):
@@ -149,6 +150,28 @@ def test_bad_arguments(component, arguments, message):
 def test_inward_normals_are_noticed(component):
     with pytest.raises(InputError, match=r"normals .* point backward.*mesh\.flipped\(\)"):
         trochlear_region(component.flipped(), **_FRONT)
+
+
+@pytest.mark.parametrize("anterior", ["-y", "-z"])
+def test_directions_that_see_hardly_any_surface_are_refused(dm_femur, anterior):
+    """Seen from behind or from below: nothing faces away from the axis, or the search ends in a single section."""
+    with pytest.raises(InputError, match="anterior"):
+        trochlear_region(dm_femur, anterior=AXES[anterior], proximal=(-1, 0, 0))
+
+
+def test_the_right_directions_are_among_the_candidates(dm_femur, component):
+    for mesh, right in ((dm_femur, ("-x", "+y")), (component, ("+z", "+x"))):
+        first, *others = directions_with_groove(mesh)
+        assert (first.anterior, first.proximal) == right
+        assert len(others) <= 3
+        assert all(len(c.region.groove) >= 5 for c in others)
+
+
+def test_a_box_has_no_directions_with_a_groove():
+    import trimesh
+
+    box = trimesh.creation.box((0.05, 0.06, 0.05)).subdivide_to_size(0.002)
+    assert directions_with_groove(check_mesh(box.vertices, box.faces)) == []
 
 
 @pytest.mark.slow

@@ -9,6 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from pftwin.base.errors import InputError
+
 _SECTION = np.radians(4.0)  # spacing of the groove line's points
 _WINDOW = 0.010  # medial-lateral reach of the search for the deepest point [m]
 
@@ -30,12 +32,18 @@ def fit_axis_direction(
     A normal line through p along n meets the axis through c along d where d . (p x n) - (c x d) . n = 0, which is
     linear in d and c x d: a small eigenvalue problem. A pull towards y decides where the surface does not.
     Pottmann and Randrup, Computing 60 (1998) 307.
+
+    Raises:
+        InputError: no part of the surface faces away from the axis.
     """
     arm = points - np.array([center[0], 0.0, center[1]])
     away = np.stack([arm[:, 0], np.zeros(len(arm)), arm[:, 2]], axis=1)
     size = np.linalg.norm(away, axis=1)
     angle = np.arctan2(arm[:, 0], arm[:, 2])
     use = (np.einsum("ij,ij->i", away, normals) > 0.4 * size) & (angle > np.radians(-100)) & (angle < np.radians(30))
+    if not use.any():
+        remedy = "check the anterior and proximal directions against the mesh's frame"
+        raise InputError("no part of the surface faces away from its axis, forward or distally", remedy=remedy)
     scale = np.median(size[use])
     q, n, w = arm[use] / scale, normals[use], areas[use] / areas[use].sum()
     q[:, 1] -= np.average(q[:, 1], weights=w)

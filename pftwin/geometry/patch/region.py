@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from pftwin.geometry.mesh.mesh import SurfaceMesh
 
 FACING = 0.4  # least cosine between a vertex's normal and the direction away from the axis
+_CHECK = "check the anterior and proximal directions against the mesh's frame"
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +82,7 @@ def trochlear_region(
             f"the surface's axis lies {math.degrees(math.acos(turn[1, 1])):.0f} deg from the medial-lateral direction"
             " of the hints",
             where=mesh.source,
-            remedy="check anterior= and proximal= against the mesh's frame",
+            remedy=_CHECK,
         )
     axes = hint @ turn
     points, normals = mesh.vertices @ axes, mesh.vertex_normals @ axes
@@ -94,6 +95,7 @@ def trochlear_region(
         center, _ = fit_circle(np.stack([x, z], axis=1))
         middle = float(np.median(y))
     line, depth = deepest_points(points, normals, center, middle, half_width, angles)
+    _check_groove(line, depth, mesh.source)
     step = float(np.median(np.diff(line[:, 0])))
     domain = max(angles[0], line[0, 0] - step / 2), min(angles[1], line[-1, 0] + step / 2)
     mask = _rectangle(points, normals, center, middle, domain, half_width)
@@ -143,8 +145,8 @@ def _check_outward(points: NDArray, normals: NDArray, source: str) -> None:
         raise InputError(
             "the normals of the foremost vertices point backward",
             where=source,
-            expected="normals out of the bone, and anterior= in the mesh's own frame",
-            remedy="mesh.flipped() if the normals point into the bone; else check anterior=",
+            expected="normals out of the bone, and the anterior direction in the mesh's own frame",
+            remedy="mesh.flipped() if the normals point into the bone; else check the anterior direction",
         )
 
 
@@ -159,7 +161,7 @@ def _seed(points: NDArray, normals: NDArray, source: str) -> tuple[NDArray, floa
         raise InputError(
             f"only {strip.sum()} vertices in the middle of the part look forward or distally",
             where=source,
-            remedy="check anterior= and proximal=, or use a finer mesh",
+            remedy=f"{_CHECK}, or use a finer mesh",
         )
     return fit_circle(points[strip][:, [0, 2]])[0], middle
 
@@ -171,7 +173,7 @@ def _check_groove(line: NDArray, depth: NDArray, source: str) -> None:
             f"no trochlear groove found ({found})",
             where=source,
             expected="a groove at least 0.3 mm deep in five sections or more",
-            remedy="check anterior=, proximal= and the units, or pass fit_patch a mask of your own as region=",
+            remedy=f"{_CHECK}, and its units; in Python fit_patch takes a mask of your own as region=",
         )
 
 

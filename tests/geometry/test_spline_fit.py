@@ -154,6 +154,14 @@ def test_a_tolerance_out_of_reach_warns_and_gives_the_best():
     assert 0.02e-3 < fit.rms < 0.25e-3
 
 
+@pytest.mark.parametrize(("chart", "first"), [("plane", "the cylinder as chart, "), ("cylinder", "")])
+def test_what_to_try_first_is_the_other_chart(chart, first):
+    mesh = rig_implant().mesh(deviation=0.05e-3)
+    region = rig_region(mesh, half_width=RIG_RIM)
+    with pytest.warns(PftwinWarning, match=f"not within 0.000 mm. Try {first}a finer or less noisy mesh"):
+        fit_spline(mesh, chart=chart, region=region, tolerance=1e-8)
+
+
 @pytest.mark.parametrize(
     ("points", "options", "message"),
     [

@@ -13,7 +13,6 @@ from fitting.coverage import NOT_KNOWN
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.base.quantities import as_read
-from pftwin.dynamics.status import status_facts_of_counts
 from pftwin.results.verdict import INVALID
 
 if TYPE_CHECKING:
@@ -282,7 +281,14 @@ def facts(data: Dataset) -> dict[str, Any]:
     bands = {name: list(central_and_range(data[name])[1:]) for name in drawn}
     variants = [{n: values[i] for n, values in columns.items()} for i in range(data.sizes["variant"])]
     if "status_frames" in first:
-        counts = first["status_frames"].values
-        variants = [{**variant, **status_facts_of_counts(n)} for variant, n in zip(variants, counts, strict=True)]
+        trust = (_trust(first["status_frames"].isel(variant=i)) for i in range(data.sizes["variant"]))
+        variants = [{**variant, **said} for variant, said in zip(variants, trust, strict=True)]
     coverage = {"coverage": coverage_in(data)} if drawn else {}
     return {"attributes": dict(data.attrs), "units": units, "variants": variants, "bands_95": bands, **coverage}
+
+
+def _trust(frames: DataArray) -> dict[str, Any]:
+    """As `pftwin.dynamics.status.status_facts`, by the flags that the data itself names: other versions have others."""
+    counts = {str(name): int(n) for name, n in zip(frames["flag"].values, frames.values, strict=True)}
+    words = [str(w) for w, n in zip(frames.attrs["flags"], counts.values(), strict=True) if n]
+    return {"status": "; ".join(words) or "ok", "status_frames": counts}

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 import pftwin
+from pftwin.base.spatial import Quaternion, Vec3
 from pftwin.dynamics.error_estimate import Course, apart
 from pftwin.dynamics.status import Status
 from pftwin.studies.hard_cases import case_named, method_named
@@ -34,8 +35,8 @@ def ran(of: Course, *flags: Status) -> Any:
     report = dict(zip(("force_x", "force_y", "force_z"), of.force.T, strict=True))
     report |= {"force_medial": of.medial, "force_lateral": of.lateral}
     seen = SimpleNamespace(
-        center=SimpleNamespace(x=x, y=y, z=z),
-        patella=SimpleNamespace(orientation=SimpleNamespace(w=w, x=i, y=j, z=k)),
+        center=Vec3(x, y, z),
+        patella=SimpleNamespace(orientation=Quaternion(w, i, j, k)),
         effects={"contact": report},
         status=np.array([*(int(f) for f in flags), *[0] * (FRAMES - len(flags))]),
     )

@@ -105,7 +105,7 @@ def misread(objective: Objective, trials: Floats, limits: Limits) -> list[str]:
         InputError: a channel to which another reading lies nearer than the limit allows.
     """
     found, (named, refused) = [], limits["reading"]
-    for r in _alike(r for r in readings(objective, trials) if r.times >= named):
+    for r in alike((r for r in readings(objective, trials) if r.times >= named), objective.readings):
         said = f"{_listed(r.channels)} {r.words}"
         if r.times >= refused:
             raise InputError(
@@ -118,12 +118,13 @@ def misread(objective: Objective, trials: Floats, limits: Limits) -> list[str]:
     return found
 
 
-def _alike(found: Iterable[Reading]) -> list[Reading]:
-    """Single channels that look alike as one reading of them all, the farthest off in front: who corrects a file hears
-    of all of its forces at once."""
+def alike(found: Iterable[Reading], units: Mapping[str, str]) -> list[Reading]:
+    """Forces, or other readings of one unit, that look alike as one reading of them all; the farthest off in front. Who
+    corrects a file hears of all of its forces at once."""
     together: dict[tuple[str, ...], Reading] = {}
     for r in found:
-        key = (r.words,) if len(r.channels) == 1 else r.channels
+        alone = len(r.channels) == 1 and r.channels[0] not in _FLOOR
+        key = (r.words, unit_of(r.channels[0], units)) if alone else r.channels
         before = together.get(key)
         together[key] = (
             r

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import MISSING, asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -350,8 +350,11 @@ class Estimate:
         try:
             if content.get("format") != FORMAT:
                 raise ValueError(f"its format is {content.get('format')!r}")
-            names = set(Estimate.__dataclass_fields__) - {"trials"}
-            found = Estimate(**{k: v for k, v in content.items() if k in names})  # older files lack some with defaults
+            known = {f.name: f for f in fields(Estimate) if f.name != "trials"}
+            needed = [n for n, f in known.items() if f.default is MISSING and f.default_factory is MISSING]
+            if absent := [name for name in needed if name not in content]:
+                raise ValueError(f"it lacks {absent[0]!r}")
+            found = Estimate(**{k: v for k, v in content.items() if k in known})  # older files lack some with defaults
             for key in _ARRAYS:
                 setattr(found, key, np.asarray(getattr(found, key), dtype=float))
             found.draws = None if found.draws is None else np.asarray(found.draws, dtype=float)

@@ -14,8 +14,8 @@ def numbers_by_name(
 
     Args:
         given: what the user wrote, each time that the option is there.
-        option: for messages; and what is expected.
-        expected: such as 'such as "position=2e-4"'.
+        option: its name, for messages.
+        expected: what is, for messages, such as 'such as "position=2e-4"'.
         counts: how many numbers a name may have.
 
     Raises:

@@ -55,6 +55,8 @@ def scene_text(case: int) -> str:
 
     It is named after the case, not as the case: an edited copy is none.
     """
+    import jax
+
     from pftwin.geometry.patch.implant import RIG_ANGLES, RIG_HALF_WIDTH, RIG_PARTS, rig_implant
     from pftwin.rig import geometry, recording
     from pftwin.rig.cases import springs
@@ -62,6 +64,8 @@ def scene_text(case: int) -> str:
 
     markers, forces = recording.recording_files(case)
     hip = {"HIP": geometry.HIP}
+    with jax.enable_x64(True):  # the same text whatever the process computes in
+        tendons, law = springs(geometry.CASES[case]), rig_law()
     return render_toml(
         "pftwin.rig",
         "scene.toml.jinja",
@@ -74,8 +78,8 @@ def scene_text(case: int) -> str:
         femur=_cluster({**geometry.FEMUR_MARKERS, **hip}),
         tibia=_cluster(geometry.TIBIA_MARKERS),
         patella=_cluster(geometry.PATELLA_MARKERS),
-        tendons=springs(geometry.CASES[case]),
-        law=rig_law(),
+        tendons=tendons,
+        law=law,
         axis_radius=rig_implant().trochlear_radius,
         half_width=RIG_HALF_WIDTH,
         angles_deg=np.degrees(RIG_ANGLES),

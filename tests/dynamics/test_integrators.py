@@ -211,7 +211,6 @@ def test_the_energy_budget_closes_with_the_second_order(integrator, held):
     assert abs(float(least)) < 0.6 * abs(float(middle)) or abs(float(least)) < 1e-4 * abs(float(work))
 
 
-@pytest.mark.slow
 def test_a_step_whose_equations_are_not_solved_says_so(held, monkeypatch):
     scene, start = held
     monkeypatch.setattr(newmark, "MOST_ITERATIONS", 1)
@@ -223,7 +222,6 @@ def test_a_step_whose_equations_are_not_solved_says_so(held, monkeypatch):
     assert (np.asarray(cut_off(scene)) & int(Status.STEP_TOO_LONG)).any()
 
 
-@pytest.mark.slow
 def test_what_an_integrator_carries_it_knows(held):
     """Whoever shows a motion asks the integrator, not what its fields are called."""
     scene, start = held

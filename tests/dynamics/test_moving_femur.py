@@ -95,7 +95,6 @@ def button_path():
     return run(scene, starting_as_it_is(scene), 40)[0].states
 
 
-@pytest.mark.slow
 def test_the_start_moves_with_the_femur(button_path):
     x0 = np.asarray(button_path.position.array())[0]
     h = 1e-6

@@ -45,7 +45,6 @@ def same(one, other) -> bool:
     return jax.tree.all(jax.tree.map(close, one, other))
 
 
-@pytest.mark.slow
 def test_it_is_what_is_seen_afterwards():
     scene = small_scene(6)
     afterwards, on_the_way = both(scene, settled(scene), substeps=jnp.asarray(2), ledger=True)

@@ -47,7 +47,6 @@ def singles():
     return {name: (*found[name], np.asarray(beside(*given[name]))) for name in CASES}
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_a_search_in_single_precision_ends_where_rounding_ends_it(singles, name):
     solution, _, _ = singles[name]

@@ -37,7 +37,6 @@ def outcome(example, dm_knee):
     return example.run(dm_knee)
 
 
-@pytest.mark.slow
 def test_the_patella_follows_the_recorded_one(outcome):
     knee, result, comparison = outcome
     assert result.equilibrium.converged

@@ -7,7 +7,7 @@ import pytest
 from linear_problems import objective
 from scipy.spatial.transform import Rotation
 
-from fitting.channel_checks import LIMITS, left_over, limits_of, misread, readings, unresolved
+from fitting.channel_checks import LIMITS, Reading, alike, left_over, limits_of, misread, readings, unresolved
 from fitting.evaluation import StepError
 from pftwin.base.errors import InputError
 
@@ -140,3 +140,25 @@ def test_steps_whose_error_is_large_or_not_known_are_named():
     assert turned == ["the fit's time steps are off by 1.5 deg rms of orientation, beside 2 deg that it leaves"]
     pulled = unresolved({"quadriceps": StepError(0.4, True)}, {"quadriceps": 0.5}, {})
     assert pulled == ["the fit's time steps are off by 0.4 N rms of quadriceps, beside 0.5 N that it leaves"]
+
+
+def test_only_forces_or_readings_of_one_unit_are_named_together():
+    """A marker in millimetres looks like positions in millimetres, which are told in words of their own."""
+    told = "1000 times too large: in millimetres"
+    found = [
+        Reading(("position",), told, 9.0, 30.0),
+        Reading(("m1.x",), told, 8.0, 20.0),
+        Reading(("m2.x",), told, 7.0, 25.0),
+        Reading(("quadriceps",), "negated", 2.0, 4.0),
+        Reading(("strain",), "negated", 2.0, 3.0),
+        Reading(("contact", "quadriceps"), "swapped", 2.0, 2.5),
+    ]
+    units = {"m1.x": "m", "m2.x": "m", "strain": "1"}
+    channels = [(r.channels, r.times) for r in alike(found, units)]
+    assert channels == [
+        (("position",), 30.0),
+        (("m1.x", "m2.x"), 25.0),
+        (("quadriceps",), 4.0),
+        (("strain",), 3.0),
+        (("contact", "quadriceps"), 2.5),
+    ]

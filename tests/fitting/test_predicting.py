@@ -101,7 +101,6 @@ def sampled(knee):
     return predict(knee, VARIANTS, Estimated(), samples=6, seed=3, dt=DT, devices=1)
 
 
-@pytest.mark.slow
 def test_variants_stand_in_the_order_they_were_given(sampled):
     assert sampled.sizes["variant"] == 10
     assert sampled.sizes["sample"] == 7

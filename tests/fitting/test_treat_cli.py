@@ -39,7 +39,6 @@ def treated(fit, tmp_path_factory):
     return outcome, folder
 
 
-@pytest.mark.slow
 def test_table_says_from_where_on_nothing_dislocates(treated):
     outcome, _ = treated
     assert "without dislocation from 8 mm of tibial tuberosity transfer medialisation on" in outcome.stdout

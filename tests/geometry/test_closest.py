@@ -216,7 +216,6 @@ def crossing(path):
     return forces(Hertz(J(2e8)), path)
 
 
-@pytest.mark.slow
 def test_no_facet_is_lost_while_the_button_crosses_the_groove(path, crossing):
     _, indentation, share, _ = crossing
     alone = crossed = 0

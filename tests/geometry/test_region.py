@@ -174,6 +174,21 @@ def test_a_box_has_no_directions_with_a_groove():
     assert directions_with_groove(check_mesh(box.vertices, box.faces)) == []
 
 
+def test_a_bent_sheet_has_none_either():
+    """Its normals lie in a plane, so that nothing tells an axis across them."""
+    t, y = (g.ravel() for g in np.meshgrid(np.linspace(-1.2, 1.2, 50), np.linspace(-0.03, 0.03, 30), indexing="ij"))
+    points = np.stack([0.025 * np.sin(t), y, 0.025 * np.cos(t)], axis=1)
+    corner = (30 * np.arange(49)[:, None] + np.arange(29)).ravel()
+    faces = np.concatenate(
+        [np.stack([corner, corner + 30, corner + 31], 1), np.stack([corner, corner + 31, corner + 1], 1)]
+    )
+    sheet = check_mesh(points, faces)
+    assert (sheet.face_areas > 0).all()
+    assert directions_with_groove(sheet) == []
+    with pytest.raises(InputError, match=r"mesh.*: what faces away .* cylindrical sheet"):
+        trochlear_region(sheet if sheet.vertex_normals[0] @ points[0] > 0 else sheet.flipped(), **_FRONT)
+
+
 @pytest.mark.slow
 def test_a_cylinder_has_no_groove():
     smooth = FemoralComponent(

@@ -77,7 +77,6 @@ def beyond(result):
     return np.count_nonzero(result.flags & int(Status.LEFT_PATCH))
 
 
-@pytest.mark.slow
 def test_a_patella_that_tracks_stays_on_the_patch_in_full_extension_too(runs):
     for n in (1, 4):
         assert np.degrees(runs[n].knee.flexion).min() < 1

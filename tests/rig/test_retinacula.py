@@ -45,7 +45,6 @@ def tracking():
     return simulate(rig.case(1))
 
 
-@pytest.mark.slow
 def test_the_reference_pose_is_that_of_case_1_in_full_extension(tracking):
     i = int(np.argmin(tracking.knee.flexion))
     assert np.degrees(tracking.knee.flexion[i]) < 2

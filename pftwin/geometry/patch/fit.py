@@ -170,8 +170,8 @@ def fit_spline(
     v.check_folds()
     center, half = _rectangle(v)
     a, b = (v.u - center[0]) / half[0], (v.v - center[1]) / half[1]
-    other = "the cylinder as chart, " if chart == "plane" else ""
-    cells, coefficients = _refined(a, b, v, half, tolerance, smoothing, other)
+    advice = "Try the cylinder as chart, " if chart == "plane" else "Try "
+    cells, coefficients = _refined(a, b, v, half, tolerance, smoothing, advice)
     patch = SplinePatch(v.chart, number(coefficients), _pair(center), _pair(half))
     c, (n_u, n_v) = coefficients.ravel(), cells
     height, slope_a, slope_b = (_basis(a, b, cells, *orders) @ c for orders in ((0, 0), (1, 0), (0, 1)))
@@ -215,10 +215,10 @@ def _monomials(a: Points, b: Points, degree: int) -> Points:
 
 
 def _refined(
-    a: Points, b: Points, v: Vertices, half: Pair, tolerance: float, smoothing: float, other: str
+    a: Points, b: Points, v: Vertices, half: Pair, tolerance: float, smoothing: float, advice: str
 ) -> tuple[tuple[int, int], Points]:
-    """Cells and coefficients of the coarsest attempt within the tolerance; else of the best, with a warning that says
-    what `other` thing to try first."""
+    """Cells and coefficients of the coarsest attempt within the tolerance; else of the best, with a warning, in which
+    the advice goes on."""
     best: tuple[float, tuple[int, int], Points] | None = None
     length, tried = LONGEST_CELL, None
     while True:
@@ -237,7 +237,7 @@ def _refined(
             return cells, best[2]
     warnings.warn(
         f"{v.source}: the spline comes within {1e3 * best[0]:.3f} mm rms of the {len(v.h)} vertices, not within"
-        f" {1e3 * tolerance:.3f} mm. Try {other}a finer or less noisy mesh, a smaller region or a larger tolerance.",
+        f" {1e3 * tolerance:.3f} mm. {advice}a finer or less noisy mesh, a smaller region or a larger tolerance.",
         PftwinWarning,
         stacklevel=3,
     )

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from pftwin.base.errors import InputError
 
+CHECK_DIRECTIONS = "check the anterior and proximal directions against the mesh's frame"
 _SECTION = np.radians(4.0)  # spacing of the groove line's points
 _WINDOW = 0.010  # medial-lateral reach of the search for the deepest point [m]
 
@@ -25,7 +26,11 @@ def fit_circle(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]
 
 
 def fit_axis_direction(
-    points: NDArray[np.float64], normals: NDArray[np.float64], areas: NDArray[np.float64], center: NDArray[np.float64]
+    points: NDArray[np.float64],
+    normals: NDArray[np.float64],
+    areas: NDArray[np.float64],
+    center: NDArray[np.float64],
+    source: str = "mesh",
 ) -> NDArray[np.float64]:
     """Rotation (3, 3) of the frame that brings y onto the axis of the nearest surface of revolution.
 
@@ -34,16 +39,18 @@ def fit_axis_direction(
     Pottmann and Randrup, Computing 60 (1998) 307.
 
     Raises:
-        InputError: no part of the surface faces away from the axis.
+        InputError: hardly any of the surface faces away from the axis, or all of that along one plane.
     """
     arm = points - np.array([center[0], 0.0, center[1]])
     away = np.stack([arm[:, 0], np.zeros(len(arm)), arm[:, 2]], axis=1)
     size = np.linalg.norm(away, axis=1)
     angle = np.arctan2(arm[:, 0], arm[:, 2])
     use = (np.einsum("ij,ij->i", away, normals) > 0.4 * size) & (angle > np.radians(-100)) & (angle < np.radians(30))
-    if not use.any():
-        remedy = "check the anterior and proximal directions against the mesh's frame"
-        raise InputError("no part of the surface faces away from its axis, forward or distally", remedy=remedy)
+    if not use.any() or np.linalg.matrix_rank(normals[use], tol=1e-6) < 3:
+        found = (
+            "what faces away from the surface's axis, forward or distally, is nothing or a flat or cylindrical sheet"
+        )
+        raise InputError(found, where=source, remedy=CHECK_DIRECTIONS)
     scale = np.median(size[use])
     q, n, w = arm[use] / scale, normals[use], areas[use] / areas[use].sum()
     q[:, 1] -= np.average(q[:, 1], weights=w)

@@ -19,13 +19,12 @@ from pftwin.base.errors import InputError
 from pftwin.base.leaves import host_array, number, vector
 from pftwin.base.spatial import Rotation
 from pftwin.geometry.patch.charts import CylindricalChart, PlaneChart
-from pftwin.geometry.patch.groove import deepest_points, fit_axis_direction, fit_circle
+from pftwin.geometry.patch.groove import CHECK_DIRECTIONS, deepest_points, fit_axis_direction, fit_circle
 
 if TYPE_CHECKING:
     from pftwin.geometry.mesh.mesh import SurfaceMesh
 
 FACING = 0.4  # least cosine between a vertex's normal and the direction away from the axis
-_CHECK = "check the anterior and proximal directions against the mesh's frame"
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,13 +75,13 @@ def trochlear_region(
     points, normals = mesh.vertices @ hint, mesh.vertex_normals @ hint
     _check_outward(points, normals, mesh.source)
     center, _ = _seed(points, normals, mesh.source)
-    turn = fit_axis_direction(points, normals, mesh.vertex_areas, center)
+    turn = fit_axis_direction(points, normals, mesh.vertex_areas, center, mesh.source)
     if turn[1, 1] < math.cos(math.radians(25)):
         raise InputError(
             f"the surface's axis lies {math.degrees(math.acos(turn[1, 1])):.0f} deg from the medial-lateral direction"
             " of the hints",
             where=mesh.source,
-            remedy=_CHECK,
+            remedy=CHECK_DIRECTIONS,
         )
     axes = hint @ turn
     points, normals = mesh.vertices @ axes, mesh.vertex_normals @ axes
@@ -161,7 +160,7 @@ def _seed(points: NDArray, normals: NDArray, source: str) -> tuple[NDArray, floa
         raise InputError(
             f"only {strip.sum()} vertices in the middle of the part look forward or distally",
             where=source,
-            remedy=f"{_CHECK}, or use a finer mesh",
+            remedy=f"{CHECK_DIRECTIONS}, or use a finer mesh",
         )
     return fit_circle(points[strip][:, [0, 2]])[0], middle
 
@@ -173,7 +172,7 @@ def _check_groove(line: NDArray, depth: NDArray, source: str) -> None:
             f"no trochlear groove found ({found})",
             where=source,
             expected="a groove at least 0.3 mm deep in five sections or more",
-            remedy=f"{_CHECK}, and its units; in Python fit_patch takes a mask of your own as region=",
+            remedy=f"{CHECK_DIRECTIONS}, and its units; in Python fit_patch takes a mask of your own as region=",
         )
 
 

@@ -28,7 +28,6 @@ def test_a_case_in_equilibrium_is_what_simulate_makes_of_it():
     assert found.settings["dt_s"] == pytest.approx(case.step)
 
 
-@pytest.mark.slow
 def test_a_released_case_starts_where_it_is_put(found):
     """3 mm above the plate, at rest, and in the end on it, under its own weight."""
     dropped = found["bounce_to_rest"]

@@ -25,7 +25,6 @@ def engine():
     return live_engine()
 
 
-@pytest.mark.slow
 def test_gives_what_simulate_gives_of_the_treated_scene(engine):
     answer = engine.run("groove", MOVED)
     result = pftwin.simulate(scene_with_knobs(small_scene(), KNOBS, MOVED))

@@ -73,7 +73,6 @@ class Reading(NamedTuple):
 
     channels: tuple[str, ...]
     words: str  # what the channels look like
-    as_read: float  # distance from the nearest trial motion: shares of the twin's own size, in metres for positions
     times: float  # how many times nearer
 
 
@@ -153,7 +152,7 @@ def readings(objective: Objective, trials: Floats) -> Iterator[Reading]:
         best = min(off.values())
         words = next(w for w, value in off.items() if value <= _SIMPLER * best)  # from simple to odd
         if words:
-            yield Reading((channel,), words, off[""], off[""] / off[words])
+            yield Reading((channel,), words, off[""] / off[words])
     single = [(channel, at.start, rows.start) for channel, at, rows in objective.columns() if channel not in _FLOOR]
     for (one, i, j), (other, k, m) in itertools.combinations(single, 2):
         if unit_of(one, objective.readings) != unit_of(other, objective.readings):
@@ -164,7 +163,7 @@ def readings(objective: Objective, trials: Floats) -> Iterator[Reading]:
         data, seen = objective.measured[keep][:, [i, k]], trials[:, keep][..., [i, k]]
         straight, swapped = (max(_up_to_scale(d, seen), _FORCE_FLOOR) for d in (data, data[:, ::-1]))
         if straight > swapped:
-            yield Reading((one, other), "swapped", straight, straight / swapped)
+            yield Reading((one, other), "swapped", straight / swapped)
 
 
 def left_over(objective: Objective, residuals: Floats, limits: Limits, stated: Mapping[str, float] | None) -> list[str]:

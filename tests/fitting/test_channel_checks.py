@@ -146,12 +146,12 @@ def test_only_forces_or_readings_of_one_unit_are_named_together():
     """A marker in millimetres looks like positions in millimetres, which are told in words of their own."""
     told = "1000 times too large: in millimetres"
     found = [
-        Reading(("position",), told, 9.0, 30.0),
-        Reading(("m1.x",), told, 8.0, 20.0),
-        Reading(("m2.x",), told, 7.0, 25.0),
-        Reading(("quadriceps",), "negated", 2.0, 4.0),
-        Reading(("strain",), "negated", 2.0, 3.0),
-        Reading(("contact", "quadriceps"), "swapped", 2.0, 2.5),
+        Reading(("position",), told, 30.0),
+        Reading(("m1.x",), told, 20.0),
+        Reading(("m2.x",), told, 25.0),
+        Reading(("quadriceps",), "negated", 4.0),
+        Reading(("strain",), "negated", 3.0),
+        Reading(("contact", "quadriceps"), "swapped", 2.5),
     ]
     units = {"m1.x": "m", "m2.x": "m", "strain": "1"}
     channels = [(r.channels, r.times) for r in alike(found, units)]

@@ -13,6 +13,7 @@ from pftwin.base.arrays import Floats
 from pftwin.base.quantities import quantity
 from pftwin.base.spatial import Scalar, Vec3
 from pftwin.dynamics.simulate import simulate
+from pftwin.geometry.wrapping.obstacle import Obstacle
 from pftwin.model.effects.line_elements import TOE
 from pftwin.model.effects.tendon import DampedLine, SpringForce
 from pftwin.model.number_place import named_arrays
@@ -97,6 +98,7 @@ class StiffeningTendon(DampedLine):
     length_variance: Scalar = eqx.field(metadata=quantity("m^2"))
     length_skew: Scalar = eqx.field(metadata=quantity("m"))
     body: str = eqx.field(static=True)
+    wrap: Obstacle | None = None
 
     def _bent(self) -> tuple[StiffeningSpring, Scalar]:
         working = Working(self.mean_length, self.length_variance, self.length_skew)
@@ -145,7 +147,7 @@ def stiffened(scene: Scene, working: Mapping[str, Working], shares: Mapping[str,
             e: Any = scene.effect(name)
             own = e.stiffness, e.slack_length, e.damping, e.insertion, e.origin
             share, mean, variance, skew = (jnp.asarray(x, float) for x in (shares[name], *working[name]))
-            scene = scene.with_effect(StiffeningTendon(*own, share, mean, variance, skew, e.body, name=name))
+            scene = scene.with_effect(StiffeningTendon(*own, share, mean, variance, skew, e.body, e.wrap, name=name))
     return scene
 
 

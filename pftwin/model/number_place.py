@@ -11,6 +11,7 @@ import numpy as np
 
 from pftwin.base.quantities import Quantity, declarations
 from pftwin.base.spatial import Scalar
+from pftwin.model.effects.base import Ground, Instant, Patella
 
 if TYPE_CHECKING:
     from pftwin.model.effects.line_elements import LineElement
@@ -133,13 +134,10 @@ def named_arrays(scene: Scene) -> dict[str, Field]:
 
 def start_length(scene: Scene, element: LineElement) -> Scalar:
     """A line element's length at the scene's start pose in the first frame [m]; one for each line of a group."""
-    insertion, body = element.line_ends
     start = jnp.asarray(scene.motion.start_time, dtype=float)
     femur, tibia = scene.motion.frames(start)
-    frame = {"tibia": tibia, "femur": femur}.get(body)
-    origin = element.origin_at(start)
-    origin = origin if frame is None else frame.point(origin)
-    return (origin - scene.start.apply(insertion)).norm()
+    patella = Patella.at_rest(scene.start.position, scene.start.orientation)
+    return element.line(Instant(patella, Ground() if femur is None else femur, tibia, start, 0.0)).length
 
 
 def owner_of(scene: Scene, name: str) -> Any:

@@ -20,6 +20,7 @@ from pftwin.base.quantities import Quantity, declared_field
 from pftwin.files.scene_file.document import Document, Place
 from pftwin.files.scene_file.section import Name, NotNegative, Point, Points, Section, one_number_or_many, problem
 from pftwin.files.scene_file.side import HostPose, Side
+from pftwin.files.scene_file.wrap_table import WRAP, Wrap
 from pftwin.model.effects.base import Effect
 from pftwin.model.effects.damping import LinearDamping
 from pftwin.model.effects.gravity import Gravity
@@ -137,6 +138,7 @@ class Layout(NamedTuple):
     numbers: dict[str, str]  # the effect's name of each field of numbers
     points: dict[str, tuple[str, str]]  # likewise of points, with their frame
     plain: list[str]  # fields that the effect takes as they are
+    obstacles: list[str]  # tables of what its lines run over
 
 
 class DeclaredSection(EffectSection):
@@ -151,7 +153,7 @@ class DeclaredSection(EffectSection):
 
     def build(self, setting: Setting, at: Place) -> Effect:
         """The effect, or a group of them."""
-        effect, numbers, points, plain = self._layout
+        effect, numbers, points, plain, obstacles = self._layout
         n = group_size(self, *numbers, *points)
         values: dict[str, Any] = {name: getattr(self, name) for name in plain}
         for label, name in numbers.items():
@@ -161,6 +163,8 @@ class DeclaredSection(EffectSection):
             body = values["body"] if frame == "body" else frame
             placed = setting.world_direction(written) if body == "world" else setting.points(body, written)
             values[name] = vector(member_values(placed, n))
+        for name in obstacles:
+            values[name] = None if (given := getattr(self, name)) is None else given.build(setting)
         return effect(**values, name=self.label)
 
 
@@ -178,7 +182,7 @@ def declared_table(
 
     Every parameter becomes a field named with its unit (`stiffness_N_per_m`), with its declared bounds; one value makes
     a single effect, lists make a group. Vectors are points of the frame that they declare. Static fields that are
-    numbers, words or truth values are read as they are, `body` as one of the bodies.
+    numbers, words or truth values are read as they are, `body` as one of the bodies; an `Obstacle` is a table.
 
     Args:
         effect: the class.
@@ -194,8 +198,13 @@ def declared_table(
     numbers: dict[str, str] = {}
     points: dict[str, tuple[str, str]] = {}
     plain: list[str] = []
+    obstacles: list[str] = []
     for f in dataclasses.fields(effect):
         if f.name == "name":
+            continue
+        if "Obstacle" in str(f.type):
+            fields[f.name] = Wrap, WRAP
+            obstacles.append(f.name)
             continue
         declared = declared_field(effect, f.name)
         default: Any = {} if f.default is dataclasses.MISSING else {"default": f.default}
@@ -218,7 +227,7 @@ def declared_table(
             fields[label] = _values(declared), Field(description=f"{described} [{declared.unit or '-'}]", **default)
     doc = (effect.__doc__ or kind).splitlines()[0]
     made = create_model(f"{effect.__name__}Section", __base__=DeclaredSection, __doc__=doc, **fields)
-    made.kind, made._layout = kind, Layout(effect, numbers, points, plain)
+    made.kind, made._layout = kind, Layout(effect, numbers, points, plain, obstacles)
     return made
 
 

@@ -28,6 +28,7 @@ from pftwin.files.scene_file.effect_tables import (
     group_size,
 )
 from pftwin.files.scene_file.section import FileName, NotNegatives, Points, Positives, problem
+from pftwin.files.scene_file.wrap_table import WRAP, Wrap
 from pftwin.model.effects.base import Effect
 from pftwin.model.effects.tendon import TOE_STRAIN, StrandGroup, Tendon, ToeTendon
 
@@ -90,6 +91,7 @@ class ViscoelasticTendonSection(DeclaredSection):
         },
         points={"insertion_m": ("insertion", "patella"), "origin_m": ("origin", "body")},
         plain=["body"],
+        obstacles=["wrap"],
     )
     body: Body = Field(description="body at the other end")
     stiffness_N_per_m: Positives = Field(description="stiffness K when relaxed [N/m]")
@@ -98,6 +100,7 @@ class ViscoelasticTendonSection(DeclaredSection):
     slack_length_m: Positives = Field(description="slack length L0 [m]")
     insertion_m: Points = Field(description="insertion, patella frame [m]")
     origin_m: Points = Field(description="origin, the body's frame [m]")
+    wrap: Wrap = WRAP
 
 
 _INLINE = ("stiffness_N_per_strain", "slack_length_m", "insertion_m", "origin_m")
@@ -117,6 +120,7 @@ class StrandsSection(EffectSection):
     origin_m: Points | None = Field(default=None, description="origin, the body's frame [m]")
     toe_strain: Positives = Field(default_factory=lambda: [0.06], description="strain at the toe region's end [-]")
     damping_time_s: NotNegatives = Field(default_factory=lambda: [0.0], description="damping c of F = k c de/dt [s]")
+    wrap: Wrap = WRAP
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -145,7 +149,8 @@ class StrandsSection(EffectSection):
         ends = setting.points("patella", strands.insertion), setting.points(self.body, strands.origin)
         k, slack, toe, damping = (leaf(np.broadcast_to(v, (n,))) for v in one)
         insertion, origin = (vector(e) for e in ends)
-        return StrandGroup(k, slack, toe, damping, insertion, origin, body=self.body, name=self.label)
+        wrap = None if self.wrap is None else self.wrap.build(setting)
+        return StrandGroup(k, slack, toe, damping, insertion, origin, self.body, wrap, name=self.label)
 
     def _listed(self) -> Strands:
         """The strands in the table itself."""

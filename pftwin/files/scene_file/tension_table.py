@@ -14,6 +14,7 @@ from pftwin.files.mocap.tables import uniform_times
 from pftwin.files.scene_file.document import Place
 from pftwin.files.scene_file.effect_tables import Body, EffectSection, Setting
 from pftwin.files.scene_file.section import FileName, NotNegative, Points, problem
+from pftwin.files.scene_file.wrap_table import WRAP, Wrap
 from pftwin.model.effects.tension import PrescribedTension
 
 
@@ -34,6 +35,7 @@ class PrescribedTensionSection(EffectSection):
     lines: list[str] | None = Field(default=None, description="names of the lines; all of the file's by default")
     insertion_m: Points | None = Field(default=None, description="insertion of each line, patella frame [m]")
     origin_m: Points | None = Field(default=None, description="origin of each line, the body's frame [m]")
+    wrap: Wrap = WRAP
 
     @model_validator(mode="after")
     def _one_source(self) -> Self:
@@ -49,6 +51,7 @@ class PrescribedTensionSection(EffectSection):
 
     def build(self, setting: Setting, at: Place) -> PrescribedTension:
         """The effect."""
+        wrap = None if self.wrap is None else self.wrap.build(setting)
         if self.tension_N is not None:
             return PrescribedTension(
                 number([self.tension_N]),
@@ -57,6 +60,7 @@ class PrescribedTensionSection(EffectSection):
                 start_time=0.0,
                 interval=1.0,
                 body=self.body,
+                wrap=wrap,
                 name=self.label,
             )
         assert self.file is not None
@@ -94,6 +98,7 @@ class PrescribedTensionSection(EffectSection):
             start_time=float(times[0]),
             interval=float(f"{(times[-1] - times[0]) / max(n - 1, 1):.12g}") or 1.0,
             body=self.body,
+            wrap=wrap,
             name=self.label,
         )
 

@@ -1,4 +1,4 @@
-"""Straight lines of force between the patella and a guided body."""
+"""Lines of force between the patella and a guided body: straight, or around an obstacle on a bone."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from pftwin.base.errors import InputError
 from pftwin.base.spatial import Scalar, Vec3
 from pftwin.base.traced_once import traced_once
+from pftwin.geometry.wrapping.obstacle import Obstacle
 from pftwin.model.effects.base import Effect, Instant, StiffTerm, applied_at
 from pftwin.model.motion import SegmentMotion
 
@@ -46,8 +47,38 @@ def line_of_force(now: Instant, insertion: Vec3, body: str, origin: Vec3) -> Lin
     return Line(length, -direction.dot(velocity), direction, applied_at(insertion, patella, direction))
 
 
+@traced_once
+def wrapped_line_of_force(now: Instant, insertion: Vec3, body: str, origin: Vec3, wrap: Obstacle) -> Line:
+    """As `line_of_force`, around an obstacle. `direction` is that of the pull at the patella.
+
+    The bones that carry the obstacle and the origin bear the rest. An obstacle on the patella presses on it, so the
+    pull there acts as if the line were attached where it leaves the obstacle for the origin.
+    """
+    patella, segment = now.patella, now.segment(body)
+    arm = patella.arm(insertion)
+    end, anchor = patella.position + arm, segment.point(origin)
+    if wrap.body == "patella":
+        arm = anchor - patella.position
+        there = patella.rotation.unapply(arm)  # any point along the line of action
+        taut = wrap.around(insertion, there)
+        direction = -patella.rotation.apply(taut.at_end)
+        velocity = segment.relative_velocity(patella.velocity_at(arm), anchor)
+        return Line(taut.length, -direction.dot(velocity), direction, applied_at(there, patella, direction))
+    bone = now.segment(wrap.body)
+    taut = wrap.around(bone.to_local(end), bone.to_local(anchor))
+    direction = bone.direction(taut.at_start)
+    lengthening = -direction.dot(bone.relative_velocity(patella.velocity_at(arm), end))
+    if body != wrap.body:
+        still = Vec3.zero()
+        velocity = bone.relative_velocity(still, anchor) - segment.relative_velocity(still, anchor)
+        lengthening = lengthening - bone.direction(taut.at_end).dot(velocity)
+    return Line(taut.length, lengthening, direction, applied_at(insertion, patella, direction))
+
+
 class LineElement(Effect):
-    """An effect along straight lines from its field `insertion` on the patella to `origin` on the guided `body` [m].
+    """An effect along lines from its field `insertion` on the patella to `origin` on the guided `body` [m].
+
+    They are straight, or run over the obstacle in its field `wrap`, if it has one.
 
     Subclasses declare these fields, in their own order among their fields, and the tension. What other modules do
     with a line of force (fit it, move or lengthen it in a treatment, draw it) goes through this interface.
@@ -65,6 +96,11 @@ class LineElement(Effect):
         def body(self) -> str: ...  # noqa: D102
 
     @property
+    def wrap(self) -> Obstacle | None:
+        """What the lines run over: the field of that name, where a subclass has it."""
+        return None
+
+    @property
     def line_ends(self) -> tuple[Vec3, str]:
         """The insertions, patella frame [m], and the body at the other ends: "femur", "tibia" or "ground"."""
         return self.insertion, self.body
@@ -78,8 +114,11 @@ class LineElement(Effect):
         return eqx.tree_at(lambda t: t.origin, self, self.origin + by)
 
     def recentred(self, center_of_mass: Vec3) -> Self:
-        """Insertions counted from the centre of mass."""
-        return eqx.tree_at(lambda t: t.insertion, self, self.insertion - center_of_mass)
+        """Insertions, and an obstacle on the patella, counted from the centre of mass."""
+        moved = eqx.tree_at(lambda t: t.insertion, self, self.insertion - center_of_mass)
+        if self.wrap is None or self.wrap.body != "patella":
+            return moved
+        return eqx.tree_at(lambda t: t.wrap.center, moved, self.wrap.center - center_of_mass)
 
     def in_still_femur(self, femur: SegmentMotion) -> Self | None:
         """None if it is fixed to the ground, which would then move."""
@@ -97,7 +136,8 @@ class LineElement(Effect):
 
     def line(self, now: Instant) -> Line:
         """The lines at this instant."""
-        return line_of_force(now, self.insertion, self.body, self.origin_at(now.time))
+        ends = self.insertion, self.body, self.origin_at(now.time)
+        return line_of_force(now, *ends) if self.wrap is None else wrapped_line_of_force(now, *ends, self.wrap)
 
 
 class ElasticLine(LineElement):

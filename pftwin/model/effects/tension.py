@@ -10,6 +10,7 @@ import jax.numpy as jnp
 
 from pftwin.base.quantities import quantity
 from pftwin.base.spatial import Scalar, Vec3
+from pftwin.geometry.wrapping.obstacle import Obstacle
 from pftwin.model.effects.base import Instant, Load, Observable
 from pftwin.model.effects.line_elements import LineElement
 
@@ -28,6 +29,7 @@ class PrescribedTension(LineElement):
     start_time: float = eqx.field(static=True)
     interval: float = eqx.field(static=True)  # [s]
     body: str = eqx.field(static=True)
+    wrap: Obstacle | None = None
     observables: ClassVar[dict[str, Observable]] = {"tension": Observable("N", "sum of the prescribed tensions")}
 
     def at(self, time: Scalar | float) -> tuple[Scalar, Vec3]:

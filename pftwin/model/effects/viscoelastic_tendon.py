@@ -23,6 +23,7 @@ import jax.numpy as jnp
 
 from pftwin.base.quantities import quantity
 from pftwin.base.spatial import Scalar, Vec3
+from pftwin.geometry.wrapping.obstacle import Obstacle
 from pftwin.model.effects.base import Instant, Load, Observable
 from pftwin.model.effects.line_elements import ElasticLine, Line
 
@@ -114,6 +115,7 @@ class ViscoelasticTendon(ElasticLine):
     insertion: Vec3 = eqx.field(metadata=quantity("m", frame="patella"))
     origin: Vec3 = eqx.field(metadata=quantity("m", frame="body"))
     body: str = eqx.field(static=True)
+    wrap: Obstacle | None = None
     observables: ClassVar[dict[str, Observable]] = {
         "tension": Observable("N", "tension"),
         "length": Observable("m", "length"),

@@ -1,0 +1,1 @@
+"""Lines that run over obstacles on the bones."""

@@ -1,0 +1,74 @@
+"""The taut line around a cylinder, in closed form."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+
+from pftwin.base.quantities import quantity
+from pftwin.base.spatial import Scalar, Vec3
+from pftwin.geometry.wrapping.obstacle import Obstacle, TautLine, straight, where
+
+
+class Cylinder(Obstacle):
+    r"""An endless cylinder.
+
+    Seen along its axis the line is two tangents and an arc between them; unrolled it is straight, so it climbs evenly
+    along the axis: L^2 = (t1 + r theta + t2)^2 + dz^2. It runs over the nearer side, or, where there is a `side`, over
+    that one: it never passes the half-plane from the axis away from it, however far around that takes it.
+    """
+
+    radius: Scalar = eqx.field(metadata=quantity("m", positive=True))
+    axis: Vec3  # of any length
+    side: Vec3 | None = None  # of any length, not along the axis
+
+    def around(self, start: Vec3, end: Vec3) -> TautLine:
+        """See `Obstacle`."""
+        axis = self.axis * (1 / self.axis.norm())
+        one, two = (self._end(p - self.center, axis) for p in (start, end))
+        outside = one.outside & two.outside
+        angle = self._angle(one.across, two.across, axis, outside)
+        turn = jnp.where(angle < 0, -1.0, 1.0)
+        arc = turn * angle - one.reach - two.reach
+        touches = outside & (arc > 0)
+        level = jnp.where(touches, one.tangent + self.radius * arc + two.tangent, 1.0)
+        rise = two.height - one.height
+        length = jnp.sqrt(jnp.square(level) + jnp.square(rise))
+
+        def way(e: _End, turn: Scalar, rise: Scalar) -> Vec3:
+            """From an end to where it touches, at the slope that the line has throughout."""
+            flat = axis.cross(e.across) * (turn * self.radius) - e.across * e.tangent
+            return flat * (level / (length * e.squared)) + axis * (rise / length)
+
+        wrapped = TautLine(length, way(one, turn, rise), way(two, -turn, -rise))
+        return where(touches, wrapped, straight(start, end))
+
+    def _end(self, point: Vec3, axis: Vec3) -> _End:
+        height = point.dot(axis)
+        across = point - axis * height
+        squared, least = across.squared_norm(), jnp.square(self.radius)
+        outside = squared > least
+        squared = jnp.where(outside, squared, 2 * least)  # inside, anything with finite derivatives
+        tangent = jnp.sqrt(squared - least)
+        return _End(across, height, squared, tangent, jnp.arctan2(tangent, self.radius), outside)
+
+    def _angle(self, start: Vec3, end: Vec3, axis: Vec3, outside: Scalar) -> Scalar:
+        """From start to end about the axis, positive as the axis turns [rad]; anything where one of them is inside."""
+
+        def between(a: Vec3, b: Vec3) -> Scalar:
+            return jnp.arctan2(a.cross(b).dot(axis), jnp.where(outside, a.dot(b), 1.0))
+
+        return between(start, end) if self.side is None else between(self.side, end) - between(self.side, start)
+
+
+class _End(NamedTuple):
+    """An end of the line as the cylinder sees it."""
+
+    across: Vec3  # from the axis, at right angles to it [m]
+    height: Scalar  # along the axis [m]
+    squared: Scalar  # its distance from the axis, squared [m^2]
+    tangent: Scalar  # length of the tangent, seen along the axis [m]
+    reach: Scalar  # angle about the axis from the end to where the tangent touches [rad]
+    outside: Scalar

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pftwin.cli import audit, doctor, exchange, meshes, simulate, studies
 from pftwin.cli.contact_map import contact_map
+from pftwin.cli.doctor_mesh import doctor_mesh
 from pftwin.cli.plugins import Command
 
 COMMANDS = (
@@ -17,7 +18,7 @@ COMMANDS = (
     Command("view", exchange.view, "Results in three dimensions: a page, offline", "Look", 10),
     Command("explain", audit.explain, "What each effect of a scene adds", "Look", 30),
     Command("audit", audit.audit, "What each effect is worth, left out in turn", "Look", 40),
-    Command("doctor-mesh", meshes.doctor_mesh, "What is wrong with a mesh; repair what is safe", "Check", 10),
+    Command("doctor-mesh", doctor_mesh, "What is wrong with a mesh; repair what is safe", "Check", 10),
     Command("accuracy", studies.accuracy, "What accuracy costs in time", "Check", 20),
     Command("hard-cases", studies.hard_cases, "Scenes that break simulators, judged", "Check", 30),
     Command("export", exchange.export, "A result as .mot, .sto, .glb or .csv", "Exchange", 10),

@@ -1,8 +1,7 @@
-"""`pftwin doctor-mesh` and `pftwin fit-surface`."""
+"""`pftwin fit-surface`."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -10,75 +9,12 @@ from typer import Argument, Option
 
 from pftwin.base.errors import InputError
 from pftwin.base.sheet import Sheet
+from pftwin.base.signed_axes import axis_named
 from pftwin.cli import terminal
-from pftwin.cli.exit_codes import exit_flagged
 
 if TYPE_CHECKING:
-    from pftwin.geometry.mesh.doctor import Diagnosis
     from pftwin.geometry.mesh.mesh import SurfaceMesh
     from pftwin.geometry.patch.fit import PatchFit
-
-_SEVERITIES = {"safe": "can be repaired", "left": "stays as it is", "fatal": "makes it unusable"}
-_MOST_PARTS = 5  # of a mesh that are described
-_AXES = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0), "z": (0.0, 0.0, 1.0)}
-
-
-def doctor_mesh(
-    mesh: Annotated[Path, Argument(metavar="FILE", help="STL, OBJ or PLY file.")],
-    *,
-    units: Annotated[
-        str | None, Option("--units", metavar="m|mm", help="Unit of the coordinates; guessed if not given.")
-    ] = None,
-    repair: Annotated[
-        Path | None, Option("--repair", metavar="OUT", help="Write the mesh with what is safe repaired.")
-    ] = None,
-    json: terminal.JsonOption = None,
-) -> None:
-    """Say what is wrong with a mesh: doubled and empty triangles, winding, holes, non-manifold edges, parts, scale.
-
-    Repairs what leaves the surface as it is, in the file's own unit, and refuses what would change the answer.
-
-    Example: `pftwin doctor-mesh femur.stl --units mm --repair femur_repaired.stl`
-    """
-    from pftwin.geometry.mesh.doctor import examine_file
-    from pftwin.geometry.mesh.files import check_format, read_triangles
-
-    if repair is not None:
-        check_format(repair)
-    terminal.check_outputs(repair, json)
-    with terminal.spinner(f"examining {mesh}"):
-        found = examine_file(mesh, units=units)
-    facts, parts = found.facts(), list[Sheet | str](_description(found, units))
-    if found.findings:
-        first = (", ".join(f"{x:.4g}" for x in f.places[0]) if f.places else "" for f in found.findings)
-        rows = tuple(
-            (f.kind, _SEVERITIES[f.severity], f.words, at) for f, at in zip(found.findings, first, strict=True)
-        )
-        parts.append(Sheet(found.source, ("finding", "", "what", "where (first)"), rows))
-    parts.append(f"verdict: {found.verdict}")
-    if repair is not None:
-        from pftwin.geometry.mesh.doctor import repaired
-        from pftwin.geometry.mesh.mesh import save_mesh
-
-        with terminal.spinner("repairing"):
-            healed, after = repaired(*read_triangles(mesh), source=str(mesh), units=units)
-        save_mesh(healed, repair)  # numbers as they are: the unit stays the file's
-        facts["repaired"] = {**after.facts(), "file": str(repair)}
-        parts.append(f"written: {repair}, {after.n_faces} triangles: {after.verdict}")
-    terminal.present(facts, *parts, json=json)
-    if found.of("fatal"):
-        exit_flagged(f"{mesh}: {found.verdict}")
-
-
-def _description(found: Diagnosis, units: str | None) -> Iterator[str]:
-    guess = f"stated: {units}" if units else f"likely unit: {' or '.join(found.units) or 'none'}"
-    yield f"{found.n_faces} triangles on {found.n_vertices} vertices, longest side {found.longest_side:.4g} ({guess})"
-    for k, part in enumerate(found.parts[:_MOST_PARTS], start=1):
-        rims = sum(not loop.is_hole for loop in part.loops)
-        kind = "closed" if not part.loops else f"open: {rims} rims, {len(part.loops) - rims} holes"
-        yield f"part {k}: {len(part.faces)} triangles, area {part.area:.4g}, {kind}"
-    if (more := len(found.parts) - _MOST_PARTS) > 0:
-        yield f"and {more} smaller parts"
 
 
 def fit_surface(
@@ -186,10 +122,8 @@ def _with_directions(error: InputError, surface: SurfaceMesh, wanted: dict[str, 
 
 def _direction(text: str, name: str) -> tuple[float, ...]:
     """A signed axis ("-x") or three numbers ("0,1,0")."""
-    axis = text.strip().lower().removeprefix("+")
-    if axis.removeprefix("-") in _AXES:
-        sign = -1.0 if axis.startswith("-") else 1.0
-        return tuple(sign * v for v in _AXES[axis.removeprefix("-")])
+    if (axis := axis_named(text)) is not None:
+        return axis
     try:
         values = tuple(float(v) for v in text.split(","))
     except ValueError:

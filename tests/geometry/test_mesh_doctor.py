@@ -6,6 +6,7 @@ import json
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
 from pftwin.base.errors import InputError
@@ -13,6 +14,9 @@ from pftwin.cli import app
 from pftwin.geometry.mesh import files
 from pftwin.geometry.mesh.doctor import Diagnosis, examine, examine_file, repaired
 from pftwin.geometry.mesh.mesh import SurfaceMesh, check_mesh, load_mesh, save_mesh
+from pftwin.geometry.mesh.principal import principal_axes
+from pftwin.geometry.patch.implant import rig_implant
+from pftwin.results.plots.mesh_axes import plot_principal
 
 
 def ball(radius: float = 0.025) -> tuple[np.ndarray, np.ndarray]:
@@ -203,6 +207,65 @@ def test_the_command_reports_repairs_and_refuses(tmp_path):
     assert "two_faced" in refused.stderr
     assert not (tmp_path / "no.ply").exists()
     assert command(tmp_path / "two.ply", "--units", "ell").exit_code == 2
+
+
+def box(*sides: float) -> tuple[np.ndarray, np.ndarray]:
+    import trimesh
+
+    mesh = trimesh.creation.box(sides)
+    return np.asarray(mesh.vertices), np.asarray(mesh.faces)
+
+
+def test_principal_directions_of_a_turned_box_are_its_edges():
+    turn = Rotation.from_rotvec([0.3, -0.5, 0.2]).as_matrix()
+    p, f = box(0.02, 0.06, 0.035)
+    axes = principal_axes(SurfaceMesh(p @ turn.T + [1.0, 2.0, 3.0], f))
+    for axis, column, length in zip(axes, (1, 2, 0), (0.06, 0.035, 0.02), strict=True):
+        assert abs(axis.direction @ turn[:, column]) == pytest.approx(1, abs=1e-12)
+        assert axis.extent == pytest.approx(length, rel=1e-12)
+    assert np.linalg.det([axis.direction for axis in axes]) == pytest.approx(1)
+
+
+def test_the_command_proposes_the_axes_along_which_there_is_a_groove(tmp_path):
+    mesh = rig_implant().mesh(deviation=0.05e-3)
+    swapped = np.stack([-mesh.vertices[:, 2], mesh.vertices[:, 0], -mesh.vertices[:, 1]], axis=1)
+    save_mesh(SurfaceMesh(1e3 * swapped, mesh.faces), tmp_path / "femur.stl")
+    told = command(tmp_path / "femur.stl", "-o", tmp_path / "axes.png", "--json", tmp_path / "o.json")
+    assert told.exit_code == 0, told.output
+    assert "a groove along --anterior=-x --proximal=+y" in told.stdout
+    assert "principal" not in told.stdout
+    found = json.loads((tmp_path / "o.json").read_text())["axes"]
+    assert (found["unit"], found["grooves"][0]["anterior"], found["grooves"][0]["proximal"]) == ("mm", "-x", "+y")
+    assert (tmp_path / "axes.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_without_a_groove_it_gives_the_principal_directions(tmp_path):
+    save_mesh(SurfaceMesh(*box(20.0, 60.0, 35.0)), tmp_path / "box.stl")
+    told = command(tmp_path / "box.stl", "--units", "mm", "-o", tmp_path / "axes.png")
+    assert told.exit_code == 0, told.output
+    assert "no trochlear groove is found" in told.stdout
+    assert "principal direction 1: (0.000, 1.000, 0.000), 60.0 mm long" in told.stdout
+    assert "principal direction 3: (1.000, 0.000, 0.000), 20.0 mm long" in told.stdout
+    assert (tmp_path / "axes.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_axes_are_not_looked_for_where_they_would_mean_nothing(tmp_path):
+    p, f = box(1.0, 3.0, 2.0)
+    save_mesh(SurfaceMesh(1e7 * p, f), tmp_path / "huge.stl")
+    assert "axes are not looked for: no unit suits its size" in command(tmp_path / "huge.stl").stdout
+    save_mesh(SurfaceMesh(20 * p, np.concatenate([f, f[:1, ::-1]])), tmp_path / "bad.ply")
+    picture = tmp_path / "axes.png"
+    refused = command(tmp_path / "bad.ply", "-o", picture)
+    assert refused.exit_code == 3
+    assert "axes are not looked for: the mesh is not to be used" in refused.stdout
+    assert not picture.exists()
+
+
+def test_the_three_views_name_the_meshs_own_axes():
+    mesh = SurfaceMesh(*box(0.02, 0.06, 0.035))
+    views = plot_principal(principal_axes(mesh), mesh).axes
+    assert [sorted(t.get_text() for t in view.texts) for view in views] == [["+y", "+z"], ["+x", "+z"], ["+x", "+y"]]
+    assert views[0].get_xlabel() == "along (0.00, 1.00, 0.00) [mm]"
 
 
 def test_dm_meshes_are_healthy(dm_knee):

@@ -10,8 +10,9 @@ import pytest
 from scipy.spatial.transform import Rotation as ScipyRotation
 
 from pftwin.base.errors import InputError
+from pftwin.base.signed_axes import AXES
 from pftwin.geometry.mesh.mesh import SurfaceMesh, check_mesh, load_mesh
-from pftwin.geometry.patch.directions import AXES, directions_with_groove
+from pftwin.geometry.patch.directions import directions_with_groove
 from pftwin.geometry.patch.fit import fit_patch
 from pftwin.geometry.patch.groove import fit_axis_direction, fit_circle
 from pftwin.geometry.patch.implant import FemoralComponent, rig_implant

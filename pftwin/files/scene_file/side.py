@@ -11,6 +11,7 @@ from pydantic import AfterValidator, Field
 
 from pftwin.base.errors import InputError
 from pftwin.base.leaves import number, vector
+from pftwin.base.signed_axes import axis_named
 from pftwin.base.spatial import Pose, Quaternion
 from pftwin.files.mocap.poses import PoseSeries
 from pftwin.files.scene_file.document import Document
@@ -103,7 +104,7 @@ class Side:
         matrices = {"world": world, "ground": world}
         for body in _BODIES:
             rows = getattr(axes, body) or (_LEFT if left else _RIGHT)
-            matrices[body] = np.array([_unit(axis) for axis in rows])
+            matrices[body] = np.array([axis_named(axis) for axis in rows])
             if (np.linalg.det(matrices[body]) < 0) != left:
                 raise InputError(
                     f"{rows} are the axes of a {'right' if left else 'left'} knee",
@@ -143,9 +144,3 @@ class Side:
 
         faces = mesh.faces[:, ::-1].copy() if self.left else mesh.faces
         return SurfaceMesh(self.points(frame, mesh.vertices), faces, mesh.source)
-
-
-def _unit(axis: str) -> Array:
-    out = np.zeros(3)
-    out["xyz".index(axis[-1])] = -1.0 if axis.startswith("-") else 1.0
-    return out

@@ -6,16 +6,12 @@ import itertools
 import math
 from typing import TYPE_CHECKING, NamedTuple
 
-import numpy as np
-
 from pftwin.base.errors import InputError
+from pftwin.base.signed_axes import AXES
 from pftwin.geometry.patch.region import TrochlearRegion, trochlear_region
 
 if TYPE_CHECKING:
     from pftwin.geometry.mesh.mesh import SurfaceMesh
-
-
-AXES = {f"{'+-'[s < 0]}{'xyz'[k]}": s * np.eye(3)[k] for k in range(3) for s in (1.0, -1.0)}
 
 
 class Candidate(NamedTuple):
@@ -40,7 +36,7 @@ def directions_with_groove(
     """
     found = []
     for (anterior, ahead), (proximal, up) in itertools.permutations(AXES.items(), 2):
-        if ahead @ up:
+        if anterior[1] == proximal[1]:
             continue  # one axis
         try:
             region = trochlear_region(mesh, anterior=ahead, proximal=up, half_width=half_width, angles=angles)

@@ -30,7 +30,9 @@ def fit_surface(
     tolerance: Annotated[
         float | None, Option("--tolerance-mm", help="Rms that a spline is to reach; 0.02 if left out [mm].")
     ] = None,
-    chart: Annotated[str, Option("--chart", metavar="plane|cylinder", help="Heights over what.")] = "plane",
+    chart: Annotated[
+        str | None, Option("--chart", metavar="plane|cylinder", help="Heights over what; a spline chooses if left out.")
+    ] = None,
     anterior: Annotated[str, Option("--anterior", help="Anterior direction in the mesh's frame.")] = "+z",
     proximal: Annotated[str, Option("--proximal", help="Proximal direction in the mesh's frame.")] = "+x",
     half_width: Annotated[float, Option("--half-width-mm", help="Half width of the region [mm].")] = 20.0,
@@ -48,7 +50,7 @@ def fit_surface(
     terminal.check_outputs(output, json)
     names, asked = _patches(kind, degree, tolerance)
     directions = {"anterior": _direction(anterior, "anterior"), "proximal": _direction(proximal, "proximal")}
-    if chart not in ("plane", "cylinder"):
+    if chart not in (None, "plane", "cylinder"):
         raise InputError(f"no chart {chart!r}", where="--chart", expected="plane or cylinder")
     terminal.start_computing()
     import numpy as np
@@ -68,6 +70,8 @@ def fit_surface(
             raise _with_directions(error, surface, wanted) from None
     with terminal.spinner("fitting"):
         fits = [fit_named(surface, name, chart=chart, region=region, **asked) for name in names]
+    found = [_fit_facts(f) for f in fits]
+    over = found[0]["chart"]["type"]  # all of them are over the same
     if output is not None:
         from pftwin.results.plots.region import plot_region
 
@@ -75,14 +79,14 @@ def fit_surface(
             terminal.save_picture(plot_region(region, surface), output)
     facts = {
         "mesh": str(mesh),
-        "chart": chart,
+        "chart": over,
         "region_vertices": region.n_vertices,
         "region_angles_rad": list(region.angles),
         "region_half_width_m": region.half_width,
-        "fits": [_fit_facts(f) for f in fits],
+        "fits": found,
     }
     sheet = Sheet(
-        f"{mesh.name}, heights over a {chart}, {fits[0].n_vertices} vertices",
+        f"{mesh.name}, heights over a {over}, {fits[0].n_vertices} vertices",
         ("patch", "R^2 [%]", "rms [mm]", "max [mm]", "rms along normal [mm]"),
         tuple(
             (f.name, f"{100 * f.r_squared:.2f}", *(f"{1e3 * v:.3f}" for v in (f.rms, f.max_error, f.rms_normal)))
@@ -90,7 +94,8 @@ def fit_surface(
         ),
         words=(),
     )
-    terminal.present(facts, sheet, terminal.written_line([] if output is None else [output]), json=json)
+    chosen = f"the chart is chosen: {fits[0].chart_chosen}" if fits[0].chart_chosen else ""
+    terminal.present(facts, sheet, chosen, terminal.written_line([] if output is None else [output]), json=json)
 
 
 def _patches(kind: str, degree: str | None, tolerance: float | None) -> tuple[list[str], dict[str, float]]:
@@ -151,6 +156,7 @@ def _fit_facts(f: PatchFit) -> dict[str, Any]:
         "max_error_normal_m": f.max_error_normal,
         "vertices": f.n_vertices,
         "coverage": f.coverage,
+        "chart_chosen": f.chart_chosen,
         "spline_coefficients_m" if spline else "coefficients_m": np.asarray(f.patch.coefficients).tolist(),
         "chart": {
             "type": "plane" if radius is None else "cylinder",

@@ -152,7 +152,11 @@ class MeshSurfaceSection(MeshFileSection):
     tolerance_m: Positive | None = Field(
         default=None, description="of a spline: rms of the heights that its cells are made short enough for [m]"
     )
-    chart: Literal["plane", "cylinder"] = Field(default="plane", description="heights over a plane or about an axis")
+    chart: Literal["plane", "cylinder"] | None = Field(
+        default=None,
+        description="heights over a plane or about an axis; left out: the plane, and of a spline that misses its "
+        "tolerance there or folds over, the better one",
+    )
     weights: Literal["vertex", "area"] = Field(default="vertex", description="every vertex alike, or by area")
     region: RegionSection = Field(default_factory=RegionSection, description="which part of the mesh is trochlea")
     emphasis: list[WeightedPartSection] = Field(

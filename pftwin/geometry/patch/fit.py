@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import re
 import warnings
+from collections.abc import Callable
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -21,19 +23,17 @@ from pftwin.geometry.mesh.mesh import SurfaceMesh
 from pftwin.geometry.patch.charts import Chart
 from pftwin.geometry.patch.fit_vertices import Emphasis, PatchFit, Points, Vertices, quality, selected_vertices
 from pftwin.geometry.patch.polynomial import PolynomialPatch, exponents
-from pftwin.geometry.patch.spline import SplinePatch, cell_of, cubic_basis
+from pftwin.geometry.patch.spline import SplinePatch
+from pftwin.geometry.patch.spline_cells import FittedSpline, refined_spline
 
 if TYPE_CHECKING:
-    from scipy.sparse import csc_array, csr_matrix
-
     from pftwin.geometry.patch.region import TrochlearRegion
 
 Pair = tuple[float, float]
+ChartChoice = Literal["plane", "cylinder"] | Chart
 SPLINE = "spline"
 TOLERANCE = 0.02e-3  # rms of the heights [m]
 SMOOTHING = 12.5  # tolerances: a length, wavelengths below some 2 pi times which are damped
-LONGEST_CELL, SHRINKING = 4e-3, 0.8  # the first attempt's cells [m], and how much shorter the next one's are
-FEWEST_VERTICES = 16  # as many as the coefficients of a single cell
 
 
 def parse_degree(name: str | int, *, others: str = "") -> int:
@@ -67,21 +67,27 @@ def name_of(surface: Any) -> str | None:
     return surface.name if isinstance(surface, (PolynomialPatch, SplinePatch)) else None
 
 
-def fit_named(surface: SurfaceMesh | ArrayLike, name: str | int, **options: Any) -> PatchFit:
+def fit_named(
+    surface: SurfaceMesh | ArrayLike, name: str | int, *, chart: ChartChoice | None = None, **options: Any
+) -> PatchFit:
     """The patch of that name, fitted to a surface; options as for `fit_patch`, or `fit_spline` for "spline".
+
+    Without a chart a polynomial is over the plane; of a spline's, see there.
 
     Raises:
         InputError: no such name; otherwise as the two.
     """
     name = parse_name(name)
-    return fit_spline(surface, **options) if name == SPLINE else fit_patch(surface, degree=name, **options)
+    if name == SPLINE:
+        return fit_spline(surface, chart=chart, **options)
+    return fit_patch(surface, degree=name, chart="plane" if chart is None else chart, **options)
 
 
 def fit_patch(
     surface: SurfaceMesh | ArrayLike,
     *,
     degree: int | str = 5,
-    chart: Literal["plane", "cylinder"] | Chart = "plane",
+    chart: ChartChoice = "plane",
     region: TrochlearRegion | ArrayLike | None = None,
     weights: Literal["vertex", "area"] = "vertex",
     emphasis: Emphasis | None = None,
@@ -134,7 +140,7 @@ def fit_patch(
 def fit_spline(
     surface: SurfaceMesh | ArrayLike,
     *,
-    chart: Literal["plane", "cylinder"] | Chart = "plane",
+    chart: ChartChoice | None = None,
     region: TrochlearRegion | ArrayLike | None = None,
     weights: Literal["vertex", "area"] = "vertex",
     emphasis: Emphasis | None = None,
@@ -146,7 +152,9 @@ def fit_spline(
     Warns where it is not reached before there are as many coefficients as vertices, and returns the best fit.
 
     Args:
-        surface, chart, region, weights, emphasis: as for `fit_patch`.
+        surface, region, weights, emphasis: as for `fit_patch`.
+        chart: a chart, or which of the region's two. None: the plane, if the surface does not fold over in it and the
+            tolerance is reached; else that of the two over which the spline comes nearer.
         tolerance: rms of the heights that is asked for [m].
         smoothing: how strongly curvature is penalised, as a length [m]; details shorter than it are lost. By default
             12.5 times the tolerance. Raise it for noisy scans.
@@ -159,24 +167,44 @@ def fit_spline(
     for name, length in (("tolerance", tolerance), ("smoothing", smoothing)):
         if not (np.isfinite(length) and length > 0):
             raise InputError(f"found {length!r}", where=name, expected="a positive length in metres, e.g. 0.02e-3")
-    v = selected_vertices(surface, chart, region, weights, emphasis)
-    if len(v.h) < FEWEST_VERTICES:
-        raise InputError(
-            f"{len(v.h)} vertices for a spline",
-            where=v.source,
-            expected=f"{FEWEST_VERTICES} or more",
-            remedy="a finer mesh or a larger region",
-        )
+
+    def over(which: ChartChoice) -> Vertices:
+        return selected_vertices(surface, which, region, weights, emphasis)
+
+    if chart is None:
+        spline, chosen = _over_better_chart(over, tolerance, smoothing)
+    else:
+        spline, chosen = refined_spline(over(chart), tolerance, smoothing), ""
+    v = spline.vertices
     v.check_folds()
-    center, half = _rectangle(v)
-    a, b = (v.u - center[0]) / half[0], (v.v - center[1]) / half[1]
-    advice = "Try the cylinder as chart, " if chart == "plane" else "Try "
-    cells, coefficients = _refined(a, b, v, half, tolerance, smoothing, advice)
-    patch = SplinePatch(v.chart, number(coefficients), _pair(center), _pair(half))
-    c, (n_u, n_v) = coefficients.ravel(), cells
-    height, slope_a, slope_b = (_basis(a, b, cells, *orders) @ c for orders in ((0, 0), (1, 0), (0, 1)))
-    fitted = height, slope_a * (0.5 * n_u / half[0]), slope_b * (0.5 * n_v / half[1])
-    return quality(patch, v, fitted, a, b)
+    if spline.rms > tolerance:
+        first = "the cylinder as chart, " if chart == "plane" else ""
+        reached = f"{1e3 * spline.rms:.3f} mm rms of the {len(v.h)} vertices, not within {1e3 * tolerance:.3f} mm"
+        warnings.warn(
+            f"{v.source}: the spline comes within {reached}."
+            f" Try {first}a finer or less noisy mesh, a smaller region or a larger tolerance.",
+            PftwinWarning,
+            stacklevel=2,
+        )
+    patch = SplinePatch(v.chart, number(spline.coefficients), _pair(spline.center), _pair(spline.half))
+    return replace(quality(patch, v, spline.values(), spline.a, spline.b), chart_chosen=chosen)
+
+
+def _over_better_chart(
+    over: Callable[[ChartChoice], Vertices], tolerance: float, smoothing: float
+) -> tuple[FittedSpline, str]:
+    """The spline over the plane where that holds it, else over the chart that it comes nearer on, and why."""
+    plane = over("plane")
+    if (share := plane.folded()) > 0:
+        why = f"over the cylinder, as on the plane the surface folds over at {100 * share:.2g} % of the vertices"
+        return refined_spline(over("cylinder"), tolerance, smoothing), why
+    first = refined_spline(plane, tolerance, smoothing)
+    if first.rms <= tolerance or (cylinder := over("cylinder")).folded() > 0:
+        return first, ""
+    second = refined_spline(cylinder, tolerance, smoothing)
+    if first.rms <= second.rms:
+        return first, ""
+    return second, f"over the cylinder, as on the plane it comes within {1e3 * first.rms:.2g} mm alone"
 
 
 def _pair(x: Pair) -> tuple[Scalar, Scalar]:
@@ -200,79 +228,6 @@ def _domain(v: Vertices) -> tuple[Pair, Pair]:
     return (0.5 * (u_high + u_low), 0.5 * (high + low)), half
 
 
-def _rectangle(v: Vertices) -> tuple[Pair, Pair]:
-    """Center and half size of the rectangle that holds all vertices: where there are none a spline goes on gently."""
-    spread = np.linalg.svd(np.stack([v.u - v.u.mean(), v.v - v.v.mean()]), compute_uv=False)
-    if not spread[1] > 1e-6 * spread[0]:
-        raise InputError("all vertices lie on a line of the chart", where=v.source, remedy="a larger region")
-    (low_u, high_u), (low_v, high_v) = ((float(c.min()), float(c.max())) for c in (v.u, v.v))
-    return (0.5 * (high_u + low_u), 0.5 * (high_v + low_v)), (0.5 * (high_u - low_u), 0.5 * (high_v - low_v))
-
-
 def _monomials(a: Points, b: Points, degree: int) -> Points:
     """a^i b^j by columns, in the order of the patch's coefficients."""
     return np.stack([a**i * b**j for i, j in exponents(degree)], axis=1)
-
-
-def _refined(
-    a: Points, b: Points, v: Vertices, half: Pair, tolerance: float, smoothing: float, advice: str
-) -> tuple[tuple[int, int], Points]:
-    """Cells and coefficients of the coarsest attempt within the tolerance; else of the best, with a warning, in which
-    the advice goes on."""
-    best: tuple[float, tuple[int, int], Points] | None = None
-    length, tried = LONGEST_CELL, None
-    while True:
-        cells = max(int(np.ceil(2 * half[0] / length)), 1), max(int(np.ceil(2 * half[1] / length)), 1)
-        length *= SHRINKING
-        if cells == tried:
-            continue
-        if best is not None and (cells[0] + 3) * (cells[1] + 3) > len(v.h):
-            break
-        tried, basis = cells, _basis(a, b, cells)
-        c = _solved(basis, v, cells, half, smoothing)
-        rms = float(np.sqrt(np.average((v.h - basis @ c) ** 2, weights=v.weight)))
-        if best is None or rms < best[0]:
-            best = rms, cells, c.reshape(cells[0] + 3, cells[1] + 3)
-        if rms <= tolerance:
-            return cells, best[2]
-    warnings.warn(
-        f"{v.source}: the spline comes within {1e3 * best[0]:.3f} mm rms of the {len(v.h)} vertices, not within"
-        f" {1e3 * tolerance:.3f} mm. {advice}a finer or less noisy mesh, a smaller region or a larger tolerance.",
-        PftwinWarning,
-        stacklevel=3,
-    )
-    return best[1], best[2]
-
-
-def _basis(a: Points, b: Points, cells: tuple[int, int], along: int = 0, across: int = 0) -> csr_matrix:
-    """(vertices, coefficients): the tensor-product basis, or a derivative of it by the cells' own coordinates."""
-    from scipy.sparse import csr_matrix
-
-    (i, x), (j, y) = (cell_of(c, n) for c, n in zip((a, b), cells, strict=True))
-    four = np.arange(4)
-    width = cells[1] + 3
-    columns = (i[:, None, None] + four[:, None]) * width + j[:, None, None] + four
-    values = np.stack(cubic_basis(x)[along], 1)[:, :, None] * np.stack(cubic_basis(y)[across], 1)[:, None, :]
-    starts = 16 * np.arange(len(a) + 1)
-    return csr_matrix((values.ravel(), columns.ravel(), starts), shape=(len(a), (cells[0] + 3) * width))
-
-
-def _solved(basis: csr_matrix, v: Vertices, cells: tuple[int, int], half: Pair, smoothing: float) -> Points:
-    """The coefficients (n,) that make mean weighted squared error + smoothing^4 * mean squared curvature least."""
-    from scipy.sparse import csc_array, diags_array, kron
-    from scipy.sparse.linalg import spsolve
-
-    def derivative(n: int, order: int, step: float) -> csc_array:
-        """By differences of a row of n + 3 coefficients."""
-        stencil = {0: [1.0], 1: [-1.0, 1.0], 2: [1.0, -2.0, 1.0]}[order]
-        rows = n + 3 - order
-        return csc_array(diags_array(stencil, offsets=range(order + 1), shape=(rows, n + 3)) / step**order)
-
-    (n_u, n_v), (step_u, step_v) = cells, (2 * half[0] / cells[0], 2 * half[1] / cells[1])
-    system = (basis.T.multiply(v.weight / len(v.h)) @ basis).tocsc()
-    for share, along, across in ((1.0, 2, 0), (2.0, 1, 1), (1.0, 0, 2)):
-        bend = kron(derivative(n_u, along, step_u), derivative(n_v, across, step_v), format="csc")
-        system = system + share * smoothing**4 / (n_u * n_v) * (bend.T @ bend)
-    # Heights from their mean: what is solved for is of the size of the relief, not of the distance to the axis.
-    level = np.average(v.h, weights=v.weight)
-    return level + spsolve(system, basis.T @ (v.weight / len(v.h) * (v.h - level)))

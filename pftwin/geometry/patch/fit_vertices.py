@@ -38,17 +38,21 @@ class Vertices:
     weight: Points  # mean 1
     source: str  # a name for messages
 
-    def check_folds(self) -> None:
-        """Refuses normals that point away from the chart's height: the surface is then folded over in (u, v)."""
+    def folded(self) -> float:
+        """The share of normals that point away from the chart's height: the surface is folded over there in (u, v)."""
         if self.normals is None:
-            return
+            return 0.0
         local = _in_frame(self.chart, self.normals + host_array(self.chart.origin))
         if isinstance(self.chart, CylindricalChart):
             x, _, z = _in_frame(self.chart, self.points).T
             up = (local[:, 0] * x + local[:, 2] * z) / np.hypot(x, z)
         else:
             up = local[:, 2]
-        folded = float(np.mean(up <= 0))
+        return float(np.mean(up <= 0))
+
+    def check_folds(self) -> None:
+        """Refuses a surface of which more than 1 % is folded over, and warns of less."""
+        folded = self.folded()
         if folded == 0:
             return
         if folded > 0.9:
@@ -171,6 +175,7 @@ class PatchFit:
     max_error_normal: float
     n_vertices: int
     coverage: float  # share of the patch's rectangle, in 8 x 8 cells, that holds vertices
+    chart_chosen: str = ""  # where the chart was left to the fit and is not the plane: which it is, and why
 
     @property
     def name(self) -> str:
@@ -179,9 +184,10 @@ class PatchFit:
 
     def __str__(self) -> str:
         cells = "" if isinstance(self.patch, PolynomialPatch) else " of {} x {} cells".format(*self.patch.cells)
+        chosen = f", {self.chart_chosen}" if self.chart_chosen else ""
         return (
             f"{self.name}{cells}: R^2 {100 * self.r_squared:.2f} %, rms {1e3 * self.rms:.3f} mm, "
-            f"max {1e3 * self.max_error:.3f} mm, {self.n_vertices} vertices"
+            f"max {1e3 * self.max_error:.3f} mm, {self.n_vertices} vertices{chosen}"
         )
 
 

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-FORMATS = ("trc", "c3d", "sto", "csv", "marker_csv", "poses", "pose_matrices", "stl", "ascii_stl", "obj", "ply",
-           "ascii_ply", "scene", "result", "estimate", "checkpoint", "osim", "strands")  # fmt: skip
+FORMATS = ("trc", "c3d", "c3d_channels", "sto", "csv", "marker_csv", "poses", "pose_matrices", "stl", "ascii_stl",
+           "obj", "ply", "ascii_ply", "scene", "result", "estimate", "checkpoint", "osim", "strands")  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -61,18 +61,14 @@ def _marker_csv(name: str, folder: Path) -> Reader:
 
 
 def _c3d(name: str, folder: Path) -> Reader:
-    import ezc3d
+    from c3d_files import write_c3d
 
-    from pftwin.files.mocap import read_c3d
+    from pftwin.files.mocap import read_c3d, read_c3d_channels
 
-    markers, file = _markers(), ezc3d.c3d()
-    data = np.ones((4, len(markers.names), markers.times.size))
-    data[:3] = 1e3 * markers.positions.transpose(2, 1, 0)
-    point = file["parameters"]["POINT"]
-    point["RATE"]["value"], point["LABELS"]["value"], point["UNITS"]["value"] = [100.0], markers.names, ["mm"]
-    file["data"]["points"] = data
-    file.write(str(folder / "a.c3d"))
-    return _written(name, folder / "a.c3d", read_c3d)
+    markers = _markers()
+    channels = {"Fz": ("N", np.arange(21.0)), "cell": ("mV/V", -np.arange(21.0))}
+    file = write_c3d(folder / "a.c3d", 1e3 * markers.positions, markers.names, channels=channels)
+    return _written(name, file, read_c3d_channels if name == "c3d_channels" else read_c3d)
 
 
 def _sto(name: str, folder: Path) -> Reader:
@@ -196,8 +192,8 @@ def _strands(name: str, folder: Path) -> Reader:
 
 
 _MAKERS: dict[str, Callable[[str, Path], Reader]] = {
-    "trc": _trc, "c3d": _c3d, "sto": _sto, "csv": _csv, "marker_csv": _marker_csv, "poses": _poses,
-    "pose_matrices": _pose_matrices, "stl": _mesh, "ascii_stl": _mesh, "obj": _mesh, "ply": _mesh,
+    "trc": _trc, "c3d": _c3d, "c3d_channels": _c3d, "sto": _sto, "csv": _csv, "marker_csv": _marker_csv,
+    "poses": _poses, "pose_matrices": _pose_matrices, "stl": _mesh, "ascii_stl": _mesh, "obj": _mesh, "ply": _mesh,
     "ascii_ply": _mesh, "scene": _scene, "result": _result,
     "estimate": _estimate, "checkpoint": _checkpoint, "osim": _osim, "strands": _strands,
 }  # fmt: skip

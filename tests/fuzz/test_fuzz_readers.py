@@ -16,11 +16,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from pftwin.base.errors import InputError
-from pftwin.files.mocap.c3d import check_c3d_structure
+from pftwin.files.mocap.c3d_structure import check_c3d_structure
 from pftwin.files.scene_file.document import Document
 
 # A crash of ezc3d or HDF5 would end the whole run of tests: these are left to the script, which takes processes.
-IN_C = ("c3d", "result")
+IN_C = ("c3d", "c3d_channels", "result")
 SLOW = (HealthCheck.function_scoped_fixture, HealthCheck.too_slow, HealthCheck.data_too_large)
 
 

@@ -1,15 +1,8 @@
-"""Marker trajectories from C3D files, read by ezc3d (the extra "c3d").
-
-ezc3d may loop for ever on damaged parameters, and shortens truncated files without a warning. So the chain of
-parameters is walked first, and the length of the data section is compared with the header (layout: c3d.org user guide,
-"The C3D file format").
-"""
+"""Marker trajectories and analog channels from C3D files, read by ezc3d (the extra "c3d")."""
 
 from __future__ import annotations
 
-import math
 import os
-import struct
 import warnings
 from typing import Any
 
@@ -17,8 +10,10 @@ import numpy as np
 
 from pftwin.base.errors import InputError, MissingExtraError, PftwinWarning
 from pftwin.base.text_files import read_bytes
+from pftwin.files.mocap.c3d_structure import check_c3d_structure
 from pftwin.files.mocap.markers import MarkerTrajectories, zeros_to_missing
-from pftwin.files.mocap.units import check_jumps, check_spread, length_factor
+from pftwin.files.mocap.tables import Table
+from pftwin.files.mocap.units import check_jumps, check_spread, known_unit, length_factor
 
 
 def read_c3d(path: str | os.PathLike[str], *, units: str | None = None) -> MarkerTrajectories:
@@ -35,7 +30,6 @@ def read_c3d(path: str | os.PathLike[str], *, units: str | None = None) -> Marke
         InputError: missing, empty, truncated or damaged file; no points; no rate; no, unknown or implausible unit.
         MissingExtraError: ezc3d is not installed.
     """
-    check_c3d_structure(read_bytes(path), where=path)
     data = _load(path)
     parameters = data["parameters"].get("POINT", {})
     points = np.asarray(data["data"]["points"], dtype=np.float64)  # (4, m, n)
@@ -51,17 +45,65 @@ def read_c3d(path: str | os.PathLike[str], *, units: str | None = None) -> Marke
         positions[(residuals[0] < 0).T] = np.nan
     check_spread(positions, where=path, told=units is not None)
 
-    rate = float(data["header"]["points"]["frame_rate"])
-    if not rate > 0:
-        raise InputError(f"the sampling rate is {rate:g} Hz", where=f"{path}, POINT:RATE", expected="a positive rate")
-    first = int(data["header"]["points"]["first_frame"])
-    times = (first + np.arange(points.shape[2])) / rate
-    markers = MarkerTrajectories(times, _labels(parameters, points.shape[1], path), positions, source=str(path))
+    times = _times(data, "POINT", points.shape[2], path)
+    labels = _texts(parameters, "LABELS", points.shape[1])
+    if not all(labels):
+        raise InputError(
+            f"{len([v for v in labels if v])} labels for {len(labels)} points",
+            where=f"{path}, POINT:LABELS",
+            expected="a name for every point",
+        )
+    markers = MarkerTrajectories(times, labels, positions, source=str(path))
     check_jumps(markers.positions, markers.times, markers.names, where=path)
     return markers
 
 
+def read_c3d_channels(path: str | os.PathLike[str]) -> Table:
+    """The analog channels of a C3D file (load cells, force plates), in SI units, at their own rate.
+
+    Each channel's offset and scale are applied. Columns have the channels' labels, "channel 7" (from 1) where one has
+    none, and the units of ANALOG:UNITS. A unit that is not known (mV/V) is kept as it stands there, with the values as
+    they are; no unit is "1". The first sample is taken at the time of the header's first frame.
+
+    Raises:
+        InputError: missing, empty, truncated or damaged file; no channels; no rate; two channels of one label.
+        MissingExtraError: ezc3d is not installed.
+    """
+    data = _load(path)
+    parameters = data["parameters"].get("ANALOG", {})
+    samples = np.asarray(data["data"]["analogs"], dtype=np.float64)  # (1, k, n)
+    if samples.ndim != 3 or 0 in samples.shape:
+        raise InputError("the file holds no analog data", where=path, expected="analog channels")
+    times = _times(data, "ANALOG", samples.shape[2], path)
+    columns = _rid_of_wrong_offsets(samples[0].T, data["parameters"])
+    labels = _texts(parameters, "LABELS", samples.shape[1])
+    names = tuple(label or f"channel {i}" for i, label in enumerate(labels, start=1))
+    units = {}
+    for i, (name, unit) in enumerate(zip(names, _texts(parameters, "UNITS", len(names)), strict=True)):
+        units[name], factor = known_unit(unit or "1") or (unit, 1.0)
+        columns[:, i] *= factor
+    return Table(times, names, columns, units, source=str(path))
+
+
+def _rid_of_wrong_offsets(samples: np.ndarray, parameters: Any) -> np.ndarray:
+    """Channels (n, k) as (integer - offset) * scale; ezc3d takes offsets without their sign, and integers as signed."""
+
+    def of(key: str, default: float) -> np.ndarray:
+        values = [float(v) for v in parameters["ANALOG"].get(key, {}).get("value", [])]
+        return np.array((values + [default] * samples.shape[1])[: samples.shape[1]])
+
+    step, offset = of("SCALE", 1.0) * of("GEN_SCALE", 1.0)[0], of("OFFSET", 0.0)
+    unsigned = (_text(parameters["ANALOG"], "FORMAT") or "").upper() == "UNSIGNED"
+    out = samples + (np.abs(offset) - (offset % 2**16 if unsigned else offset)) * step
+    in_floats = np.ravel(parameters["POINT"].get("SCALE", {}).get("value", [-1.0]))[0] < 0
+    if unsigned and not in_floats:
+        integers = samples / np.where(step == 0, 1.0, step) + np.abs(offset)
+        out += np.where(integers < -0.5, 2**16 * step, 0.0)
+    return out
+
+
 def _load(path: str | os.PathLike[str]) -> Any:
+    check_c3d_structure(read_bytes(path), where=path)
     try:
         import ezc3d
     except ImportError as err:
@@ -80,104 +122,18 @@ def _text(parameters: Any, key: str) -> str | None:
     return str(values[0]).strip() or None if len(values) else None
 
 
-def _labels(parameters: Any, count: int, path: object) -> tuple[str, ...]:
-    labels: list[str] = []
-    for key in ("LABELS", *(f"LABELS{i}" for i in range(2, 10))):  # 255 labels fit in one parameter
-        labels += [str(v).strip() for v in parameters.get(key, {}).get("value", [])]
-    if len(labels) < count or not all(labels[:count]):
-        raise InputError(
-            f"{len([v for v in labels if v])} labels for {count} points",
-            where=f"{path}, POINT:LABELS",
-            expected="a name for every point",
-        )
-    return tuple(labels[:count])
+def _texts(parameters: Any, key: str, count: int) -> tuple[str, ...]:
+    """One text for each of `count` points or channels; empty where there is none."""
+    texts: list[str] = []
+    for name in (key, *(f"{key}{i}" for i in range(2, 10))):  # 255 texts fit in one parameter
+        texts += [str(v).strip() for v in parameters.get(name, {}).get("value", [])]
+    return tuple((texts + [""] * count)[:count])
 
 
-_BLOCK = 512
-_INTEL, _DEC, _MIPS = 84, 85, 86
-
-
-def check_c3d_structure(content: bytes, *, where: object) -> None:
-    """Refuse bytes that are not a whole C3D file.
-
-    Raises:
-        InputError: no C3D signature, a damaged or incomplete parameter section, a truncated data section.
-    """
-    if len(content) < 2 or content[1] != 0x50 or content[0] < 1:
-        raise InputError("the content is not C3D", where=where, expected="a C3D file (its second byte is 0x50)")
-    start = (content[0] - 1) * _BLOCK
-    if len(content) < start + 4:
-        raise _truncated("its parameter section", where)
-    processor = content[start + 3]
-    if processor not in (_INTEL, _DEC, _MIPS):
-        raise _damaged(where)
-    order = ">" if processor == _MIPS else "<"
-    _walk_parameters(content, start + 4, order, where)
-    if processor != _DEC:  # the sign of DEC's float is elsewhere
-        _check_length(content, order, where)
-
-
-def _walk_parameters(content: bytes, position: int, order: str, where: object) -> None:
-    groups, used = set(), set()
-    while True:
-        if position + 2 > len(content):
-            raise _truncated("its parameter section", where)
-        length, group = struct.unpack_from("2b", content, position)
-        length = abs(length)
-        if length == 0:
-            break
-        link = position + 2 + length
-        if link + 2 > len(content):
-            raise _truncated("its parameter section", where)
-        step = struct.unpack_from(order + "h", content, link)[0]
-        if group == 0 or step < 0 or any(byte < 32 for byte in content[position + 2 : link]):
-            raise _damaged(where)
-        (groups if group < 0 else used).add(abs(group))
-        last = step == 0
-        _check_record(content, link + 2, len(content) if last else link + step, group, where)
-        if last:
-            break
-        position = link + step
-    if used - groups:
-        raise _damaged(where)
-
-
-def _check_record(content: bytes, begin: int, end: int, group: int, where: object) -> None:
-    """A group's or parameter's data and description lie within its record."""
-    end = min(end, len(content))
-    if group > 0:
-        if begin + 2 > end:
-            raise _damaged(where)
-        kind, dimensions = struct.unpack_from("bB", content, begin)
-        begin += 2 + dimensions
-        # ezc3d crashes on a text without dimensions, a single character, which no program is known to write.
-        if kind not in (-1, 1, 2, 4) or not (kind == -1) <= dimensions <= 7 or begin > end:
-            raise _damaged(where)
-        begin += abs(kind) * math.prod(content[begin - dimensions : begin])
-    if begin >= end or begin + 1 + content[begin] > end:
-        raise _damaged(where)
-
-
-def _damaged(where: object) -> InputError:
-    return InputError("the parameter section of this C3D file is damaged", where=where, remedy="export it again")
-
-
-def _check_length(content: bytes, order: str, where: object) -> None:
-    if len(content) < 20:
-        raise _truncated("its header", where)
-    points, analogs, first, last = struct.unpack_from(order + "4H", content, 2)
-    (scale,) = struct.unpack_from(order + "f", content, 12)
-    (block,) = struct.unpack_from(order + "H", content, 16)
-    if last == 0xFFFF or last < first or block < 2:
-        return  # a longer recording than the header can count: nothing to compare with
-    frame = (4 * points + analogs) * (4 if scale < 0 else 2)
-    wanted = (block - 1) * _BLOCK + (last - first + 1) * frame
-    if len(content) < wanted:
-        there = max(0, len(content) - (block - 1) * _BLOCK) // max(frame, 1)
-        raise _truncated(f"frame {there} of {last - first + 1}", where)
-
-
-def _truncated(place: str, where: object) -> InputError:
-    return InputError(
-        f"the C3D file breaks off in {place}: it is truncated", where=where, remedy="copy or export the file again"
-    )
+def _times(data: Any, group: str, count: int, path: object) -> np.ndarray:
+    """Times (n,) [s] of points or samples."""
+    header = data["header"]["points" if group == "POINT" else "analogs"]
+    rate = float(header["frame_rate"])
+    if not rate > 0:
+        raise InputError(f"the sampling rate is {rate:g} Hz", where=f"{path}, {group}:RATE", expected="a positive rate")
+    return (int(header["first_frame"]) + np.arange(count)) / rate

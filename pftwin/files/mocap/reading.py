@@ -1,4 +1,4 @@
-"""Marker files of any format, by their suffix."""
+"""Files of markers, and of forces and other readings, of any format, by their suffix."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 from pftwin.base.errors import InputError
-from pftwin.files.mocap.c3d import read_c3d
-from pftwin.files.mocap.csv_files import read_marker_csv
+from pftwin.files.mocap.c3d import read_c3d, read_c3d_channels
+from pftwin.files.mocap.csv_files import read_csv, read_marker_csv
 from pftwin.files.mocap.markers import MarkerTrajectories
+from pftwin.files.mocap.tables import Table
 from pftwin.files.mocap.trc import read_trc
 
 _READERS: dict[str, Callable[..., MarkerTrajectories]] = {".trc": read_trc, ".c3d": read_c3d, ".csv": read_marker_csv}
@@ -30,3 +31,15 @@ def read_markers(path: str | os.PathLike[str], *, units: str | None = None) -> M
     if suffix not in _READERS:
         raise InputError(f"the suffix {suffix!r} is not known", where=path, expected=", ".join(_READERS))
     return _READERS[suffix](path, units=units)
+
+
+def read_readings(path: str | os.PathLike[str]) -> Table:
+    """Forces and other readings: the analog channels of a C3D file, or the columns of a CSV file; in SI units.
+
+    A column without a unit has the unit "1".
+
+    Raises:
+        InputError: what `read_c3d_channels` or `read_csv` refuses.
+        MissingExtraError: a C3D file without the extra "c3d".
+    """
+    return read_c3d_channels(path) if Path(path).suffix.lower() == ".c3d" else read_csv(path, units="1")

@@ -59,11 +59,17 @@ def to_si(unit: str, *, where: object) -> tuple[str, float]:
     Raises:
         InputError: a unit that is not known.
     """
+    known = known_unit(unit)
+    if known is None:
+        raise unknown_name("unit", unit, _UNITS, where=where)
+    return known
+
+
+def known_unit(unit: str) -> tuple[str, float] | None:
+    """As `to_si`; None for a unit that is not known."""
     text = unit.strip()
-    for candidate in (text, _LONG_NAMES.get(text.lower(), ""), text.lower()):
-        if candidate in _UNITS:
-            return _UNITS[candidate]
-    raise unknown_name("unit", unit, _UNITS, where=where)
+    spelled = (text, _LONG_NAMES.get(text.lower(), ""), text.lower())
+    return next((_UNITS[candidate] for candidate in spelled if candidate in _UNITS), None)
 
 
 def length_factor(header: str | None, argument: str | None, *, where: object) -> tuple[float, bool]:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from pftwin.base.errors import InputError
-from pftwin.files.mocap import PoseSeries, Table, read_csv, singular_spectrum_filter
+from pftwin.files.mocap import PoseSeries, Table, frame_means, read_readings, singular_spectrum_filter
 from pftwin.files.mocap.units import SI_UNITS, split_unit
 from pftwin.files.scene_file.document import Document
 from pftwin.files.scene_file.section import FileName, Section
@@ -28,7 +28,9 @@ class MeasuredSection(Section):
 
     patella: SegmentSection = Field(description="table: how the patella was recorded (body, cluster_m, three_points)")
     forces: FileName | None = Field(
-        default=None, description="CSV file of forces and other readings, units in its header"
+        default=None,
+        description="file of forces and other readings: CSV with units in its header, or C3D (its analog channels); "
+        "faster ones than the motion are averaged over a frame",
     )
     contact_force: str | None = Field(default=None, description="its column of the normal contact force")
     tibial_spring_force: str | None = Field(default=None, description="its column of the patellar tendon's force")
@@ -98,7 +100,7 @@ class MeasuredSection(Section):
             return {}
         motion = scene.motion
         with document.naming("measured", "forces"):
-            table = read_csv(document.file(self.forces), units="1")
+            table = read_readings(document.file(self.forces))
             slack = 0.1 * motion.frame_interval
             if table.times[0] > motion.start_time + slack or table.times[-1] < motion.end_time - slack:
                 raise InputError(
@@ -113,11 +115,11 @@ class MeasuredSection(Section):
                 if self.smoothing_window is not None:
                     # Cables and contacts do not push and pull both ways; smoothing overshoots where they let go.
                     values = np.maximum(singular_spectrum_filter(values, self.smoothing_window), 0.0)
-                out[name] = np.interp(motion.times, table.times, values)
+                out[name] = frame_means(motion.times, table.times, values)
         with document.naming("measured", "readings"):
             units = {name: scene.reported(name).unit for name in self.readings}
             read = {name: _column(table, column, units[name]) for name, column in self.readings.items()}
-        out["readings"] = {name: np.interp(motion.times, table.times, each) for name, each in read.items()}
+        out["readings"] = {name: frame_means(motion.times, table.times, each) for name, each in read.items()}
         if self.weights is not None:
             with document.naming("measured", "weights"):
                 weights = _column(table, self.weights, "1")

@@ -9,7 +9,7 @@ from pydantic import Field, model_validator
 
 from pftwin.base.errors import InputError
 from pftwin.base.leaves import number, vector
-from pftwin.files.mocap import Table, read_csv
+from pftwin.files.mocap import Table, read_readings
 from pftwin.files.mocap.tables import uniform_times
 from pftwin.files.scene_file.document import Place
 from pftwin.files.scene_file.effect_tables import Body, EffectSection, Setting
@@ -21,14 +21,16 @@ from pftwin.model.effects.tension import PrescribedTension
 class PrescribedTensionSection(EffectSection):
     """Lines of known tension.
 
-    The file has the columns time_s and, for every line, LINE_tension_N, and where the table does not give them,
-    LINE_origin_x_m, _y_m, _z_m (or LINE_via_BODY_x_m ...; it may move) and LINE_insertion_x_m ... (or
-    LINE_insertion_patella_x_m ...; it may not). Or no file: `tension_N`, the same throughout.
+    The file has the columns time_s and, for every line, LINE_tension_N (or LINE_N for those that `lines` names), and
+    where the table does not give them, LINE_origin_x_m, _y_m, _z_m (or LINE_via_BODY_x_m ...; it may move) and
+    LINE_insertion_x_m ... (or LINE_insertion_patella_x_m ...; it may not). Or no file: `tension_N`, always the same.
     """
 
     kind: ClassVar[str] = "prescribed_tension"
     body: Body = Field(description="body at the other end")
-    file: FileName | None = Field(default=None, description="CSV file with time_s and LINE_tension_N")
+    file: FileName | None = Field(
+        default=None, description="CSV file with time_s and LINE_tension_N, or C3D with analog channels LINE_tension"
+    )
     tension_N: list[NotNegative] | None = Field(  # noqa: N815
         default=None, description="in place of a file: constant tension of each line [N]"
     )
@@ -72,7 +74,7 @@ class PrescribedTensionSection(EffectSection):
                 remedy="tension_N, or a scene file of that recording",
             )
         with setting.document.naming(*at, "file"):
-            table = read_csv(setting.path(self.file), units="1")
+            table = read_readings(setting.path(self.file))
             times = uniform_times(table.times, where=table.source)
             self._check_times(times, setting, table.source)
             known = [name.removesuffix("_tension") for name in table.names if name.endswith("_tension")]
@@ -113,11 +115,13 @@ class PrescribedTensionSection(EffectSection):
             )
 
     def _tensions(self, table: Table, lines: list[str]) -> np.ndarray:
-        names = [f"{line}_tension" for line in lines]
+        known = set(table.names)
+        names = [line if line in known and f"{line}_tension" not in known else f"{line}_tension" for line in lines]
         values = table.select(names).values
         for k, name in enumerate(names):
             if table.units[name] != "N":
-                raise InputError("no unit of force", where=f"{table.source}, column {name!r}", expected=f"{name}_N")
+                found = "no unit of force" if table.units[name] == "1" else f"its unit is {table.units[name]}"
+                raise InputError(found, where=f"{table.source}, column {name!r}", expected=f"{name}_N, a unit of force")
             bad = np.flatnonzero(~(values[:, k] >= 0))
             if bad.size:
                 raise InputError(

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from c3d_files import write_c3d
 from scipy.spatial.transform import Rotation
 from toy_scene_files import LIGHT, START, changed, load, refused, tibia_poses, write_poses
 
@@ -74,6 +75,42 @@ def test_readings_and_weights_are_at_the_frames_in_the_effects_units(toy: Path) 
     assert "no column called 'far'" in refused(toy, text.replace('"out_mm"', '"far"'))
     bare = LIGHT + READINGS + measured.replace('forces = "forces.csv"\n', "")
     assert "[measured] weights: a column of no file" in refused(toy, bare)
+
+
+def test_forces_may_be_channels_of_a_c3d_file(toy: Path) -> None:
+    pytest.importorskip("ezc3d", reason="the extra c3d is not installed")
+    t = np.arange(410) / 1000
+    hum = 20 * np.sin(2 * np.pi * 100 * t + 0.5)
+    channels = {
+        "Fz": ("N", 5 + 100 * t + hum),
+        "tendon": ("kN", 0.001 * t),
+        "cell": ("mN/V", t),
+        "bare": ("", t),
+        "odd": ("parsec", t),
+        "cord": ("N", 10 + t),
+    }
+    write_c3d(toy / "trial.c3d", np.ones((41, 1, 3)), ["A"], channels=channels)
+    text = LIGHT + MEASURED.replace("forces.csv", "trial.c3d").replace("contact_N", "Fz")
+    measured = load(toy, text).measured
+    assert measured is not None
+    assert measured.contact_force is not None
+    assert measured.tibial_spring_force is not None
+    frames = np.arange(41) / 100
+    np.testing.assert_allclose(measured.contact_force[1:-1], 5 + 100 * frames[1:-1], atol=1e-4)
+    np.testing.assert_allclose(measured.tibial_spring_force, frames, atol=1e-6)
+    said = {name: refused(toy, text.replace('"Fz"', f'"{name}"')) for name in ("cell", "bare", "odd", "Fx")}
+    assert "trial.c3d, column 'cell': its unit is mN/V; expected: a unit of N" in said["cell"]
+    assert "column 'bare': no unit; expected: a unit of N" in said["bare"]
+    assert "column 'odd': its unit is parsec; expected: a unit of N" in said["odd"]
+    assert "no column called 'Fx'; expected: did you mean 'Fz'?" in said["Fx"]
+    write_c3d(toy / "markers.c3d", np.ones((41, 1, 3)), ["A"])
+    assert "markers.c3d: the file holds no analog data" in refused(toy, text.replace("trial.c3d", "markers.c3d"))
+
+    muscles = '\n[[prescribed_tension]]\nname = "muscles"\nbody = "femur"\nfile = "trial.c3d"\nlines = ["cord"]\n'
+    muscles += "insertion_m = [0.02, 0, 0]\norigin_m = [0.2, 0, 0.03]\n"
+    tension, _ = load(toy, LIGHT + muscles).effect("muscles").at(0.1005)  # type: ignore[attr-defined]
+    np.testing.assert_allclose(tension, [10.1005], rtol=1e-5)
+    assert "'cell': its unit is mN/V; expected: cell_N" in refused(toy, LIGHT + muscles.replace('"cord"', '"cell"'))
 
 
 def test_frames_of_the_patella_that_are_out_of_line_are_left_out_and_named(toy: Path) -> None:

@@ -1,0 +1,102 @@
+"""Whether bytes are a whole C3D file, before ezc3d reads it.
+
+ezc3d may loop for ever on damaged parameters, and shortens truncated files without a warning. So the chain of
+parameters is walked first, and the length of the data section is compared with the header (layout: c3d.org user guide,
+"The C3D file format").
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+
+from pftwin.base.errors import InputError
+
+_BLOCK = 512
+_INTEL, _DEC, _MIPS = 84, 85, 86
+
+
+def check_c3d_structure(content: bytes, *, where: object) -> None:
+    """Refuse bytes that are not a whole C3D file.
+
+    Raises:
+        InputError: no C3D signature, a damaged or incomplete parameter section, a truncated data section.
+    """
+    if len(content) < 2 or content[1] != 0x50 or content[0] < 1:
+        raise InputError("the content is not C3D", where=where, expected="a C3D file (its second byte is 0x50)")
+    start = (content[0] - 1) * _BLOCK
+    if len(content) < start + 4:
+        raise _truncated("its parameter section", where)
+    processor = content[start + 3]
+    if processor not in (_INTEL, _DEC, _MIPS):
+        raise _damaged(where)
+    order = ">" if processor == _MIPS else "<"
+    _walk_parameters(content, start + 4, order, where)
+    if processor != _DEC:  # the sign of DEC's float is elsewhere
+        _check_length(content, order, where)
+
+
+def _walk_parameters(content: bytes, position: int, order: str, where: object) -> None:
+    groups, used = set(), set()
+    while True:
+        if position + 2 > len(content):
+            raise _truncated("its parameter section", where)
+        length, group = struct.unpack_from("2b", content, position)
+        length = abs(length)
+        if length == 0:
+            break
+        link = position + 2 + length
+        if link + 2 > len(content):
+            raise _truncated("its parameter section", where)
+        step = struct.unpack_from(order + "h", content, link)[0]
+        if group == 0 or step < 0 or any(byte < 32 for byte in content[position + 2 : link]):
+            raise _damaged(where)
+        (groups if group < 0 else used).add(abs(group))
+        last = step == 0
+        _check_record(content, link + 2, len(content) if last else link + step, group, where)
+        if last:
+            break
+        position = link + step
+    if used - groups:
+        raise _damaged(where)
+
+
+def _check_record(content: bytes, begin: int, end: int, group: int, where: object) -> None:
+    """A group's or parameter's data and description lie within its record."""
+    end = min(end, len(content))
+    if group > 0:
+        if begin + 2 > end:
+            raise _damaged(where)
+        kind, dimensions = struct.unpack_from("bB", content, begin)
+        begin += 2 + dimensions
+        # ezc3d crashes on a text without dimensions, a single character, which no program is known to write.
+        if kind not in (-1, 1, 2, 4) or not (kind == -1) <= dimensions <= 7 or begin > end:
+            raise _damaged(where)
+        begin += abs(kind) * math.prod(content[begin - dimensions : begin])
+    if begin >= end or begin + 1 + content[begin] > end:
+        raise _damaged(where)
+
+
+def _damaged(where: object) -> InputError:
+    return InputError("the parameter section of this C3D file is damaged", where=where, remedy="export it again")
+
+
+def _check_length(content: bytes, order: str, where: object) -> None:
+    if len(content) < 20:
+        raise _truncated("its header", where)
+    points, analogs, first, last = struct.unpack_from(order + "4H", content, 2)
+    (scale,) = struct.unpack_from(order + "f", content, 12)
+    (block,) = struct.unpack_from(order + "H", content, 16)
+    if last == 0xFFFF or last < first or block < 2:
+        return  # a longer recording than the header can count: nothing to compare with
+    frame = (4 * points + analogs) * (4 if scale < 0 else 2)
+    wanted = (block - 1) * _BLOCK + (last - first + 1) * frame
+    if len(content) < wanted:
+        there = max(0, len(content) - (block - 1) * _BLOCK) // max(frame, 1)
+        raise _truncated(f"frame {there} of {last - first + 1}", where)
+
+
+def _truncated(place: str, where: object) -> InputError:
+    return InputError(
+        f"the C3D file breaks off in {place}: it is truncated", where=where, remedy="copy or export the file again"
+    )

@@ -52,6 +52,7 @@ class Limits:
     most_angular_speed_rad_per_s: float = 50.0  # of the tibia in the femur between frames; a fast kick has 30
     most_marker_residual_mm: float = 5.0  # root mean square over a cluster in one frame
     most_marker_residual_ratio: float = 10.0  # to the median of the other clusters, where it exceeds 1 mm
+    most_center_deviation_mm: float = 5.0  # standard deviation of a joint's centre that is found from the motion
     most_start_shift_mm: float = 10.0  # from the recorded start to the equilibrium
     most_start_turn_deg: float = 15.0
 

@@ -4,6 +4,7 @@ from pftwin.files.mocap.c3d import read_c3d, read_c3d_channels
 from pftwin.files.mocap.csv_files import read_csv, read_marker_csv, write_csv
 from pftwin.files.mocap.filters import Gap, butterworth_lowpass, fill_gaps, find_gaps, singular_spectrum_filter
 from pftwin.files.mocap.frames import cluster_poses, mean_cluster, segment_poses, three_point_frames
+from pftwin.files.mocap.joint_centers import JointCenter, sphere_center
 from pftwin.files.mocap.markers import MarkerTrajectories
 from pftwin.files.mocap.pose_files import read_poses
 from pftwin.files.mocap.poses import PoseSeries, mirror_left_markers, mirror_left_poses
@@ -15,6 +16,7 @@ from pftwin.files.mocap.trc import read_trc, write_trc
 
 __all__ = [
     "Gap",
+    "JointCenter",
     "MarkerTrajectories",
     "PoseSeries",
     "Table",
@@ -37,6 +39,7 @@ __all__ = [
     "read_trc",
     "segment_poses",
     "singular_spectrum_filter",
+    "sphere_center",
     "three_point_frames",
     "write_csv",
     "write_trc",

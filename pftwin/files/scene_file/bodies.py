@@ -11,8 +11,9 @@ from pftwin.base.errors import InputError
 from pftwin.base.leaves import number, vector
 from pftwin.files.mocap import PoseSeries
 from pftwin.files.mocap.jumps import in_words, jumps
+from pftwin.files.scene_file.recording import SegmentRecording
 from pftwin.files.scene_file.section import Point, Positive, Section
-from pftwin.files.scene_file.segments import PoseSection, SegmentRecording, SegmentSection
+from pftwin.files.scene_file.segments import PoseSection, SegmentSection
 from pftwin.files.scene_file.side import HostPose, Side
 from pftwin.model.motion import KneeMotion
 from pftwin.model.scene import PatellaBody

@@ -51,7 +51,12 @@ class ClusterFits:
                 f"markers fit a rigid body within {1e3 * worst:.1f} mm rms in frame {frame} (from 0): names swapped?"
             )
             raise beyond("most_marker_residual_mm", most, found, 1e3 * worst)
-        self.notes.append(f"{name}: markers fit a rigid body within {1e3 * worst:.2f} mm rms")
+        fitted = poses.positions[:, None] + np.einsum("nij,mj->nmi", poses.matrices(), place)
+        each = 1e3 * np.sqrt(np.nanmean(np.sum((seen - fitted) ** 2, axis=2), axis=0))
+        listed = ", ".join(f"{marker} {rms:.2f}" for marker, rms in zip(cluster, each, strict=True))
+        self.notes.append(
+            f"{name}: markers fit a rigid body within {1e3 * worst:.2f} mm rms; over the motion {listed} mm rms"
+        )
         self._worst[name] = worst
         if np.linalg.svd(place - place.mean(axis=0), compute_uv=False)[2] < FLAT * np.ptp(place, axis=0).max():
             self._flat.append(name)

@@ -19,9 +19,10 @@ from pftwin.files.scene_file.document import Document
 from pftwin.files.scene_file.effect_tables import EffectSection, Setting
 from pftwin.files.scene_file.measured_table import MeasuredSection
 from pftwin.files.scene_file.problems import scene_error
+from pftwin.files.scene_file.recording import SegmentRecording
 from pftwin.files.scene_file.registry import effect_tables
 from pftwin.files.scene_file.section import ONE_OR_MANY, FileName, Reading, Section
-from pftwin.files.scene_file.segments import MotionSection, PoseSection, SegmentRecording
+from pftwin.files.scene_file.segments import MotionSection, PoseSection
 from pftwin.files.scene_file.side import AxesSection, HostPose, Side
 from pftwin.model.limits import Limits
 from pftwin.model.scene import Scene, check
@@ -158,7 +159,7 @@ def _loaded(
     with document.naming("limits"):
         limits = Limits.of({**file.limits, **dict(own_limits)})
     notes: list[str] = []
-    segments = SegmentRecording(file.motion, document, notes, limits)
+    segments = SegmentRecording(file.motion, {"femur": file.femur, "tibia": file.tibia}, document, notes, limits)
     motion, fixed_femur, femur = guided_motion(file.femur, file.tibia, segments, side)
     start = start_pose(file.patella.start, segments, side, motion, fixed_femur, femur)
     beside = start if femur is None else HostPose.of(femur.positions[0], femur.quaternions[0]).inverse() @ start

@@ -12,8 +12,9 @@ from pftwin.base.errors import InputError
 from pftwin.files.mocap import PoseSeries, Table, frame_means, read_readings, singular_spectrum_filter
 from pftwin.files.mocap.units import SI_UNITS, split_unit
 from pftwin.files.scene_file.document import Document
+from pftwin.files.scene_file.recording import SegmentRecording
 from pftwin.files.scene_file.section import FileName, Section
-from pftwin.files.scene_file.segments import SegmentRecording, SegmentSection
+from pftwin.files.scene_file.segments import SegmentSection
 from pftwin.files.scene_file.side import HostPose, Side
 from pftwin.model.scene import Scene
 

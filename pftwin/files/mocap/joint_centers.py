@@ -1,0 +1,117 @@
+"""Centres of joints from the motion: the point about which markers of a neighbouring segment turn."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pftwin.base.errors import InputError
+
+_CAMERAS = 1e-4  # noise [m] that markers have at least, however well a motion fits: 0.1 mm
+_MORE_THAN_NOISE = 2.0  # times the squares that noise alone makes: below, centres lie anywhere, often among the markers
+
+
+@dataclass(frozen=True, eq=False)
+class JointCenter:
+    """A centre, and how well the motion tells it.
+
+    Attributes:
+        point: (3,) place in the frame of the markers' coordinates [m].
+        deviation: its standard deviation in the direction that the motion tells worst [m]; infinite where it tells
+            nothing, as along the axis of a hinge, or no more than the markers' noise would.
+        residual_rms: root mean square change of the markers' distances from it [m].
+        reach: how far the markers turn about it from the middle of their paths [rad].
+    """
+
+    point: NDArray[np.float64]
+    deviation: float
+    residual_rms: float
+    reach: float
+
+
+def sphere_center(points: ArrayLike, *, source: str = "joint centre") -> JointCenter:
+    """The common centre of spheres on which markers move, each on one of its own radius, by least squares.
+
+    Minimised is how much each marker's distance from the centre changes. The search starts at the closed form of Gamage
+    and Lasenby (2002, J Biomech 35:87), which minimises changes of squared distances and is biased by noise (Halvorsen
+    2003, J Biomech 36:999).
+
+    The deviation is that of least squares with the residual's variance, or that of 0.1 mm where it is less. Where
+    residuals of successive frames are alike, as those of skin and of filtered markers are, there is less in them than
+    their number says: the variance is larger by 1 + 2 sum r_k, of their correlations at k frames apart up to the first
+    that is not positive.
+
+    Args:
+        points: (n, m, 3) metres in the frame of the segment in which the centre is fixed; NaN where missing. One marker
+            is enough.
+        source: for messages.
+
+    Raises:
+        InputError: another shape; fewer places than the centre and its distances have unknowns.
+    """
+    p = np.asarray(points, dtype=np.float64)
+    if p.ndim != 3 or p.shape[1:] != (p.shape[1], 3):
+        raise InputError(f"markers of shape {p.shape}", where=source, expected="(n, m, 3)")
+    frame, marker = np.nonzero(np.isfinite(p).all(axis=2))
+    unknown = 3 + np.unique(marker).size
+    if marker.size <= unknown:
+        found = f"{marker.size} places of {p.shape[1]} markers"
+        raise InputError(found, where=source, expected=f"more than {unknown}: a motion about the joint")
+    from scipy.optimize import least_squares
+
+    middle = p[frame, marker].mean(axis=0)
+    places = p[frame, marker] - middle
+    count = np.maximum(np.bincount(marker), 1)
+
+    def about_mean(values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Values (k, ...) less their mean over each marker's frames."""
+        rows = values.reshape(marker.size, -1)
+        mean = np.stack([np.bincount(marker, column) / count for column in rows.T], axis=-1)
+        return (rows - mean[marker]).reshape(values.shape)
+
+    def distances(center: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.linalg.norm(places - center, axis=1)
+
+    def directions(center: NDArray[np.float64]) -> NDArray[np.float64]:
+        return (places - center) / np.maximum(distances(center), 1e-12)[:, None]
+
+    start = np.linalg.lstsq(2 * about_mean(places), about_mean(np.sum(places**2, axis=1)), rcond=None)[0]
+    found = least_squares(
+        lambda center: about_mean(distances(center)),
+        start,
+        jac=lambda center: -about_mean(directions(center)),  # pyright: ignore[reportArgumentType]
+        method="lm",
+        xtol=1e-14,
+        ftol=1e-14,
+        gtol=1e-14,
+    )
+    change, rays = found.fun, directions(found.x)
+    noise = float(np.mean((change / np.maximum(distances(found.x), 1e-12)) ** 2))  # that directions have of it
+    deviation = _deviation(about_mean(rays), change, marker, marker.size - unknown, noise)
+    mean = rays - about_mean(rays)
+    cosine = np.sum(rays * mean, axis=1) / np.maximum(np.linalg.norm(mean, axis=1), 1e-12)
+    reach = float(np.arccos(np.clip(cosine.min(), -1.0, 1.0)))
+    return JointCenter(middle + found.x, deviation, float(np.sqrt(np.mean(change**2))), reach)
+
+
+def _deviation(
+    slopes: NDArray[np.float64],
+    change: NDArray[np.float64],
+    marker: NDArray[np.intp],
+    freedom: int,
+    noise: float,
+) -> float:
+    """Standard deviation in the worst direction, from the slopes (k, 3) and values (k,) of the residuals."""
+    least = float(np.linalg.eigvalsh(slopes.T @ slopes)[0])
+    if not least > (1e-14 + _MORE_THAN_NOISE * noise) * marker.size:
+        return np.inf
+    from scipy.signal import correlate
+
+    products = np.zeros(marker.size)  # of residuals that are k frames apart, over all markers
+    for each in (change[marker == i] for i in np.unique(marker)):
+        products[: each.size] += correlate(each, each)[each.size - 1 :]
+    alike = int(np.argmax(np.append(products, 0.0) <= 0))
+    squares = products[0] + 2 * products[1:alike].sum()
+    return float(np.sqrt(max(squares / freedom, _CAMERAS**2) / least))

@@ -1,0 +1,174 @@
+"""The recording of a scene file: read once, mended and filtered, and made into each segment's poses."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from pftwin.base.arrays import Floats
+from pftwin.base.errors import InputError
+from pftwin.files.mocap import (
+    MarkerTrajectories,
+    PoseSeries,
+    butterworth_lowpass,
+    fill_gaps,
+    mean_cluster,
+    read_markers,
+    read_poses,
+    segment_poses,
+    three_point_frames,
+)
+from pftwin.files.mocap.poses import check_same_times
+from pftwin.files.scene_file.clusters import ClusterFits
+from pftwin.files.scene_file.document import Document
+from pftwin.files.scene_file.joint_centers import JointCenterSection
+from pftwin.files.scene_file.segments import MotionSection, SegmentSection
+from pftwin.model.limits import Limits
+
+
+def _check_there(file: Path) -> None:
+    if not file.is_file():
+        raise InputError("no such file", where=file, remedy="check the path; relative ones start at the scene file")
+
+
+class SegmentRecording:
+    """Reads the recording once, and gives each segment's poses in the world."""
+
+    def __init__(
+        self,
+        motion: MotionSection,
+        segments: Mapping[str, SegmentSection],
+        document: Document,
+        notes: list[str],
+        limits: Limits,
+    ) -> None:
+        self.motion, self.segments, self.document, self.notes = motion, segments, document, notes
+        self.clusters, self.limits = ClusterFits(limits, notes), limits
+        self._poses: dict[str, PoseSeries] = {}
+        self._whole: dict[tuple[str, ...], PoseSeries] = {}
+        self._centers: dict[str, Floats | None] = {}  # places (n, 3) [m]; None while they are looked for
+        self._markers: MarkerTrajectories | None = None
+
+    def whole(self, section: SegmentSection, *at: str) -> PoseSeries:
+        """The poses of a segment over the whole recording; `at` is its place in the scene file."""
+        if at not in self._whole:
+            self._whole[at] = self._read(section, *at)
+        return self._whole[at]
+
+    def _read(self, section: SegmentSection, *at: str) -> PoseSeries:
+        if section.body is not None:
+            with self.document.naming(*at, "body"):
+                return self._body(section.body)
+        if section.cluster_m is not None:
+            with self.document.naming(*at, "cluster_m"):
+                markers = self._filtered(section.marker_names())
+                poses = segment_poses(markers, section.cluster_m, source=f"{markers.source}, {at[0]}")
+                self.clusters.take(".".join(at), section.cluster_m, markers, poses)
+                return poses
+        assert section.three_points is not None
+        three = section.three_points
+        with self.document.naming(*at, "three_points"):
+            markers = self._filtered(three.markers)
+            a, b, c = (markers.marker(name) for name in three.markers)
+            source = f"{markers.source}, {at[0]}"
+            poses = three_point_frames(a, b, c, markers.times, axes=three.axes, source=source)
+            return poses.compose(three.segment.pose().pose())
+
+    def poses(self, section: SegmentSection, *at: str) -> PoseSeries:
+        """The poses of a segment in the time range of the scene."""
+        poses = self.whole(section, *at)
+        start, end = self.motion.start_time_s, self.motion.end_time_s
+        if start is None and end is None:
+            return poses
+        low = float(poses.times[0]) if start is None else start
+        high = float(poses.times[-1]) if end is None else end
+        slack = 1e-6 * max(1.0, abs(low), abs(high))
+        for key, asked, inside in (("start_time_s", low, poses.times[0]), ("end_time_s", high, poses.times[-1])):
+            if (asked < inside - slack) if key == "start_time_s" else (asked > inside + slack):
+                raise InputError(
+                    f"found {asked:g}",
+                    where=self.document.where("motion", key),
+                    expected=f"a time within the recording, {poses.times[0]:g} s to {poses.times[-1]:g} s",
+                )
+        with self.document.naming("motion"):
+            return poses.between(low, high)
+
+    def _body(self, name: str) -> PoseSeries:
+        file = self.motion.poses
+        if file is None:
+            raise InputError("a body needs a file of poses", remedy='poses = "FILE.csv" in [motion]')
+        with self.document.naming("motion", "poses"):
+            path = self.document.file(file)
+            _check_there(path)
+        if name not in self._poses:
+            self._poses.update(read_poses(str(path), [name], rate=self.motion.rate_Hz))
+        return self._poses[name]
+
+    def _filtered(self, names: list[str]) -> MarkerTrajectories:
+        """The named markers with gaps filled, filtered; fixed points and joint centres among them as they are."""
+        motion, recorded = self.motion, self._recorded()
+        still = {name: np.array(motion.fixed_points_m[name]) for name in names if name in motion.fixed_points_m}
+        more = {**still, **{name: self._center(name) for name in names if name in motion.joint_centers}}
+        seen = [name for name in names if name not in more]
+        markers, gaps = fill_gaps(recorded.select(seen), max_gap_s=motion.max_gap_s)
+        self.notes.extend(f"{g.marker}: filled frames {g.first_frame} to {g.last_frame}" for g in gaps)
+        if motion.cutoff_Hz is not None:
+            markers = self._low_passed(markers, motion.cutoff_Hz)
+        added = [np.broadcast_to(path, (markers.times.size, 3))[:, None] for path in more.values()]
+        positions = np.concatenate([markers.positions, *added], axis=1)
+        return MarkerTrajectories(markers.times, (*seen, *more), positions, markers.source)
+
+    def _recorded(self) -> MarkerTrajectories:
+        """All markers as their file has them."""
+        if self.motion.markers is None:
+            raise InputError("a cluster needs a file of markers", remedy='markers = "FILE.trc" in [motion]')
+        if self._markers is None:
+            with self.document.naming("motion", "markers"):
+                self._markers = read_markers(str(self.document.file(self.motion.markers)), units=self.motion.units)
+        return self._markers
+
+    def _center(self, name: str) -> Floats:
+        """Places (n, 3) of a joint's centre in the world [m]."""
+        path = self._centers.get(name)
+        if path is not None:
+            return path
+        with self.document.naming("motion", "joint_centers", name):
+            if name in self._centers:
+                raise InputError(f"{name} is found by means of itself", expected="a segment that is seen without it")
+            self._centers[name] = None
+            section = self.motion.joint_centers[name]
+            frame = self._frame(section)
+            turning = None if section.of is None else self._filtered(section.of)
+            self._centers[name] = path = section.path(name, frame, turning, self.limits, self.notes)
+        return path
+
+    def _frame(self, center: JointCenterSection) -> PoseSeries:
+        """Poses of that in which a joint's centre is fixed, at the markers' times."""
+        times = self._recorded().times
+        world = PoseSeries(times, np.zeros((times.size, 3)), np.tile([1.0, 0, 0, 0], (times.size, 1)), source="world")
+        if center.about_markers is not None:
+            markers = self._filtered(center.about_markers)
+            return segment_poses(markers, mean_cluster(markers, center.about_markers))
+        if center.about == "world":
+            return world
+        section = self.segments[center.about]
+        if section.fixed is not None:
+            return world.compose(section.fixed.pose().pose())
+        poses = self.whole(section, center.about)
+        check_same_times(poses, world)
+        return poses
+
+    def _low_passed(self, markers: MarkerTrajectories, cutoff: float) -> MarkerTrajectories:
+        motion = self.motion
+        with self.document.naming("motion", "cutoff_Hz"):
+            return markers.with_positions(
+                butterworth_lowpass(
+                    markers.positions,
+                    markers.rate,
+                    cutoff,
+                    motion.filter_order,
+                    correct_two_passes=motion.correct_two_passes,
+                )
+            )

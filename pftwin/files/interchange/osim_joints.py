@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.interpolate import BSpline, make_interp_spline
+from scipy.interpolate import BSpline, PPoly, make_interp_spline
 from scipy.spatial.transform import Rotation
 
 from pftwin.base.arrays import Floats
@@ -74,7 +74,7 @@ def _through_points(element: Element) -> Function:
             f"{x.size} abscissae and {y.size} values", where=element.where, expected="as many, two or more, ascending"
         )
     try:
-        return spline(x, y) if element.tag == "SimmSpline" else _continued(make_interp_spline(x, y, 1), x)
+        return spline(x, y) if element.tag == "SimmSpline" else continued(make_interp_spline(x, y, 1), x)
     except ValueError as error:  # slopes that overflow
         raise InputError(f"no curve goes through its points: {error}", where=element.where) from error
 
@@ -86,17 +86,17 @@ def spline(x: Floats, y: Floats) -> Function:
     three points the third derivatives at the ends are zero, and two are joined by a line.
     """
     if x.size == 2:
-        return _continued(make_interp_spline(x, y, 1), x)
+        return continued(make_interp_spline(x, y, 1), x)
     ends = [0.0, 0.0]
     if x.size > 3:
         second = np.diff(np.diff(y) / np.diff(x)) / (x[2:] - x[:-2])
         third = np.diff(second) / (x[3:] - x[:-3])
         ends = [6 * third[0], 6 * third[-1]]
     known: Any = [(3, ends[0])], [(3, ends[1])]  # order and value of a derivative at each end
-    return _continued(make_interp_spline(x, y, 3, bc_type=known), x)
+    return continued(make_interp_spline(x, y, 3, bc_type=known), x)
 
 
-def _continued(inside: BSpline, x: Floats) -> Function:
+def continued(inside: BSpline | PPoly, x: Floats) -> Function:
     """A curve through abscissae x, and beyond them its tangents at the ends."""
     slope = inside.derivative()
 

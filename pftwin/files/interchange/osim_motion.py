@@ -30,6 +30,7 @@ class Motion(NamedTuple):
     poses: dict[str, tuple[Floats, Floats]]  # positions (n, 3) [m] and quaternions (n, 4), scalar first, by body
     said: str
     measured: bool = False  # whether the patella's are measurements
+    values: dict[str, Floats] | None = None  # of coordinates by name (n,) [rad] or [m]; None: of recorded poses
 
 
 def motion_of(
@@ -56,7 +57,7 @@ def motion_of(
         raise InputError("a rate without a file of poses", where="rate", expected="times in seconds, and no rate")
     found = flexed_through_range(tree, knee, bend) if path is None else recorded(tree, path)
     times, values, said = found
-    return Motion(times, poses(tree, [knee.femur, knee.tibia, knee.patella], times, values), said)
+    return Motion(times, poses(tree, [knee.femur, knee.tibia, knee.patella], times, values), said, values=values)
 
 
 def flexed_through_range(tree: Tree, knee: OsimKnee, name: str | None = None) -> tuple[Floats, dict[str, Floats], str]:

@@ -14,9 +14,9 @@ from pftwin.files.interchange.osim_document import Element, Frames
 from pftwin.files.interchange.osim_knee import OsimKnee, part_and_pose
 from pftwin.files.interchange.osim_model import OsimModel, plain_name
 
-_BODIES = ("femur", "tibia", "ground")
+BODIES = ("femur", "tibia", "ground")
 _STRENGTH = "max_isometric_force"
-_POINTS = ("PathPoint", "ConditionalPathPoint", "MovingPathPoint")
+POINTS = ("PathPoint", "ConditionalPathPoint", "MovingPathPoint")
 
 
 class PatellarMuscle(NamedTuple):
@@ -38,12 +38,12 @@ class PatellarMuscle(NamedTuple):
     @property
     def takes_tension(self) -> bool:
         """Whether a scene can have it with a tension that is shared out."""
-        return self.plain and self.body in _BODIES and self.strength is not None and self.strength > 0
+        return self.plain and self.body in BODIES and self.strength is not None and self.strength > 0
 
     def describe(self) -> str:
         """Why it was left out, and its two ends, for whoever adds it to the scene."""
         ends = f"insertion_m = {_point(self.insertion)}, origin_m = {_point(self.origin)} on the {self.body}"
-        if self.body not in _BODIES:
+        if self.body not in BODIES:
             return f"it comes from the {self.body}, which a scene does not have; {ends}"
         if not self.plain:
             return f"its points move, or it passes over the patella: only one straight line can be taken; {ends}"
@@ -64,11 +64,11 @@ def muscles_of(root: Element, model: OsimModel, knee: OsimKnee) -> Iterator[Pate
 def _at_patella(force: Element, model: OsimModel, knee: OsimKnee, frames: Frames) -> PatellarMuscle | None:
     """Of a force with a path from elsewhere to the patella; None of any other."""
     at = []
-    for p in force.all(*_POINTS):
+    for p in force.all(*POINTS):
         frame = frames.find(p.needed("socket_parent_frame").text, p, p.where)
         part, pose = part_and_pose(model, knee, frame)
         place = p.numbers_of("location", (np.nan,) * 3)  # one that moves has functions in its place
-        at.append((part, pose[:3, :3] @ place + pose[:3, 3], p.tag == _POINTS[0]))
+        at.append((part, pose[:3, :3] @ place + pose[:3, 3], p.tag == POINTS[0]))
     pairs = [(i, j) for i in range(len(at)) for j in (i - 1, i + 1) if at[i][0] == "patella" and 0 <= j < len(at)]
     pairs = [(i, j) for i, j in pairs if at[j][0] != "patella"]
     if not pairs:
@@ -91,7 +91,7 @@ def shared_tensions(muscles: Sequence[PatellarMuscle], total: float) -> dict[str
     refuse_repeated([m.line for m in muscles], "muscles", where="quadriceps")
     taken = [m for m in muscles if m.takes_tension]
     if not taken:
-        expected = f"one whose path comes to it from the {', '.join(_BODIES)}, with {_STRENGTH}"
+        expected = f"one whose path comes to it from the {', '.join(BODIES)}, with {_STRENGTH}"
         raise InputError("no muscle of the patella can have a tension", where="quadriceps", expected=expected)
     whole = sum(m.strength or 0.0 for m in taken)
     return {m.name: total * (m.strength or 0.0) / whole for m in taken}

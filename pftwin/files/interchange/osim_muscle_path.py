@@ -1,0 +1,180 @@
+"""The path of a muscle of an OpenSim model while the knee moves: its length, and the piece that ends on the patella.
+
+Points are those of a path, some of which may be there only while a coordinate is in a range, or move with one. Between
+them it is straight.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from pftwin.base.arrays import Floats
+from pftwin.base.errors import InputError
+from pftwin.files.interchange.osim_document import GROUND, Element, Frames
+from pftwin.files.interchange.osim_joints import Coordinate, function_in
+from pftwin.files.interchange.osim_knee import OsimKnee, part_and_pose
+from pftwin.files.interchange.osim_model import OsimModel
+from pftwin.files.interchange.osim_motion import Motion
+from pftwin.files.interchange.osim_muscles import BODIES, POINTS
+
+FIXED, CONDITIONAL, MOVING = POINTS
+_LEAST = 1e-6  # of a path's length [m]
+_SLACK = 1e-5  # by which OpenSim lets a coordinate leave the range of a conditional point [rad] or [m]
+
+
+class PathOverMotion(NamedTuple):
+    """A muscle's path in the n frames of a motion."""
+
+    lengths: Floats  # (n,) of all of it [m]
+    insertion: Floats  # (3,) where it ends on the patella, in its frame [m]
+    origin: Floats  # (n, 3) the point before, in the body's frame [m]
+    body: str  # "femur", "tibia" or "ground"
+
+
+class MovingBodies:
+    """Where the bodies of a model are in ground while the knee moves.
+
+    Femur, tibia and patella are where the motion has them. Every other body stands to the one of them that carries it
+    (to the femur, if none does) as the model's joints say at the motion's coordinates: at their defaults where it has
+    none.
+    """
+
+    def __init__(self, model: OsimModel, knee: OsimKnee, motion: Motion) -> None:
+        self.model, self.knee, self.motion = model, knee, motion
+        self.count = motion.times.size
+        self.values = model.tree.values(motion.values or {}, self.count)
+        self._found: dict[str, Floats] = {GROUND: np.tile(np.eye(4), (self.count, 1, 1))}
+
+    def pose(self, body: str) -> Floats:
+        """(n, 4, 4) of a body.
+
+        Raises:
+            InputError: a body that no chain of joints connects with ground.
+        """
+        if body not in self._found:
+            self._found[body] = self._given(body) if body in self.motion.poses else self._carried(body)
+        return self._found[body]
+
+    def of_part(self, part: str) -> Floats:
+        """(n, 4, 4) of "femur", "tibia" or "patella", or of a body that is none of them."""
+        return self.pose(getattr(self.knee, part) if part in ("femur", "tibia", "patella") else part)
+
+    def coordinate(self, path: str, where: str) -> tuple[Coordinate, Floats]:
+        """A coordinate by the path of a socket, and its values (n,).
+
+        Raises:
+            InputError: there is none, or the motion does not tell it.
+        """
+        name = path.strip().rpartition("/")[2]
+        known = self.model.tree.coordinates()
+        if name not in known:
+            raise InputError(f"no coordinate {name!r}", where=where)
+        if self.motion.values is None:
+            raise InputError(
+                f"a point of a muscle's path goes by the coordinate {name!r}, which poses do not tell",
+                where=where,
+                remedy="--motion with a file of coordinates",
+            )
+        return known[name], self.values[name]
+
+    def _given(self, body: str) -> Floats:
+        places, turns = self.motion.poses[body]
+        out = np.tile(np.eye(4), (self.count, 1, 1))
+        out[:, :3, :3], out[:, :3, 3] = Rotation.from_quat(turns, scalar_first=True).as_matrix(), places
+        return out
+
+    def _carried(self, body: str) -> Floats:
+        tree, bones = self.model.tree, (self.knee.tibia, self.knee.patella)
+        roots = {tree.welded(bone)[0]: bone for bone in bones}
+        below, carrier = tree.welded(body)[0], self.knee.femur
+        while below in tree.joints:
+            if below in roots:
+                carrier = roots[below]
+                break
+            below = tree.welded(tree.joints[below].parent.body)[0]
+        rest, own = (tree.pose(b, self.values, self.count) for b in (carrier, body))
+        return self.pose(carrier) @ np.linalg.inv(rest) @ own
+
+
+class _Point(NamedTuple):
+    """A point of a path."""
+
+    part: str  # of the knee, or another body's name
+    own: Floats  # (n, 3) in that part's frame [m]
+    place: Floats  # (n, 3) in ground [m]
+    there: Floats  # (n,) whether the path has it
+    fixed: bool
+
+
+def path_over_motion(muscle: Element, frames: Frames, bodies: MovingBodies) -> PathOverMotion | None:
+    """A muscle's path; None if not exactly one piece of it ends at a fixed place of the patella, in every frame.
+
+    Args:
+        muscle: its element.
+        frames: of the model.
+        bodies: of the knee, as they move.
+
+    Raises:
+        InputError: points without a place; coordinates that are not known; a path without a length.
+    """
+    points = [_point(p, frames, bodies) for p in muscle.all(*POINTS)]
+    lengths, ends = np.zeros(bodies.count), np.zeros((bodies.count, 2), int)
+    there = np.stack([p.there for p in points])
+    for pattern in np.unique(there, axis=1).T:
+        at = (there == pattern[:, None]).all(axis=0)
+        used = np.flatnonzero(pattern)
+        pairs = list(pairwise(used))
+        touching = [p for p in pairs if (points[p[0]].part == "patella") != (points[p[1]].part == "patella")]
+        if len(touching) != 1:
+            return None
+        i, j = touching[0]
+        ends[at] = (i, j) if points[i].part == "patella" else (j, i)
+        lengths[at] = sum(np.linalg.norm(points[a].place[at] - points[b].place[at], axis=-1) for a, b in pairs)
+    if not (lengths > _LEAST).all():
+        where = f"{muscle.where}, frame {1 + int(np.argmin(lengths))}"
+        raise InputError(f"the path of {muscle.name!r} has no length", where=where, expected="points that differ")
+    inserted = np.unique(ends[:, 0])
+    if len(inserted) > 1 or not points[inserted[0]].fixed:
+        return None
+    before = {points[k].part for k in ends[:, 1]}
+    body = before.pop() if len(before) == 1 else "femur"
+    body = body if body in BODIES else "femur"
+    places = np.stack([points[k].place[f] for f, k in enumerate(ends[:, 1])])
+    inverse = np.linalg.inv(bodies.of_part(body))
+    origin = np.einsum("nij,nj->ni", inverse[:, :3, :3], places) + inverse[:, :3, 3]
+    return PathOverMotion(lengths, points[inserted[0]].own[0], origin, body)
+
+
+def _point(element: Element, frames: Frames, bodies: MovingBodies) -> _Point:
+    frame = frames.find(element.needed("socket_parent_frame").text, element, element.where)
+    part, pose = part_and_pose(bodies.model, bodies.knee, frame)
+    here, there = np.zeros((bodies.count, 3)), np.ones(bodies.count, bool)
+    if element.tag == MOVING:
+        for k, axis in enumerate("xyz"):
+            here[:, k] = _moving(element, axis, bodies)
+    else:
+        here += element.needed("location").numbers(3)
+    if element.tag == CONDITIONAL:
+        low, high = element.needed("range").numbers(2)
+        _, values = bodies.coordinate(element.needed("socket_coordinate").text, element.where)
+        there = (values >= low - _SLACK) & (values <= high + _SLACK)
+    own = here @ pose[:3, :3].T + pose[:3, 3]
+    carrier = bodies.of_part(part)
+    place = np.einsum("nij,nj->ni", carrier[:, :3, :3], own) + carrier[:, :3, 3]
+    return _Point(part, own, place, there, element.tag != MOVING)
+
+
+def _moving(element: Element, axis: str, bodies: MovingBodies) -> Floats:
+    """A coordinate of a moving point in its frame (n,) [m]; the one that moves it stays within its range."""
+    function = function_in(element, f"{axis}_location")
+    if function is None:
+        return np.zeros(bodies.count)
+    socket = element.words(f"socket_{axis}_coordinate")
+    if not socket:
+        return function(np.zeros(bodies.count))
+    coordinate, values = bodies.coordinate(socket, element.where)
+    return function(np.clip(values, coordinate.low, coordinate.high))

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     from pftwin.model.effects.line_elements import LineElement
     from pftwin.model.scene import Scene
 
+_PROXIMAL = np.array([1.0, 0.0, 0.0])
+_UPWARD = 0.5  # share of a pull that is proximal: a retinaculum's is less, a quadriceps' more
 _ROUNDED = 0.02  # by how much, as a share, rounded moments of inertia may break the triangle inequality
 
 
@@ -40,6 +42,7 @@ class Limits:
     least_button_radius_mm: float = 2.0
     most_button_radius_mm: float = 100.0
     least_lines: float = 1.0  # of force; without any nothing holds the patella
+    least_upward_lines: float = 1.0  # of those that pull it proximally, as a quadriceps; asked of motions alone
     most_line_mm: float = 1000.0  # distance from insertion to origin at the start
     least_slack_share: float = 0.05  # slack length by that distance
     most_slack_share: float = 1.5
@@ -118,6 +121,20 @@ def check_limits(scene: Scene, limits: Limits) -> None:
                 raise beyond(name, limit, words, found.value, scene.name)
 
 
+def upward_lines(scene: Scene) -> int:
+    """How many lines can pull along the proximal axis of the patella, or of the femur, as they lie at the start."""
+    femur = first_pose(scene.motion, "femur")
+    axes = [_turned(scene.start.orientation.rotation(), _PROXIMAL), _PROXIMAL if femur is None else femur[1][:, 0]]
+    count = 0
+    for effect in scene.effects:
+        line = effect.line_element()
+        if line is not None and line.line_ends[1] != "tibia":
+            way = _at_start(scene, line)
+            along = np.max(way @ np.transpose(axes), axis=-1) > _UPWARD * np.linalg.norm(way, axis=-1)
+            count += int(np.count_nonzero(along & line.pulls()))
+    return count
+
+
 def _unit(name: str) -> str:
     """The unit at the end of a limit's name, as it is written."""
     for ending, unit in (("rad_per_s", "rad/s"), ("m_per_s2", "m/s^2"), ("share", "times the distance"), ("lines", "")):
@@ -155,15 +172,20 @@ def _of_effects(scene: Scene) -> Iterator[Found]:
                 yield Found(f"{'.'.join((effect.name, *path))}", largest, most=most)
 
 
-def _of_line(scene: Scene, line: LineElement) -> Iterator[Found]:
-    """Of the line of a group that is farthest off."""
+def _at_start(scene: Scene, line: LineElement) -> Floats:
+    """From insertion to origin (..., 3) at the start, in ground [m]."""
     inserted, body = line.line_ends
     start = scene.start
     here = host_array(start.position) + _turned(start.orientation.rotation(), host_array(inserted))
     there = host_array(line.origin_at(float(scene.motion.times[0])))
     if body != "ground" and (pose := first_pose(scene.motion, body)) is not None:
         there = pose[0] + there @ pose[1].T
-    length = np.atleast_1d(np.linalg.norm(there - here, axis=-1))
+    return np.atleast_2d(there - here)
+
+
+def _of_line(scene: Scene, line: LineElement) -> Iterator[Found]:
+    """Of the line of a group that is farthest off."""
+    length = np.linalg.norm(_at_start(scene, line), axis=-1)
     yield Found(
         f"the distance of {line.name} from insertion to origin at the start", 1e3 * length.max(), most="most_line_mm"
     )

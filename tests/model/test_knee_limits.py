@@ -12,9 +12,11 @@ from small_scene import small_result, small_scene, vec
 
 from pftwin import rig
 from pftwin.base.errors import InputError
+from pftwin.base.leaves import number, vector
 from pftwin.base.rotations import tibiofemoral_orientation
 from pftwin.files.mocap.poses import PoseSeries
-from pftwin.model.limits import Limits
+from pftwin.model.effects.tension import PrescribedTension
+from pftwin.model.limits import Limits, upward_lines
 from pftwin.model.motion import KneeMotion
 from pftwin.model.scene import check
 
@@ -90,6 +92,47 @@ def test_nothing_that_pulls_is_refused():
     with pytest.raises(InputError, match=r"lines of force .* is 0; expected: at least 1, .*least_lines"):
         check(scene)
     check(scene.with_limits(least_lines=0))
+
+
+def pulling(tension: float, origin: tuple[float, float, float], body: str = "femur"):
+    """The small knee with lines of a prescribed tension from above the button, in place of the quadriceps."""
+    line = PrescribedTension(
+        number([[0.0, 0.0], [0.0, tension]]),
+        vector(np.broadcast_to(origin, (2, 2, 3))),
+        vector([[0.02, 0.0, -0.008]] * 2),
+        start_time=0.0,
+        interval=0.05,
+        body=body,
+        name="muscle",
+    )
+    return knee().without("quadriceps").with_effect(line)
+
+
+def test_what_pulls_upward_is_counted():
+    """Lines that can pull, and within 60 deg of proximal; none from the tibia does."""
+    assert upward_lines(knee()) == 1
+    assert upward_lines(knee().without("quadriceps")) == 0
+    above = np.array([-0.005 + 0.02, 0.001, 0.05 - 0.008])  # the insertion; the patella is not turned at the start
+    side = np.tan(np.radians(59.0)), np.tan(np.radians(61.0))
+    for k, expected in zip(side, (1, 0), strict=True):
+        place = tuple(above + 0.05 * np.array([1, k, 0]))
+        assert upward_lines(pulling(3.0, place)) == expected
+        assert upward_lines(pulling(0.0, place)) == 0
+    assert upward_lines(pulling(3.0, (0.5, 0.0, 0.0), "tibia")) == 0
+
+
+def test_a_motion_that_nothing_pulls_upward_is_invalid():
+    result = small_result()
+    limits = {"most_start_turn_deg": 20}
+    scene = result.scene.without("quadriceps")
+    assert dataclasses.replace(result, scene=scene).verdict.valid  # no limits: any body on any surface
+    as_knee = dataclasses.replace(result, scene=scene.with_limits(**limits))
+    assert as_knee.verdict.reasons == (
+        "lines of force that pull the patella upward: 0 (at least 1: least_upward_lines)",
+    )
+    assert as_knee.summary().startswith("INVALID: lines of force that pull the patella upward: 0")
+    allowed = scene.with_limits(least_upward_lines=0, **limits)
+    assert dataclasses.replace(result, scene=allowed).verdict.valid
 
 
 def test_moments_that_no_body_has_are_refused_whatever_the_limits():

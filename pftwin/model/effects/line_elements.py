@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, ClassVar, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -112,6 +112,10 @@ class LineElement(Effect):
     def with_origin_moved(self, by: Vec3) -> Self:
         """The element with its other ends moved in their body's frame [m]."""
         return eqx.tree_at(lambda t: t.origin, self, self.origin + by)
+
+    def pulls(self) -> Any:
+        """Which of the lines (lines,) can pull at some time: all, unless overridden."""
+        return True
 
     def recentred(self, center_of_mass: Vec3) -> Self:
         """Insertions, and an obstacle on the patella, counted from the centre of mass."""

@@ -7,6 +7,7 @@ from typing import Any, ClassVar
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from pftwin.base.quantities import quantity
 from pftwin.base.spatial import Scalar, Vec3
@@ -47,6 +48,10 @@ class PrescribedTension(LineElement):
     def origin_at(self, time: Scalar | float) -> Vec3:
         """Where the lines leave their body at an instant [m]."""
         return self.at(time)[1]
+
+    def pulls(self) -> Any:
+        """Those whose tension is not zero throughout."""
+        return np.any(np.asarray(self.tension) > 0, axis=0)
 
     def load(self, now: Instant, memory: Any) -> tuple[Load, Any]:
         """The tensions' forces; their slopes are zero, so none of them is stiff."""

@@ -133,6 +133,15 @@ def import_model(
         float | None,
         Option("--quadriceps", metavar="NEWTONS", help="Constant tension, for muscles from femur to patella together."),
     ] = None,
+    activation: Annotated[
+        str | None,
+        Option(
+            "--activation",
+            metavar="A|FILE",
+            help="In place of --quadriceps: activation of the patella's muscles, 0 to 1, or a file of activations "
+            "over time (.sto, .mot, .csv); tensions follow from it and from the muscles' lengths.",
+        ),
+    ] = None,
     bend: Annotated[str | None, Option("--bend", metavar="COORDINATE", help="The one to bend by.")] = None,
     side: Annotated[str | None, Option("--side", metavar="right|left", help="Where the model has both.")] = None,
     femur: Annotated[str | None, Option("--femur", metavar="BODY", help="If its name does not tell.")] = None,
@@ -156,7 +165,7 @@ def import_model(
     from pftwin.files.interchange.osim_scene import import_osim
     from pftwin.files.interchange.osim_toml import rows
 
-    more = {"quadriceps": quadriceps, "geometry": geometry or ()}
+    more = {"quadriceps": quadriceps, "activation": activation, "geometry": geometry or ()}
     bodies = {"femur": femur, "tibia": tibia, "patella": patella}
     with terminal.spinner(f"reading {model}"):
         found = import_osim(model, folder, motion=motion, rate=rate, bend=bend, side=side, **bodies, **more)
@@ -184,6 +193,7 @@ def _import_problem(found: Imported) -> str | None:
     """Why the scene cannot be loaded as it is; None where it can."""
     terminal.start_computing()
     from pftwin.files.scene_file import load_scene_file
+    from pftwin.model.limits import upward_lines
 
     with terminal.spinner("loading the scene"):
         try:
@@ -193,8 +203,8 @@ def _import_problem(found: Imported) -> str | None:
     if scene.contact is None:
         return f"{found.scene}: a scene without contact"
     if not found.muscles or found.tensions:
-        return None
+        return None if upward_lines(scene) else f"{found.scene}: nothing in it pulls the patella upward"
     can = any(muscle.takes_tension for muscle in found.muscles)
-    remedy = "--quadriceps NEWTONS" if can else "tables [[prescribed_tension]] of your own"
+    remedy = "--quadriceps NEWTONS or --activation A" if can else "tables [[prescribed_tension]] of your own"
     names = ", ".join(muscle.name for muscle in found.muscles)
     return f"{found.scene}: muscles of the patella were left out ({names}); try: {remedy}"

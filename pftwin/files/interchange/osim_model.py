@@ -147,6 +147,11 @@ class OsimModel:
     left_out: list[LeftOut] = field(default_factory=list)
 
 
+def class_defaults(root: Element) -> dict[str, Element]:
+    """The elements of a model's <defaults>, by class."""
+    return {d.tag: d for holder in root.children if holder.tag == "defaults" for d in holder.children}
+
+
 def read_model(root: Element) -> OsimModel:
     """Reads the parts of a <Model> that pftwin can use.
 
@@ -154,7 +159,7 @@ def read_model(root: Element) -> OsimModel:
         InputError: values that are missing or no numbers.
     """
     frames, left = Frames(root), []
-    defaults = {d.tag: d for holder in root.children if holder.tag == "defaults" for d in holder.children}
+    defaults = class_defaults(root)
     used = Element(root.tag, root.name, root.file, root.line, "", [c for c in root.children if c.tag != "defaults"])
     return OsimModel(
         root.name,

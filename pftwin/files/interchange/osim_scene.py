@@ -49,7 +49,9 @@ class Imported:
     notes: list[str] = field(default_factory=list)
     left_out: list[LeftOut] = field(default_factory=list)
     muscles: list[PatellarMuscle] = field(default_factory=list)  # of the patella
-    tensions: dict[str, float] = field(default_factory=dict)  # of those that were taken over, by name [N]
+    tensions: dict[str, float] = field(
+        default_factory=dict
+    )  # of those that were taken over, by name, in the first frame [N]
 
     @property
     def scene(self) -> Path:
@@ -65,6 +67,7 @@ def import_osim(
     rate: float | None = None,
     bend: str | None = None,
     quadriceps: float | None = None,
+    activation: float | str | os.PathLike[str] | None = None,
     side: str | None = None,
     femur: str | None = None,
     tibia: str | None = None,
@@ -87,17 +90,23 @@ def import_osim(
         bend: the coordinate to bend by; None: the first rotation of the tibia's joint.
         quadriceps: a constant tension [N] of all muscles together that end on the patella, shared out by their maximum
             isometric forces, along straight lines from the point before on their paths; None: they are left out.
+        activation: in place of a tension, the activation of these muscles, 0 to 1, or a STO, MOT or CSV file of
+            activations over time (`osim_activation_file.activations`). Their tensions follow from it and from the
+            lengths of their paths, at rest.
         side: "right" or "left"; None: as the patella's name ends.
         femur, tibia, patella: names of bodies, where they cannot be told.
         geometry: folders with meshes, besides the model's own and `Geometry` in it.
 
     Raises:
         InputError: no model of OpenSim 4, or one without such a knee; joints, functions or numbers that cannot be read;
-            contact meshes that are not there; a tension, and no muscle to have it.
+            contact meshes that are not there; a tension or an activation, and no muscle to have it; both of them.
         OutputError: the folder cannot be written to, or holds one of these files already.
     """
-    from pftwin.files.interchange.osim_toml import poses_csv, scene_text
+    from pftwin.files.interchange.osim_activation import FILE, activated
+    from pftwin.files.interchange.osim_toml import OverTime, poses_csv, scene_text
 
+    if quadriceps is not None and activation is not None:
+        raise InputError("both a tension and an activation", where="activation", expected="one of them")
     root = read_osim(model)
     found = read_model(root)
     knee = find_knee(found, side, femur=femur, tibia=tibia, patella=patella)
@@ -118,12 +127,21 @@ def import_osim(
     if tensions:
         each = ", ".join(f"{name} {newtons:.3g} N" for name, newtons in tensions.items())
         told.notes.append(f"tensions, constant, by maximum isometric force, along straight lines: {each}")
-        if without := [m.name for m in muscles if m.name not in tensions]:
-            told.notes.append(f"without a tension: {', '.join(without)}")
+    pulled = None if activation is None else activated(root, found, knee, moved, muscles, activation)
+    if pulled is not None:
+        tensions = told.tensions = {m.name: float(t) for m, t in zip(pulled.muscles, pulled.tensions[0], strict=True)}
+        told.notes += pulled.notes
+    if tensions and (without := [m.name for m in muscles if m.name not in tensions]):
+        told.notes.append(f"without a tension: {', '.join(without)}")
     told.left_out += _unused_elements(root, told)
-    pulling = [m for m in muscles if m.name in tensions]
-    text = scene_text(found, knee, strands, contact, pressing, told, measured=moved.measured, muscles=pulling)
+    pulling = [m for m in muscles if m.name in tensions] if pulled is None else pulled.muscles
+    over_time = None if pulled is None else OverTime(FILE, pulled.moving)
+    text = scene_text(
+        found, knee, strands, contact, pressing, told, measured=moved.measured, muscles=pulling, over_time=over_time
+    )
     tables = {"poses.csv": poses_csv(moved.times, moved.poses)}
+    if pulled is not None:
+        tables[FILE] = pulled.table(moved.times)
     _write(Path(folder), text, tables, [*pressing, *drawn], told)
     return told
 

@@ -30,6 +30,13 @@ class OsimStrand(NamedTuple):
     origin: Floats
 
 
+class OverTime(NamedTuple):
+    """Tensions of muscles that change over time."""
+
+    file: str
+    moving: set[str]  # bodies on which a muscle's origin moves, so that the file has the origins too
+
+
 _FINE = 10_000  # triangles of a femur's mesh from which on its depths are better read from a table
 
 
@@ -43,6 +50,7 @@ def scene_text(
     *,
     measured: bool = False,
     muscles: Sequence[PatellarMuscle] = (),
+    over_time: OverTime | None = None,
 ) -> str:
     """The scene file; adds to the notes what it could not take over as it is.
 
@@ -69,6 +77,7 @@ def scene_text(
         measured=measured,
         bodies={knee.part(body): body_label(body) for body in (knee.femur, knee.tibia, knee.patella)},
         tensions=told.tensions,
+        over_time=over_time,
         pulling=_free_name([label for label, _, _ in _labelled(strands)]),
         muscles=[(body, [m for m in muscles if m.body == body]) for body in dict.fromkeys(m.body for m in muscles)],
         ligaments=_labelled(strands),

@@ -18,6 +18,7 @@ from pftwin.files.interchange.osim_model import OsimModel, class_defaults
 from pftwin.files.interchange.osim_motion import Motion
 from pftwin.files.interchange.osim_muscle_force import MUSCLES, MuscleForce, read_force
 from pftwin.files.interchange.osim_muscle_path import MovingBodies, PathOverMotion, path_over_motion
+from pftwin.files.interchange.osim_muscle_wraps import wraps_of
 from pftwin.files.interchange.osim_muscles import BODIES, PatellarMuscle
 from pftwin.files.mocap.jumps import in_words, jumps
 from pftwin.files.mocap.poses import PoseSeries
@@ -78,11 +79,12 @@ def activated(
     """
     frames, bodies = Frames(root), MovingBodies(model, knee, motion)
     notes: list[str] = []
-    found = [
-        _Pulling(muscle, element, path)
-        for muscle, element in _elements(root, muscles)
-        if _usable(element, notes) and (path := path_over_motion(element, frames, bodies)) is not None
-    ]
+    found = []
+    for muscle, element in _elements(root, muscles):
+        if _usable(element, notes):
+            wraps, left = wraps_of(element, root, model, knee)
+            path = path_over_motion(element, frames, bodies, wraps)
+            found += [] if path is None else [_Pulling(muscle, element, path, left)]
     if not found:
         expected = f"one of {', '.join(MUSCLES)}, of whose path one piece ends on the patella"
         raise InputError("no muscle of the patella can have a tension", where=_WHERE, expected=expected)
@@ -104,6 +106,7 @@ class _Pulling(NamedTuple):
     muscle: PatellarMuscle
     element: Element
     path: PathOverMotion
+    straight: list[str]  # objects that its path wraps over in the model, and not here
 
     def ends(self) -> PatellarMuscle:
         """The muscle with its ends in the first frame."""
@@ -180,8 +183,11 @@ def _remarks(found: Sequence[_Pulling], forces: Sequence[MuscleForce], values: F
             f"{which}: the line begins where the model's joints put that point in the femur's frame, at the motion's"
             " coordinates, or their defaults"
         )
-    if wrapped := [p.element.name for p in found if list(p.element.all("PathWrap"))]:
-        yield f"lengths are straight from point to point, though these wrap: {', '.join(wrapped)}"
+    for p in found:
+        if p.straight:
+            yield f"{p.muscle.name}: its length is straight, though it wraps over {', '.join(p.straight)}"
+        elif list(p.element.all("PathWrap")):
+            yield f"{p.muscle.name}: wrapping over cylinders is in its length"
     raised = [f for f, a in zip(forces, values.T, strict=True) if a.min() < f.least_activation]
     if raised:
         which = ", ".join(f"{f.name} {f.least_activation:g}" for f in raised)

@@ -1,11 +1,12 @@
 """The path of a muscle of an OpenSim model while the knee moves: its length, and the piece that ends on the patella.
 
 Points are those of a path, some of which may be there only while a coordinate is in a range, or move with one. Between
-them it is straight.
+them it is straight, but for what it wraps over.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -19,6 +20,7 @@ from pftwin.files.interchange.osim_joints import Coordinate, function_in
 from pftwin.files.interchange.osim_knee import OsimKnee, part_and_pose
 from pftwin.files.interchange.osim_model import OsimModel
 from pftwin.files.interchange.osim_motion import Motion
+from pftwin.files.interchange.osim_muscle_wraps import Wrap
 from pftwin.files.interchange.osim_muscles import BODIES, POINTS
 
 FIXED, CONDITIONAL, MOVING = POINTS
@@ -110,13 +112,16 @@ class _Point(NamedTuple):
     fixed: bool
 
 
-def path_over_motion(muscle: Element, frames: Frames, bodies: MovingBodies) -> PathOverMotion | None:
+def path_over_motion(
+    muscle: Element, frames: Frames, bodies: MovingBodies, wraps: Sequence[Wrap] = ()
+) -> PathOverMotion | None:
     """A muscle's path; None if not exactly one piece of it ends at a fixed place of the patella, in every frame.
 
     Args:
         muscle: its element.
         frames: of the model.
         bodies: of the knee, as they move.
+        wraps: what it wraps over; each is taken by itself where there are several.
 
     Raises:
         InputError: points without a place; coordinates that are not known; a path without a length.
@@ -133,7 +138,12 @@ def path_over_motion(muscle: Element, frames: Frames, bodies: MovingBodies) -> P
             return None
         i, j = touching[0]
         ends[at] = (i, j) if points[i].part == "patella" else (j, i)
-        lengths[at] = sum(np.linalg.norm(points[a].place[at] - points[b].place[at], axis=-1) for a, b in pairs)
+        for a, b in pairs:
+            start, end = points[a].place[at], points[b].place[at]
+            lengths[at] += np.linalg.norm(end - start, axis=-1)
+            for wrap in (w for w in wraps if w.first <= a and b <= w.last):
+                inverse = np.linalg.inv(bodies.of_part(wrap.part))[at]
+                lengths[at] += wrap.adds(_moved(inverse, start), _moved(inverse, end))
     if not (lengths > _LEAST).all():
         where = f"{muscle.where}, frame {1 + int(np.argmin(lengths))}"
         raise InputError(f"the path of {muscle.name!r} has no length", where=where, expected="points that differ")
@@ -144,8 +154,7 @@ def path_over_motion(muscle: Element, frames: Frames, bodies: MovingBodies) -> P
     body = before.pop() if len(before) == 1 else "femur"
     body = body if body in BODIES else "femur"
     places = np.stack([points[k].place[f] for f, k in enumerate(ends[:, 1])])
-    inverse = np.linalg.inv(bodies.of_part(body))
-    origin = np.einsum("nij,nj->ni", inverse[:, :3, :3], places) + inverse[:, :3, 3]
+    origin = _moved(np.linalg.inv(bodies.of_part(body)), places)
     return PathOverMotion(lengths, points[inserted[0]].own[0], origin, body)
 
 
@@ -163,9 +172,12 @@ def _point(element: Element, frames: Frames, bodies: MovingBodies) -> _Point:
         _, values = bodies.coordinate(element.needed("socket_coordinate").text, element.where)
         there = (values >= low - _SLACK) & (values <= high + _SLACK)
     own = here @ pose[:3, :3].T + pose[:3, 3]
-    carrier = bodies.of_part(part)
-    place = np.einsum("nij,nj->ni", carrier[:, :3, :3], own) + carrier[:, :3, 3]
-    return _Point(part, own, place, there, element.tag != MOVING)
+    return _Point(part, own, _moved(bodies.of_part(part), own), there, element.tag != MOVING)
+
+
+def _moved(poses: np.ndarray, points: Floats) -> Floats:
+    """Points (n, 3) of frames with poses (n, 4, 4)."""
+    return np.einsum("nij,nj->ni", poses[:, :3, :3], points) + poses[:, :3, 3]
 
 
 def _moving(element: Element, axis: str, bodies: MovingBodies) -> Floats:

@@ -11,6 +11,7 @@ from pftwin.files.interchange.osim_model import read_model
 from pftwin.files.interchange.osim_motion import Motion, poses
 from pftwin.files.interchange.osim_muscle_force import MILLARD, read_force
 from pftwin.files.interchange.osim_muscle_path import MovingBodies, path_over_motion
+from pftwin.files.interchange.osim_muscle_wraps import wraps_of
 
 MUSCLES = ("recfem_r", "vasint_r", "vaslat_r", "vasmed_r")
 TIBIA, PATELLA = (("flex", "add", "rot", "tx", "ty", "tz"), ("flex", "rot", "tilt", "tx", "ty", "tz"))
@@ -60,7 +61,7 @@ TENSIONS = np.array(  # of OpenSim 4.6, at these lengths and an activation of 0.
 
 @pytest.fixture(scope="module")
 def knee(dm_knee):
-    """The muscles' elements and their paths."""
+    """The muscles' elements, their straight paths, and their paths over cylinders."""
     root = read_osim(dm_knee / "DM.osim")
     found = read_model(root)
     bones = find_knee(found, "right")
@@ -69,7 +70,12 @@ def knee(dm_knee):
     placed = poses(found.tree, [bones.femur, bones.tibia, bones.patella], times, values)
     bodies = MovingBodies(found, bones, Motion(times, placed, "", values=values))
     elements = {m.name: m for m in root.all(MILLARD) if m.name in MUSCLES}
-    return elements, {name: path_over_motion(elements[name], Frames(root), bodies) for name in MUSCLES}
+    wraps = {name: wraps_of(elements[name], root, found, bones)[0] for name in MUSCLES}
+    straight, wrapped = (
+        {name: path_over_motion(elements[name], Frames(root), bodies, wraps[name] if over else ()) for name in MUSCLES}
+        for over in (False, True)
+    )
+    return elements, straight, wrapped
 
 
 def test_lengths_are_opensims_until_they_wrap(knee):
@@ -78,6 +84,13 @@ def test_lengths_are_opensims_until_they_wrap(knee):
     np.testing.assert_allclose(short[:2], 0, atol=2e-7)
     assert (short > -2e-7).all()
     np.testing.assert_allclose(1e3 * short[2:].max(axis=1), [0.2, 1.9, 5.8], atol=0.1)
+
+
+def test_lengths_are_opensims_where_they_wrap(knee):
+    """Over cylinders, to 0.01 mm."""
+    found = np.stack([knee[2][name].lengths for name in MUSCLES], axis=1)
+    np.testing.assert_allclose(found, LENGTHS, atol=2e-5)
+    np.testing.assert_allclose(found[:2], LENGTHS[:2], atol=4e-7)
 
 
 def test_tensions_are_opensims_at_its_lengths(knee):

@@ -90,6 +90,9 @@ class Run(NamedTuple):
     def objective(self) -> float:
         """The paper's: the sum of the root mean square errors in X, Y and Z [mm]."""
         v = self.validation
+        assert v.x is not None
+        assert v.y is not None
+        assert v.z is not None
         return v.x + v.y + v.z
 
 

@@ -19,6 +19,7 @@ from pftwin.cli.terminal import JsonOption, check_outputs, check_suffix, present
 
 if TYPE_CHECKING:
     from pftwin.cli.scenes import Chosen
+    from pftwin.results.metrics import Validation
     from pftwin.results.result import Result
 
 
@@ -121,6 +122,8 @@ def validate(
 ) -> None:
     """Simulate, and compare with the measurements: the rows of Table 1 of Michaud et al. 2024.
 
+    Of a marker on the skin over the patella it tells how alike the courses are, and nothing of its place.
+
     Example: `pftwin validate --case 1 --contact P5`
     """
     files = [] if output is None else [output]
@@ -144,6 +147,8 @@ def validate(
     found = compare(result, measured, **springs)
     paper = chosen.contact if chosen.contact in PAPER_TABLE_1 else None
     rows = found.to_rows(paper)
+    if found.mean_distance is None:  # of a marker on the skin alone: most of these rows would be empty
+        rows = [row for row in rows if row.value is not None]
     beside = [] if paper is None else [f"paper, {paper}"]  # the paper's means over its four cases
     cells = [(r.label, *(_number(v) for v in (r.value, r.paper)[: 1 + len(beside)]), r.unit) for r in rows]
     against = "synthetic measurements" if found.synthetic else "measurements"
@@ -156,8 +161,25 @@ def validate(
     facts = {**_facts(result, chosen, first, files), **found.to_dict(), "rows": shown}
     facts["side_as_given"] = chosen.side_as_given
     first_line = "" if result.verdict.valid else result.verdict.describe()
-    present(facts, first_line, sheet, chosen.side_as_given, written_line(files), json=json)
+    skin = _skin_sheet(found) if found.skin_markers else ("", "")
+    present(facts, first_line, sheet, *skin, chosen.side_as_given, written_line(files), json=json)
     check_trust(result)
+
+
+def _skin_sheet(found: Validation) -> tuple[Sheet, str]:
+    """How alike the courses of markers on the skin are, and what that can mean."""
+    from pftwin.results.skin_markers import QUALITATIVE
+
+    headings = ("", "correlation", "range measured", "range simulated", "rms less mean offset", "unit")
+    rows = tuple(
+        (
+            f"{m.key} ({m.words})",
+            *(_number(v) for v in (m.correlation, m.measured_range, m.simulated_range, m.rms_about_mean)),
+            m.unit,
+        )
+        for m in found.skin_markers
+    )
+    return Sheet("markers on the skin", headings, rows, words=(0, len(headings) - 1)), QUALITATIVE
 
 
 def _number(value: float | None) -> str:

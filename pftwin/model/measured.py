@@ -26,7 +26,7 @@ class Measured:
 
     Args:
         times: (n,) seconds, strictly increasing.
-        center: (n, 3) the button's sphere centre in the femur frame [m].
+        center: (n, 3) the button's sphere centre in the femur frame [m]; all NaN where it was not measured.
         quaternion: (n, 4) orientation of the patella in the femur, scalar first; None where it was not measured.
         contact_force: (n,) normal contact force [N]; None where it was not measured. Likewise the springs' forces:
         tibial_spring_force: (n,) of the patellar tendon [N].
@@ -37,6 +37,8 @@ class Measured:
             "m1.x"), in the unit in which the effect reports it.
         weights: (n,) how much each frame counts in a fit beside the others, in all channels: its noise has a variance
             in proportion to 1/weight, and a frame of weight 0 is left out. None: all count alike.
+        skin_markers: names of the effects among the readings that are markers on the skin. Skin slides over the bone:
+            a comparison of such a marker is qualitative.
 
     Raises:
         InputError: repeated or unsorted times, shapes that do not match, a quaternion that is no unit quaternion,
@@ -53,6 +55,7 @@ class Measured:
     source: str = "measurements"
     readings: Mapping[str, NDArray[np.float64]] = field(default_factory=dict)
     weights: NDArray[np.float64] | None = None
+    skin_markers: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         times = increasing_times(self.times, where=self.source)

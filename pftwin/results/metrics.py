@@ -13,6 +13,7 @@ from pftwin.base.errors import InputError
 from pftwin.base.quantities import as_read
 from pftwin.model.effects.base import Reported
 from pftwin.model.measured import Measured
+from pftwin.results.skin_markers import QUALITATIVE, SkinMarker
 
 if TYPE_CHECKING:
     from pftwin.results.result import Result
@@ -73,10 +74,10 @@ class Validation:
     internal_rotation: float | None
     flexion: float | None
     tilt: float | None
-    x: float
-    y: float
-    z: float
-    mean_distance: float  # mean distance of the sphere's centre from the measured one
+    x: float | None
+    y: float | None
+    z: float | None
+    mean_distance: float | None  # mean distance of the sphere's centre from the measured one
     initial_configuration: float | None  # time to find the starting equilibrium [s]
     real_time_factor: float | None  # times faster than real time, without the starting equilibrium
     frames: int
@@ -84,10 +85,16 @@ class Validation:
     scene: str = ""
     synthetic: bool = False  # whether the measurements are
     readings: tuple[ValidationRow, ...] = ()  # of what else effects report
+    skin_markers: tuple[SkinMarker, ...] = ()  # of a marker on the skin; nothing is said of its place
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, for JSON."""
-        return {**asdict(self), "readings": {row.key: {"rmse": row.value, "unit": row.unit} for row in self.readings}}
+        skin = [{**row._asdict(), "note": QUALITATIVE} for row in self.skin_markers]
+        return {
+            **asdict(self),
+            "readings": {row.key: {"rmse": row.value, "unit": row.unit} for row in self.readings},
+            "skin_markers": {row.pop("key"): row for row in skin},
+        }
 
     def to_rows(self, paper: str | None = None) -> list[ValidationRow]:
         """The table, beside the paper's column ("CM", "FM", "P2", "P4", "P5") where one is named.
@@ -120,14 +127,17 @@ def validate(
         femoral: likewise of the femoral spring.
 
     Raises:
-        InputError: other times than the simulation's (number, rate or start); no frame with a measured position; a
-            force or a reading was measured of an effect that the scene does not have.
+        InputError: other times than the simulation's (number, rate or start); no frame with a measured position, nor
+            a marker on the skin; a force or a reading was measured of an effect that the scene does not have.
     """
     _check_times(result, measured)
     offsets = 1e3 * (result.center - measured.center)
     present = np.asarray(np.isfinite(measured.center).all(axis=1))
-    if not present.any():
+    placed = bool(present.any())
+    if not (placed or measured.skin_markers):
         raise InputError("no frame has a measured position", where=measured.source, expected="at least one")
+    readings = {name: _reading_error(result, name, values) for name, values in measured.readings.items()}
+    skin = [name for name in readings if name.rpartition(".")[0] in measured.skin_markers]
     return Validation(
         contact_force=_force_error(result, result.contact, "force", measured.contact_force, measured),
         tibial_spring=_force_error(result, tibial, "tension", measured.tibial_spring_force, measured),
@@ -135,16 +145,23 @@ def validate(
         internal_rotation=_turned(result, measured, "rotation"),
         flexion=_turned(result, measured, "flexion"),
         tilt=_turned(result, measured, "tilt"),
-        **{axis: _rms(offsets[:, i], present) for i, axis in enumerate("xyz")},
-        mean_distance=float(np.mean(np.linalg.norm(offsets[present], axis=1))),
+        **{axis: _rms(offsets[:, i], present) if placed else None for i, axis in enumerate("xyz")},
+        mean_distance=float(np.mean(np.linalg.norm(offsets[present], axis=1))) if placed else None,
         initial_configuration=result.timing.get("equilibrium_s"),
         real_time_factor=result.real_time_factor if "run_s" in result.timing else None,
         frames=result.times.size,
         frames_compared=int(np.count_nonzero(present)),
         scene=result.scene_name,
         synthetic=measured.synthetic,
-        readings=tuple(_reading_error(result, name, values) for name, values in measured.readings.items()),
+        readings=tuple(row for name, row in readings.items() if name not in skin),
+        skin_markers=tuple(_course(result, name, measured) for name in skin),
     )
+
+
+def _course(result: Result, name: str, measured: Measured) -> SkinMarker:
+    """A coordinate of a marker on the skin against the simulated one."""
+    told, words = reading(result, name), Reported.of(name, result.observables, result.scene_name).long_name
+    return SkinMarker.of(name, words, told.unit, told.values, told.scale * measured.readings[name], measured.source)
 
 
 def _reading_error(result: Result, name: str, measured: NDArray[np.float64]) -> ValidationRow:

@@ -51,8 +51,7 @@ def butterworth_lowpass(
         warped = math.tan(math.pi * cutoff / rate) / (math.sqrt(2) - 1) ** (1 / (2 * order))
         design = rate / math.pi * math.atan(warped)
 
-    # At each end the signal is continued by point reflection for as long as one pass remembers.
-    padding = max(3 * (order + 1), math.ceil(order * rate / cutoff))
+    padding = samples_needed(rate, cutoff, order) - 1
     if x.shape[0] <= padding:
         raise InputError(
             f"{x.shape[0]} samples are too few for a filter of {cutoff:g} Hz at {rate:g} Hz",
@@ -63,6 +62,14 @@ def butterworth_lowpass(
 
     sections = butter(order, design, btype="low", fs=rate, output="sos")
     return sosfiltfilt(sections, x, axis=0, padtype="odd", padlen=padding)
+
+
+def samples_needed(rate: float, cutoff: float, order: int) -> int:
+    """The shortest signal that `butterworth_lowpass` takes: one more than it continues beyond each end.
+
+    The continuation is by point reflection, for as long as one pass remembers.
+    """
+    return 1 + max(3 * (order + 1), math.ceil(order * rate / cutoff))
 
 
 def singular_spectrum_filter(signal: ArrayLike, window: int = 30, components: int | None = None) -> NDArray[np.float64]:

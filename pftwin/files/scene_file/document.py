@@ -86,7 +86,10 @@ class Document:
         own = {key: value for key, value in old.items() if key not in (*_OF_ONE_RECORDING, "poses", "markers")}
         data = {**self.data, "motion": {**own, kind: str(given), **({} if rate is None else {"rate_Hz": rate})}}
         if "measured" in data:
-            data["measured"] = {key: value for key, value in data["measured"].items() if key == "patella"}
+            kept = ("patella", "markers") if kind == "markers" else ("patella",)
+            data["measured"] = {key: value for key, value in self.data["measured"].items() if key in kept}
+            if not data["measured"] and "markers" in self.data["measured"]:
+                del data["measured"]
         return replace(self, data=data, given=given)
 
     def files(self) -> tuple[Path, ...]:

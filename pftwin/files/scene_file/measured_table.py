@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from pftwin.base.errors import InputError
 from pftwin.files.mocap import PoseSeries, Table, frame_means, read_readings, singular_spectrum_filter
 from pftwin.files.mocap.units import SI_UNITS, split_unit
 from pftwin.files.scene_file.document import Document
 from pftwin.files.scene_file.recording import SegmentRecording
-from pftwin.files.scene_file.section import FileName, Section
+from pftwin.files.scene_file.section import FileName, Section, problem
 from pftwin.files.scene_file.segments import SegmentSection
 from pftwin.files.scene_file.side import HostPose, Side
 from pftwin.model.scene import Scene
@@ -22,12 +22,20 @@ if TYPE_CHECKING:
     from pftwin.model.measured import Measured
 
 _FORCES = ("contact_force", "tibial_spring_force", "femoral_spring_force")
+_AXES = "xyz"  # what [[marker]] reports
 
 
 class MeasuredSection(Section):
-    """Measurements of the same motion: the patella's poses, and forces if there are any."""
+    """Measurements of the same motion: the patella's poses or markers on its skin, and forces if there are any."""
 
-    patella: SegmentSection = Field(description="table: how the patella was recorded (body, cluster_m, three_points)")
+    patella: SegmentSection | None = Field(
+        default=None, description="table: how the patella was recorded (body, cluster_m, three_points)"
+    )
+    markers: dict[str, str] = Field(
+        default_factory=dict,
+        description='table: the recording\'s markers on the skin over the patella, such as "m1" = "R.Patella": the '
+        "[[marker]] that each is compared with, in its course alone, for skin slides over the bone",
+    )
     forces: FileName | None = Field(
         default=None,
         description="file of forces and other readings: CSV with units in its header, or C3D (its analog channels); "
@@ -48,6 +56,12 @@ class MeasuredSection(Section):
     )
     synthetic: bool = Field(default=False, description="whether these are simulated measurements")
 
+    @model_validator(mode="after")
+    def _something(self) -> Self:
+        if self.patella is None and not self.markers:
+            raise problem("neither patella nor markers", expected="how the patella was recorded")
+        return self
+
     def build(
         self,
         scene: Scene,
@@ -61,10 +75,41 @@ class MeasuredSection(Section):
         Raises:
             InputError: files that cannot be used; columns that are not there; forces that do not cover the motion.
         """
-        from pftwin.files.mocap.jumps import in_words, jumps
         from pftwin.model.measured import Measured
 
         document = recording.document
+        times = scene.motion.times
+        center, quaternions, source = np.full((times.size, 3), np.nan), None, recording.motion.markers
+        if self.patella is not None:
+            times, center, quaternions, source = self._pose(scene, recording, side, fixed_femur, femur)
+        columns = self._columns(document, scene)
+        markers = self._markers(scene, recording, side, fixed_femur, femur)
+        if both := [name for name in markers if name in columns.get("readings", {})]:
+            where = document.where("measured", "readings")
+            raise InputError(f"{both[0]} is measured by a marker and in a column", where=where, expected="one of them")
+        return Measured(
+            times,
+            center,
+            quaternions,
+            **{**columns, "readings": {**columns.get("readings", {}), **markers}},
+            synthetic=self.synthetic,
+            source=self.forces or str(source),
+            skin_markers=tuple(self.markers),
+        )
+
+    def _pose(
+        self,
+        scene: Scene,
+        recording: SegmentRecording,
+        side: Side,
+        fixed_femur: HostPose | None,
+        femur: PoseSeries | None,
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], str]:
+        """Times, places of the tracked point and quaternions, in the femur's frame, and where they come from."""
+        from pftwin.files.mocap.jumps import in_words, jumps
+
+        document = recording.document
+        assert self.patella is not None
         if self.patella.fixed is not None:
             where = document.where("measured", "patella", "fixed")
             raise InputError("a fixed pose is no measurement", where=where, expected="a recording")
@@ -82,14 +127,40 @@ class MeasuredSection(Section):
                 f"{poses.source}: the patella's {in_words(odd)} of {odd.size} (from {poses.times[0]:g} s on) left out: "
                 "it jumps there from where the frames around have it"
             )
-        return Measured(
-            poses.times,
-            center,
-            quaternions,
-            **self._columns(document, scene),
-            synthetic=self.synthetic,
-            source=self.forces or poses.source,
-        )
+        return poses.times, center, quaternions, poses.source
+
+    def _markers(
+        self,
+        scene: Scene,
+        recording: SegmentRecording,
+        side: Side,
+        fixed_femur: HostPose | None,
+        femur: PoseSeries | None,
+    ) -> dict[str, NDArray[np.float64]]:
+        """Places of the markers on the skin in the femur's frame, as [[marker]] reports them."""
+        if not self.markers:
+            return {}
+        document = recording.document
+        seen = recording.points([*self.markers.values()], "measured", "markers")
+        with document.naming("measured", "markers"):
+            for name in self.markers:
+                for axis in _AXES:
+                    scene.reported(f"{name}.{axis}")
+            times = scene.motion.times
+            if seen.times.size != times.size or np.abs(seen.times - times).max() > 1e-6 * np.ptp(times):
+                raise InputError(
+                    f"{seen.times.size} frames from {seen.times[0]:g} s on",
+                    where=seen.source,
+                    expected=f"those of the motion, {times.size} from {times[0]:g} s on",
+                )
+        places = side.points("world", seen.positions)
+        if femur is not None:
+            places = np.einsum("nji,nmj->nmi", femur.matrices(), places - femur.positions[:, None])
+        elif fixed_femur is not None:
+            places = fixed_femur.inverse().apply(places)
+        return {
+            f"{name}.{axis}": places[:, i, k] for i, name in enumerate(self.markers) for k, axis in enumerate(_AXES)
+        }
 
     def _columns(self, document: Document, scene: Scene) -> dict[str, Any]:
         """Forces and readings, at the frames of the motion."""

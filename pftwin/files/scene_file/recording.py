@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
@@ -20,12 +22,15 @@ from pftwin.files.mocap import (
     segment_poses,
     three_point_frames,
 )
+from pftwin.files.mocap.filters import samples_needed
 from pftwin.files.mocap.poses import check_same_times
 from pftwin.files.scene_file.clusters import ClusterFits
 from pftwin.files.scene_file.document import Document
 from pftwin.files.scene_file.joint_centers import JointCenterSection
 from pftwin.files.scene_file.segments import MotionSection, SegmentSection
 from pftwin.model.limits import Limits
+
+Recorded = TypeVar("Recorded", PoseSeries, MarkerTrajectories)
 
 
 def _check_there(file: Path) -> None:
@@ -78,22 +83,31 @@ class SegmentRecording:
 
     def poses(self, section: SegmentSection, *at: str) -> PoseSeries:
         """The poses of a segment in the time range of the scene."""
-        poses = self.whole(section, *at)
+        return self._in_time(self.whole(section, *at))
+
+    def points(self, names: list[str], *at: str) -> MarkerTrajectories:
+        """Single markers in the time range of the scene; NaN where a gap in one is too long to be filled."""
+        with self.document.naming(*at):
+            markers = self._filtered(names, keep_long=True)
+        return self._in_time(markers)
+
+    def _in_time(self, seen: Recorded) -> Recorded:
+        """What was recorded in the time range of the scene."""
         start, end = self.motion.start_time_s, self.motion.end_time_s
         if start is None and end is None:
-            return poses
-        low = float(poses.times[0]) if start is None else start
-        high = float(poses.times[-1]) if end is None else end
+            return seen
+        low = float(seen.times[0]) if start is None else start
+        high = float(seen.times[-1]) if end is None else end
         slack = 1e-6 * max(1.0, abs(low), abs(high))
-        for key, asked, inside in (("start_time_s", low, poses.times[0]), ("end_time_s", high, poses.times[-1])):
+        for key, asked, inside in (("start_time_s", low, seen.times[0]), ("end_time_s", high, seen.times[-1])):
             if (asked < inside - slack) if key == "start_time_s" else (asked > inside + slack):
                 raise InputError(
                     f"found {asked:g}",
                     where=self.document.where("motion", key),
-                    expected=f"a time within the recording, {poses.times[0]:g} s to {poses.times[-1]:g} s",
+                    expected=f"a time within the recording, {seen.times[0]:g} s to {seen.times[-1]:g} s",
                 )
         with self.document.naming("motion"):
-            return poses.between(low, high)
+            return seen.between(low, high)
 
     def _body(self, name: str) -> PoseSeries:
         file = self.motion.poses
@@ -106,14 +120,16 @@ class SegmentRecording:
             self._poses.update(read_poses(str(path), [name], rate=self.motion.rate_Hz))
         return self._poses[name]
 
-    def _filtered(self, names: list[str]) -> MarkerTrajectories:
+    def _filtered(self, names: list[str], *, keep_long: bool = False) -> MarkerTrajectories:
         """The named markers with gaps filled, filtered; fixed points and joint centres among them as they are."""
         motion, recorded = self.motion, self._recorded()
         still = {name: np.array(motion.fixed_points_m[name]) for name in names if name in motion.fixed_points_m}
         more = {**still, **{name: self._center(name) for name in names if name in motion.joint_centers}}
         seen = [name for name in names if name not in more]
-        markers, gaps = fill_gaps(recorded.select(seen), max_gap_s=motion.max_gap_s)
-        self.notes.extend(f"{g.marker}: filled frames {g.first_frame} to {g.last_frame}" for g in gaps)
+        markers, gaps = fill_gaps(recorded.select(seen), max_gap_s=motion.max_gap_s, keep_long=keep_long)
+        self.notes.extend(
+            f"{g.marker}: {'filled' if g.filled else 'no'} frames {g.first_frame} to {g.last_frame}" for g in gaps
+        )
         if motion.cutoff_Hz is not None:
             markers = self._low_passed(markers, motion.cutoff_Hz)
         added = [np.broadcast_to(path, (markers.times.size, 3))[:, None] for path in more.values()]
@@ -161,14 +177,28 @@ class SegmentRecording:
         return poses
 
     def _low_passed(self, markers: MarkerTrajectories, cutoff: float) -> MarkerTrajectories:
-        motion = self.motion
+        """Each marker wherever it is seen for long enough, NaN elsewhere."""
+        motion, rate, filtered = self.motion, markers.rate, np.full_like(markers.positions, np.nan)
+        shortest = samples_needed(rate, cutoff, motion.filter_order) if markers.missing.any() else 0
         with self.document.naming("motion", "cutoff_Hz"):
-            return markers.with_positions(
-                butterworth_lowpass(
-                    markers.positions,
-                    markers.rate,
-                    cutoff,
-                    motion.filter_order,
-                    correct_two_passes=motion.correct_two_passes,
+            for first, last, columns in _seen_together(markers.missing):
+                if last - first < shortest:
+                    name = markers.names[columns[0]]
+                    self.notes.append(f"{name}: frames {first} to {last - 1} left out, too few for the filter")
+                    continue
+                run = markers.positions[first:last, columns]
+                filtered[first:last, columns] = butterworth_lowpass(
+                    run, rate, cutoff, motion.filter_order, correct_two_passes=motion.correct_two_passes
                 )
-            )
+        return markers.with_positions(filtered)
+
+
+def _seen_together(missing: NDArray[np.bool_]) -> Iterator[tuple[int, int, NDArray[np.intp]]]:
+    """First frame and the one after the last of each run without gaps, and its markers; those without any together."""
+    whole = ~missing.any(axis=0)
+    if whole.any():
+        yield 0, len(missing), np.flatnonzero(whole)
+    for column in np.flatnonzero(~whole):
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], ~missing[:, column], [False]]).astype(np.int8)))
+        for first, last in edges.reshape(-1, 2):
+            yield int(first), int(last), np.array([column])

@@ -104,6 +104,8 @@ def compared(
 ) -> Figure:
     """A panel for each quantity that was measured, wide grey; each result's line names its RMSE, `validate`'s.
 
+    Of a marker on the skin it is the RMSE less the mean offset: its place says nothing.
+
     Args:
         results: one, or several by their names in the legend.
         measured: of the motion that was simulated; labelled synthetic where they are.
@@ -161,7 +163,7 @@ def _panels(
 
 
 def _error(errors: Validation, quantity: PlottedQuantity) -> float | None:
-    own = {row.key: row.value for row in errors.readings}
+    own = {row.key: row.value for row in errors.readings} | {m.key: m.rms_about_mean for m in errors.skin_markers}
     return own[quantity.error] if quantity.error in own else getattr(errors, quantity.error)
 
 
@@ -177,7 +179,8 @@ def _panel(
         if values is None or error is None:
             continue
         # Whose it is says the legend of all panels: names here would be wider than a panel.
-        ax.plot(across, values, label=f"RMSE {error:.3g} {quantity.unit}", zorder=2, **line(i))
+        of_course = " less mean offset" if quantity.error in {m.key for m in errors[name].skin_markers} else ""
+        ax.plot(across, values, label=f"RMSE {error:.3g} {quantity.unit}{of_course}", zorder=2, **line(i))
     ax.set(xlabel=_AXES[against], ylabel=quantity.label)
     ax.yaxis.label.set_fontsize(SMALL)
     legend_above(ax)

@@ -169,4 +169,5 @@ def _dislocation(result: Result) -> float:
 
 
 def _from_measurements(result: Result, measured: Measured) -> float:
-    return validate(result, measured, tibial=None, femoral=None).mean_distance
+    distance = validate(result, measured, tibial=None, femoral=None).mean_distance
+    return float("nan") if distance is None else distance

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from c3d_files import write_c3d
 from scipy.spatial.transform import Rotation
-from toy_scene_files import LIGHT, START, changed, load, refused, tibia_poses, write_poses
+from toy_scene_files import CLUSTERS, LIGHT, START, changed, load, markers_of, refused, tibia_poses, write_poses
 
 from pftwin.base.errors import InputError
-from pftwin.files.mocap import PoseSeries
+from pftwin.files.mocap import PoseSeries, write_trc
 from pftwin.files.scene_file import load_scene, load_scene_file
 
 MEASURED = """
@@ -143,3 +143,87 @@ def test_a_patella_does_not_start_where_it_never_was(toy: Path) -> None:
         told.value
     )
     assert "start_time_s = 0.02 in [motion]" in str(told.value)
+
+
+SKIN = """
+[[marker]]
+name = "skin"
+point_m = [0.02, 0.015, 0.03]
+
+[measured]
+markers = { skin = "P 1" }
+"""
+
+
+def skin_file(folder: Path, *, femur: str = "", more: str = "", until: int = 41) -> Path:
+    """A scene whose tibia, and the skin over the patella, are seen through markers; P 1 moves along y."""
+    tibia = tibia_poses()
+    patella = PoseSeries(tibia.times, START[0] + np.outer(tibia.times, [0, 0.1, 0]), np.tile(START[1], (41, 1)))
+    seen = markers_of({"tibia": tibia, "patella": patella}).rename({"P1": "P 1"})
+    positions = seen.positions.copy()
+    positions[:9, seen.names.index("P 1")] = np.nan
+    positions[15:30, seen.names.index("P 1")] = np.nan
+    write_trc(folder / "skin.trc", seen.with_positions(positions).between(0, 0.01 * (until - 1)))
+    text = changed('poses = "poses.csv"', f'markers = "skin.trc"\n{more}', LIGHT + SKIN + femur)
+    cluster = ", ".join(f"{name} = {list(place)}" for name, place in CLUSTERS["tibia"].items())
+    (folder / "skin.toml").write_text(
+        changed('body = "tibia"\n\n[patella]', f"cluster_m = {{ {cluster} }}\n\n[patella]", text)
+    )
+    return folder / "skin.toml"
+
+
+def test_markers_on_the_skin_are_measured_without_a_pose(toy: Path) -> None:
+    turned = Rotation.from_rotvec([0, np.radians(20), 0])
+    quaternion = turned.as_quat(scalar_first=True).tolist()
+    femur = f"\n[femur]\nfixed = {{ position_m = [0.1, 0, 0], quaternion_wxyz = {quaternion} }}\n"
+    measured = load_scene_file(skin_file(toy, femur=femur)).measured
+    assert measured is not None
+    assert (measured.skin_markers, measured.quaternion) == (("skin",), None)
+    assert np.isnan(measured.center).all()
+    found = np.stack([measured.readings[f"skin.{axis}"] for axis in "xyz"], axis=1)
+    world = np.add(START[0], CLUSTERS["patella"]["P1"]) + np.outer(0.01 * np.arange(41), [0, 0.1, 0]) - [0.1, 0, 0]
+    world[:9], world[15:30] = np.nan, np.nan
+    np.testing.assert_allclose(found, turned.inv().apply(world), atol=1e-8)
+
+
+def test_runs_too_short_for_the_filter_are_left_out_and_named(toy: Path) -> None:
+    """Frames 9 to 14 and 30 to 40 are seen; the filter of 12 Hz needs 18, that of 40 Hz ten."""
+    loaded = load_scene_file(skin_file(toy, more="cutoff_Hz = 40"))
+    assert loaded.measured is not None
+    np.testing.assert_array_equal(np.flatnonzero(np.isfinite(loaded.measured.readings["skin.x"])), np.arange(30, 41))
+    assert "P 1: no frames 15 to 29" in loaded.notes
+    assert "P 1: frames 9 to 14 left out, too few for the filter" in loaded.notes
+    loaded = load_scene_file(skin_file(toy, more="cutoff_Hz = 40\nstart_time_s = 0.1\nend_time_s = 0.35"))
+    assert loaded.measured is not None
+    np.testing.assert_allclose(loaded.measured.times[[0, -1]], [0.1, 0.35])
+    assert np.isfinite(loaded.measured.readings["skin.x"]).sum() == 6
+
+
+def test_mistakes_in_markers_on_the_skin_are_named(toy: Path) -> None:
+    text = skin_file(toy).read_text()
+    for old, new, said in (
+        ('"P 1"', '"P 9"', "[measured] markers: skin.trc: no marker called 'P 9'"),
+        ("{ skin =", "{ skine =", "[measured] markers: toy: no observable 'skine.x'"),
+        ('markers = { skin = "P 1" }', "", "[measured]: neither patella nor markers"),
+        (
+            'markers = { skin = "P 1" }',
+            'markers = { skin = "P 1" }\nreadings = { "skin.x" = "a" }',
+            "a column of no file",
+        ),
+        ('markers = "skin.trc"', 'poses = "poses.csv"', "a cluster needs a file of markers"),
+    ):
+        found = refused(toy, changed(old, new, text))
+        assert said in found, found
+    (toy / "forces.csv").write_text("time_s,a_m\n" + "\n".join(f"{0.01 * i:.2f},0.1" for i in range(41)) + "\n")
+    both = 'markers = { skin = "P 1" }\nforces = "forces.csv"\nreadings = { "skin.x" = "a" }'
+    found = refused(toy, changed('markers = { skin = "P 1" }', both, text))
+    assert "[measured] readings: skin.x is measured by a marker and in a column" in found
+
+
+def test_another_recording_takes_the_markers_on_the_skin_with_it(toy: Path) -> None:
+    scene = skin_file(toy, more="end_time_s = 0.2")
+    (toy / "skin.trc").rename(toy / "other.trc")
+    other = load_scene(scene, motion=toy / "other.trc").measured
+    assert other is not None
+    assert other.times.size == 41
+    assert other.skin_markers == ("skin",)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from typer import Argument, Option
@@ -12,6 +12,7 @@ from pftwin.base.errors import InputError
 from pftwin.base.sheet import Sheet
 from pftwin.cli import terminal
 from pftwin.cli.exit_codes import exit_flagged
+from pftwin.cli.scenes import limits
 
 if TYPE_CHECKING:
     from pftwin.files.interchange.osim_scene import Imported
@@ -125,8 +126,26 @@ def import_model(
         Option(
             "--motion",
             metavar="FILE",
-            help="Coordinates over time (.mot), or measured poses of the bones (.sto); the knee is bent if left out.",
+            help="Coordinates over time (.mot), measured poses of the bones (.sto), or a recording of markers (.trc, "
+            ".c3d, .csv); the knee is bent if left out.",
         ),
+    ] = None,
+    markers: Annotated[
+        Path | None,
+        Option("--markers", metavar="FILE.xml", help="Where markers sit, in place of the model's own marker set."),
+    ] = None,
+    without: Annotated[
+        list[str] | None, Option("--without", metavar="MARKER", help="A marker to leave out; may be repeated.")
+    ] = None,
+    joint_centers: Annotated[
+        bool,
+        Option(
+            "--joint-centers",
+            help="The centres of hip (by the pelvis' markers) and knee (by the tibia's) count as markers of the femur.",
+        ),
+    ] = False,
+    units: Annotated[
+        str | None, Option("--units", metavar="m|cm|mm", help="Unit of the markers, where their file has none.")
     ] = None,
     rate: RateOption = None,
     quadriceps: Annotated[
@@ -152,20 +171,28 @@ def import_model(
     ] = None,
     json: terminal.JsonOption = None,
 ) -> None:
-    """Write a scene folder from an OpenSim model: patella, ligaments, contact meshes, motion by coordinates or poses.
+    """Write a scene folder from an OpenSim model: patella, ligaments, contact meshes, and a motion.
 
     Says what was left out and why; not_imported.md in the folder has the whole list. Ends with exit code 3 where the
     scene has been written and needs something more before it can be simulated.
 
     Example: `pftwin import lenhart2015.osim -o knee`, or
-    `pftwin import lenhart2015.osim --motion measured.sto --rate 30 -o knee`
+    `pftwin import lenhart2015.osim --motion measured.sto --rate 30 -o knee`, or
+    `pftwin import model.osim --motion gait.trc --markers markers.xml -o knee`
     """
     terminal.check_folder(folder)
     terminal.check_outputs(json)
     from pftwin.files.interchange.osim_scene import import_osim
     from pftwin.files.interchange.osim_toml import rows
 
-    more = {"quadriceps": quadriceps, "activation": activation, "geometry": geometry or ()}
+    more: dict[str, Any] = {"quadriceps": quadriceps, "activation": activation, "geometry": geometry or ()}
+    more |= {
+        "limits": limits.get(),
+        "markers": markers,
+        "without": without or (),
+        "joint_centers": joint_centers,
+        "units": units,
+    }
     bodies = {"femur": femur, "tibia": tibia, "patella": patella}
     with terminal.spinner(f"reading {model}"):
         found = import_osim(model, folder, motion=motion, rate=rate, bend=bend, side=side, **bodies, **more)

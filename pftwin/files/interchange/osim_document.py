@@ -107,7 +107,7 @@ def read_osim(path: str | os.PathLike[str]) -> Element:
         InputError: no such file, no XML (naming the line), a DOCTYPE, more than `MOST_ELEMENTS`
             elements, no model, or one of an older version.
     """
-    root = _parsed(read_bytes(path, max_bytes=MODEL_BYTES), str(path))
+    root = read_xml(path)
     if root.tag != "OpenSimDocument":
         raise InputError(f"the document is a <{root.tag}>", where=root.where, expected="an <OpenSimDocument>")
     version = root.name
@@ -119,6 +119,15 @@ def read_osim(path: str | os.PathLike[str]) -> Element:
             remedy="open the model in OpenSim 4 and save it",
         )
     return root.needed("Model")
+
+
+def read_xml(path: str | os.PathLike[str]) -> Element:
+    """The outermost element of a file.
+
+    Raises:
+        InputError: no such file, no XML (naming the line), a DOCTYPE, more than `MOST_ELEMENTS` elements.
+    """
+    return _parsed(read_bytes(path, max_bytes=MODEL_BYTES), str(path))
 
 
 def _parsed(content: bytes, file: str) -> Element:
@@ -195,6 +204,10 @@ class Frames:
     def __init__(self, model: Element) -> None:
         self.bodies = {b.name for b in model.all("Body")}
         self.offsets = list(model.all("PhysicalOffsetFrame"))
+
+    def knows(self, name: str) -> bool:
+        """Whether a body, ground or a frame is called so."""
+        return name == GROUND or name in self.bodies or any(f.name == name for f in self.offsets)
 
     def find(self, path: str, near: Element, where: str, depth: int = 0) -> OsimFrame:
         """The frame that the last part of a path names: in this element, a body, ground, or a frame elsewhere.

@@ -21,6 +21,11 @@ from pftwin.files.mocap.tables import unknown_name
 RATE = 100.0  # frames per second of a motion that is made
 FASTEST = np.radians(45.0)  # of it [rad/s]
 FARTHEST = np.radians(90.0)  # of it, where the model's range goes further
+GROUND_AS_MODEL = (
+    "gravity, and whatever is attached to the ground, are as in the model's: check that this recording is too"
+)
+_TRIED = 1001  # angles of the knee at which the patella is looked for
+_MOVED = 1e-4  # the patella is moved by what moves it by more [m]
 
 
 class Motion(NamedTuple):
@@ -124,10 +129,47 @@ def _measured(tree: Tree, knee: OsimKnee, path: str | os.PathLike[str], rate: fl
         turns = quaternion_product(femur.quaternions, there.quaternions)
         seen[knee.patella] = PoseSeries(femur.times, places, turns)
         said += f"; {knee.patella} starts where the model has it in {knee.femur}"
-    said += "; gravity, and whatever is attached to the ground, are as in the model's: check that these poses are too"
+    said += f"; {GROUND_AS_MODEL}"
     return Motion(
         seen[knee.femur].times, {body: (p.positions, p.quaternions) for body, p in seen.items()}, said, measured
     )
+
+
+def resting_patella(tree: Tree, knee: OsimKnee, tibia: PoseSeries) -> tuple[Floats, str]:
+    """Where the model has the patella in the femur (4, 4) for a tibia as in the first frame, and a description.
+
+    That is its default, unless the coordinate that bends the knee moves the patella too: then at the value for which
+    the model turns the tibia most nearly as it was recorded.
+
+    Args:
+        tree: the model's.
+        knee: its bodies.
+        tibia: in the femur.
+
+    Raises:
+        InputError: as `poses`.
+    """
+    bending = [c for c in tree.joints[tree_joint(tree, knee.tibia)].coordinates if c.rotational]
+    angles, given = np.zeros(1), {}
+    if bending:
+        low, high = np.clip((bending[0].low, bending[0].high), -np.pi, np.pi)
+        angles = np.concatenate([[bending[0].default], np.linspace(low, high, _TRIED)])
+        given = {bending[0].name: angles}
+    tried = np.arange(angles.size, dtype=np.float64)
+    found = poses(tree, [knee.femur, knee.tibia, knee.patella], tried, given)
+    series = {body: PoseSeries(tried, *pair) for body, pair in found.items()}
+    shin, button = (series[body].relative_to(series[knee.femur]) for body in (knee.tibia, knee.patella))
+    index, said = 0, f"{knee.patella} starts where the model has it in {knee.femur} by default"
+    if (np.ptp(button.positions, axis=0) > _MOVED).any():
+        turns = Rotation.from_quat(shin.quaternions, scalar_first=True).inv()
+        first = Rotation.from_quat(tibia.quaternions[0], scalar_first=True)
+        off = np.asarray((turns * first).magnitude())
+        index = 1 + int(np.argmin(off[1:]))
+        angle = f"{bending[0].name} = {np.degrees(angles[index]):.1f} deg"
+        said = f"{knee.patella} starts where the model has it in {knee.femur} at {angle}"
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = button.matrices()[index], button.positions[index]
+    return pose, said
 
 
 def poses(tree: Tree, bodies: list[str], times: Floats, given: dict[str, Floats]) -> dict[str, tuple[Floats, Floats]]:

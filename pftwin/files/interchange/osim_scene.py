@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from pftwin.base.errors import InputError, OutputError
 from pftwin.base.text_files import write_text
@@ -27,15 +27,20 @@ from pftwin.files.interchange.osim_muscles import (
     muscles_of,
     shared_tensions,
 )
+from pftwin.model.limits import Limits
 
 if TYPE_CHECKING:
+    from pftwin.files.interchange.osim_activation import Activated
+    from pftwin.files.interchange.osim_clusters import Recording
     from pftwin.files.interchange.osim_toml import OsimStrand
 
 REPORT = "not_imported.md"
+RECORDING = "markers.trc"
+MARKER_FILES = (".trc", ".c3d", ".csv")
 _SETS = {
     "ControllerSet": "a scene has no controllers",
     "ProbeSet": "results report what effects do by themselves",
-    "MarkerSet": "a scene's motion comes from coordinates; markers go into [motion] of a scene file of one's own",
+    "MarkerSet": "markers serve where the motion is a recording of them",
     "ConstraintSet": "the bones' motion is prescribed",
 }
 _READ = (LIGAMENT, CONTACT, "CoordinateCouplerConstraint")
@@ -73,6 +78,11 @@ def import_osim(
     tibia: str | None = None,
     patella: str | None = None,
     geometry: Sequence[str | os.PathLike[str]] = (),
+    markers: str | os.PathLike[str] | None = None,
+    units: str | None = None,
+    without: Sequence[str] = (),
+    joint_centers: bool = False,
+    limits: Mapping[str, float] | None = None,
 ) -> Imported:
     """Writes a scene of a model's knee: the patella, its ligaments and its contact; how the bones move.
 
@@ -84,8 +94,8 @@ def import_osim(
         model: .osim file of OpenSim 4.
         folder: of the scene; made if it is not there.
         motion: .mot or .sto file of coordinates, or .sto file of the bodies' poses as matrices (BODY_T11 ... BODY_T44);
-            where the patella is among them, its poses are the scene's measurements. None: the knee is bent through its
-            range.
+            where the patella is among them, its poses are the scene's measurements. TRC, C3D or CSV file of the
+            markers of femur and tibia, and maybe of the patella. None: the knee is bent through its range.
         rate: frames per second, where the times of a file of poses count frames.
         bend: the coordinate to bend by; None: the first rotation of the tibia's joint.
         quadriceps: a constant tension [N] of all muscles together that end on the patella, shared out by their maximum
@@ -96,24 +106,42 @@ def import_osim(
         side: "right" or "left"; None: as the patella's name ends.
         femur, tibia, patella: names of bodies, where they cannot be told.
         geometry: folders with meshes, besides the model's own and `Geometry` in it.
+        markers: file of the <MarkerSet> that a recording of markers goes by; None: the model's own.
+        units: of a recording of markers that has none.
+        without: markers to leave out, by the recording's or the model's names.
+        joint_centers: whether the centres of hip (by the pelvis' markers) and knee (by the tibia's) count as markers of
+            the femur, for want of good ones.
+        limits: of what a knee can be (`pftwin.model.limits.Limits`), by name, for the scene to have.
 
     Raises:
         InputError: no model of OpenSim 4, or one without such a knee; joints, functions or numbers that cannot be read;
             contact meshes that are not there; a tension or an activation, and no muscle to have it; both of them.
         OutputError: the folder cannot be written to, or holds one of these files already.
     """
-    from pftwin.files.interchange.osim_activation import FILE, activated
+    from pftwin.files.interchange.osim_activation import FILE
     from pftwin.files.interchange.osim_toml import OverTime, poses_csv, scene_text
+    from pftwin.files.mocap.trc import trc_text
 
     if quadriceps is not None and activation is not None:
         raise InputError("both a tension and an activation", where="activation", expected="one of them")
+    Limits.of(limits or {})
     root = read_osim(model)
     found = read_model(root)
     knee = find_knee(found, side, femur=femur, tibia=tibia, patella=patella)
     told = Imported(left_out=list(found.left_out))
     places = [Path(p) for p in geometry]
-    moved = osim_motion.motion_of(found.tree, knee, motion, rate, bend)
-    told.notes.append(f"motion: {moved.said}")
+    seen = moved = None
+    how: dict[str, Any] = {"units": units, "without": without, "joint_centers": joint_centers}
+    if motion is not None and Path(motion).suffix.lower() in MARKER_FILES:
+        _refuse_others("a recording of markers", rate=rate, bend=bend)
+        if activation is not None:
+            expected = "coordinates (.mot) or poses (.sto), by which muscles have lengths; or a constant tension"
+            raise InputError("an activation, and a recording of markers", where="activation", expected=expected)
+        seen = _recording(root, found, knee, motion, markers, told, how)
+    else:
+        _refuse_others("a motion that is no recording of markers", markers=markers, **how)
+        moved = osim_motion.motion_of(found.tree, knee, motion, rate, bend)
+        told.notes.append(f"motion: {moved.said}")
     if found.bodies[knee.patella].mass <= 0:
         raise InputError("a patella without mass", where=found.bodies[knee.patella].where, expected="a positive mass")
     strands = _ligament_groups(found, knee, told)
@@ -122,28 +150,85 @@ def import_osim(
     drawn = list(bones(found, knee, places, taken, told.left_out))
     if drawn:
         told.notes.append(f"bones: {len(drawn)} meshes lie in {FOLDER}/; a scene file has no table for them")
-    muscles = told.muscles = list(muscles_of(root, found, knee))
-    tensions = told.tensions = {} if quadriceps is None else shared_tensions(muscles, quadriceps)
-    if tensions:
-        each = ", ".join(f"{name} {newtons:.3g} N" for name, newtons in tensions.items())
-        told.notes.append(f"tensions, constant, by maximum isometric force, along straight lines: {each}")
-    pulled = None if activation is None else activated(root, found, knee, moved, muscles, activation)
-    if pulled is not None:
-        tensions = told.tensions = {m.name: float(t) for m, t in zip(pulled.muscles, pulled.tensions[0], strict=True)}
-        told.notes += pulled.notes
-    if tensions and (without := [m.name for m in muscles if m.name not in tensions]):
-        told.notes.append(f"without a tension: {', '.join(without)}")
-    told.left_out += _unused_elements(root, told)
-    pulling = [m for m in muscles if m.name in tensions] if pulled is None else pulled.muscles
-    over_time = None if pulled is None else OverTime(FILE, pulled.moving)
+    pulling, pulled = _pulls(root, found, knee, moved, told, quadriceps, activation)
+    told.left_out += _unused_elements(root, told, recorded=seen is not None)
     text = scene_text(
-        found, knee, strands, contact, pressing, told, measured=moved.measured, muscles=pulling, over_time=over_time
+        found,
+        knee,
+        strands,
+        contact,
+        pressing,
+        told,
+        measured=moved is not None and moved.measured,
+        muscles=pulling,
+        over_time=None if pulled is None else OverTime(FILE, pulled.moving),
+        seen=seen,
+        limits=limits or {},
     )
-    tables = {"poses.csv": poses_csv(moved.times, moved.poses)}
-    if pulled is not None:
+    tables = {} if moved is None else {"poses.csv": poses_csv(moved.times, moved.poses)}
+    tables |= {} if seen is None else {RECORDING: trc_text(RECORDING, seen.markers)}
+    if moved is not None and pulled is not None:
         tables[FILE] = pulled.table(moved.times)
     _write(Path(folder), text, tables, [*pressing, *drawn], told)
     return told
+
+
+def _pulls(
+    root: Element,
+    model: OsimModel,
+    knee: OsimKnee,
+    moved: osim_motion.Motion | None,
+    told: Imported,
+    quadriceps: float | None,
+    activation: float | str | os.PathLike[str] | None,
+) -> tuple[Sequence[PatellarMuscle], Activated | None]:
+    """The muscles that pull at the patella, with a tension of all, or over time by their activation."""
+    muscles = told.muscles = list(muscles_of(root, model, knee))
+    pulled = None
+    if quadriceps is not None:
+        told.tensions = shared_tensions(muscles, quadriceps)
+        each = ", ".join(f"{name} {newtons:.3g} N" for name, newtons in told.tensions.items())
+        told.notes.append(f"tensions, constant, by maximum isometric force, along straight lines: {each}")
+    elif activation is not None and moved is not None:
+        from pftwin.files.interchange.osim_activation import activated
+
+        pulled = activated(root, model, knee, moved, muscles, activation)
+        told.tensions = {m.name: float(t) for m, t in zip(pulled.muscles, pulled.tensions[0], strict=True)}
+        told.notes += pulled.notes
+    if told.tensions and (without := [m.name for m in muscles if m.name not in told.tensions]):
+        told.notes.append(f"without a tension: {', '.join(without)}")
+    return [m for m in muscles if m.name in told.tensions] if pulled is None else pulled.muscles, pulled
+
+
+def _recording(
+    root: Element,
+    model: OsimModel,
+    knee: OsimKnee,
+    motion: str | os.PathLike[str],
+    markers: str | os.PathLike[str] | None,
+    told: Imported,
+    how: dict[str, Any],
+) -> Recording:
+    """The markers of the knee, and their recording."""
+    from pftwin.files.interchange.osim_clusters import PARTS, read_recording
+    from pftwin.files.interchange.osim_markers import markers_of
+
+    known = markers_of(root, model, knee, markers, told.left_out)
+    seen = read_recording(motion, model, knee, known, **how)
+    why = "it is not in the recording, or not seen throughout, or was left out"
+    told.left_out += [
+        LeftOut("Marker", m.name, why if m.part in PARTS else "it is on no bone of the knee")
+        for m in known
+        if m.name not in seen.used
+    ]
+    told.notes += [f"motion: markers of {os.fspath(motion)}; {osim_motion.GROUND_AS_MODEL}", *seen.notes]
+    return seen
+
+
+def _refuse_others(found: str, **options: Any) -> None:
+    """Refuses options that have no meaning for a motion."""
+    if given := [name for name, value in options.items() if value]:
+        raise InputError(f"{given[0]} given, and {found}", where=given[0], expected="one or the other")
 
 
 def _ligament_groups(model: OsimModel, knee: OsimKnee, told: Imported) -> dict[tuple[str, str], list[OsimStrand]]:
@@ -237,8 +322,11 @@ def _write(folder: Path, text: str, tables: dict[str, str], meshes: list[Written
     told.files = [folder / name for name in names]
 
 
-def _unused_elements(root: Element, told: Imported) -> Iterator[LeftOut]:
-    """The parts of the model that no reader uses, in the file's order, without the muscles that were taken over."""
+def _unused_elements(root: Element, told: Imported, *, recorded: bool) -> Iterator[LeftOut]:
+    """The parts of the model that no reader uses, in the file's order, without the muscles that were taken over.
+
+    Of markers, whose recording says which are used, nothing is said where the motion was `recorded` by them.
+    """
     taken = {(m.kind, m.name) for m in told.muscles if m.name in told.tensions}
     for group in root.children:
         held = group.child("objects")
@@ -252,7 +340,7 @@ def _unused_elements(root: Element, told: Imported) -> Iterator[LeftOut]:
             for surface in held.children:
                 if surface.tag != SURFACE:
                     yield LeftOut(surface.tag, surface.name, f"only <{SURFACE}> is read")
-        elif group.tag in _SETS:
+        elif group.tag in _SETS and not (recorded and group.tag == "MarkerSet"):
             for part in held.children:
                 if part.tag not in _READ:
                     yield LeftOut(part.tag, part.name, _SETS[group.tag])

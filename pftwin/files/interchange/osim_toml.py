@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from itertools import groupby
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from pftwin.base.arrays import Floats
 from pftwin.files.interchange.osim_knee import OsimKnee, Written
@@ -16,6 +17,7 @@ from pftwin.files.interchange.osim_muscles import PatellarMuscle
 from pftwin.files.toml_text import render_toml
 
 if TYPE_CHECKING:
+    from pftwin.files.interchange.osim_clusters import Recording
     from pftwin.files.interchange.osim_scene import Imported
 
 # Which of OpenSim's axes (x anterior, y proximal, z to the right) are proximal, lateral, anterior.
@@ -28,6 +30,10 @@ class OsimStrand(NamedTuple):
     ligament: OsimLigament
     insertion: Floats
     origin: Floats
+
+
+# Limits for a patella whose start is a guess of the model, not a recording.
+ANYWHERE = {"most_start_shift_mm": 100.0, "most_start_turn_deg": 90.0}
 
 
 class OverTime(NamedTuple):
@@ -51,10 +57,12 @@ def scene_text(
     measured: bool = False,
     muscles: Sequence[PatellarMuscle] = (),
     over_time: OverTime | None = None,
+    seen: Recording | None = None,
+    limits: Mapping[str, float] | None = None,
 ) -> str:
     """The scene file; adds to the notes what it could not take over as it is.
 
-    Its measurements are the patella's poses, where that was `measured`.
+    Its measurements are the patella's poses, where that was `measured`, or its markers, where they were `seen`.
     """
     body = model.bodies[knee.patella]
     if np.any(body.inertia[3:]):
@@ -75,6 +83,8 @@ def scene_text(
         axes=AXES[knee.side],
         patella=body,
         measured=measured,
+        seen=None if seen is None else _seen_markers(seen, [label for label, _, _ in _labelled(strands)]),
+        limits={**(ANYWHERE if seen else {}), **(limits or {})},
         bodies={knee.part(body): body_label(body) for body in (knee.femur, knee.tibia, knee.patella)},
         tensions=told.tensions,
         over_time=over_time,
@@ -85,6 +95,30 @@ def scene_text(
         fine=bool(meshes) and len(meshes[0].mesh.faces) > _FINE,
         sides=list(zip(("femur", "button"), meshes, layers, strict=False)),  # none without a contact
     )
+
+
+class SeenMarkers(NamedTuple):
+    """What the scene file says of a recording of markers."""
+
+    clusters: dict[str, dict[str, Floats]]  # of femur and tibia: places by name
+    cutoff: float | None
+    order: int
+    position: Floats  # of the patella in the femur, at the start [m]
+    quaternion: Floats
+    patella: list[tuple[str, str, Floats]]  # name of the effect, of the marker, and its place
+
+
+def _seen_markers(seen: Recording, labels: Sequence[str]) -> SeenMarkers:
+    from pftwin.files.interchange.osim_clusters import ORDER
+
+    turn = Rotation.from_matrix(seen.start[:3, :3]).as_quat(scalar_first=True, canonical=True)
+    taken, names = {*labels, "contact", "gravity"}, {}
+    for marker in seen.clusters["patella"]:
+        label = plain_name(marker)
+        names[marker] = f"{label}_marker" if label in taken or label.startswith("quadriceps") else label
+        taken.add(names[marker])
+    markers = [(names[m], m, place) for m, place in seen.clusters["patella"].items()]
+    return SeenMarkers(seen.clusters, seen.cutoff, ORDER, seen.start[:3, 3], turn, markers)
 
 
 def _free_name(labels: Sequence[str]) -> str:

@@ -67,10 +67,15 @@ def write_trc(path: str | os.PathLike[str], markers: MarkerTrajectories) -> None
     Raises:
         OutputError: the file cannot be written.
     """
+    write_text(path, trc_text(os.path.basename(os.fspath(path)), markers))
+
+
+def trc_text(name: str, markers: MarkerTrajectories) -> str:
+    """The text of such a file of this name."""
     n, m = markers.missing.shape
     rate = f"{markers.rate:.12g}" if n > 1 else "1"
     lines = [
-        f"PathFileType\t4\t(X/Y/Z)\t{os.path.basename(os.fspath(path))}",
+        f"PathFileType\t4\t(X/Y/Z)\t{name}",
         "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames",
         f"{rate}\t{rate}\t{n}\t{m}\tmm\t{rate}\t1\t{n}",
         "Frame#\tTime\t" + "".join(f"{name}\t\t\t" for name in markers.names).rstrip("\t"),
@@ -83,7 +88,7 @@ def write_trc(path: str | os.PathLike[str], markers: MarkerTrajectories) -> None
     for i in range(n):
         cells = ["" if v != v else f"{v:.6f}" for v in millimetres[i].ravel()]
         lines.append(f"{i + 1}\t{markers.times[i]:.9f}\t" + "\t".join(cells))
-    write_text(path, "\n".join(lines) + "\n")
+    return "\n".join(lines) + "\n"
 
 
 def _cells(line: str) -> list[str]:

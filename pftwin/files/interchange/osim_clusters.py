@@ -1,0 +1,247 @@
+"""A recording of an OpenSim model's markers as clusters of femur and tibia: which markers, and which stretch of it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pftwin.base.arrays import Floats
+from pftwin.base.errors import InputError
+from pftwin.files.interchange.osim_joint_centers import Center, find_centers, with_centers
+from pftwin.files.interchange.osim_knee import OsimKnee
+from pftwin.files.interchange.osim_markers import OsimMarker, recorded_names
+from pftwin.files.interchange.osim_model import OsimModel
+from pftwin.files.interchange.osim_motion import resting_patella
+from pftwin.files.mocap import (
+    MarkerTrajectories,
+    PoseSeries,
+    butterworth_lowpass,
+    cluster_poses,
+    fill_gaps,
+    read_markers,
+    segment_poses,
+)
+
+MAX_GAP = 0.1  # longest gap that is filled [s]
+CUTOFF, ORDER = 12.0, 2  # of the filter [Hz], as Michaud et al. 2024 filter markers
+LEAST = 3  # markers of a segment
+PARTS = ("femur", "tibia", "patella")
+
+
+@dataclass
+class Recording:
+    """The markers of a knee in the stretch of a recording that can be used, gaps filled, and what they are fixed to."""
+
+    markers: MarkerTrajectories
+    clusters: dict[str, dict[str, Floats]]  # by part, "femur", "tibia" and "patella": places (3,) by recorded name [m]
+    used: frozenset[str]  # the model's names of these markers
+    cutoff: float | None  # of the filter that the scene is to apply [Hz]; None: the rate is too low for it
+    start: Floats  # (4, 4) the patella in the femur
+    notes: list[str]
+
+
+def read_recording(
+    path: str | os.PathLike[str],
+    model: OsimModel,
+    knee: OsimKnee,
+    markers: Sequence[OsimMarker],
+    *,
+    units: str | None = None,
+    without: Sequence[str] = (),
+    joint_centers: bool = False,
+) -> Recording:
+    """The longest stretch of a recording in which femur and tibia are both known, by three markers or more of each.
+
+    Args:
+        path: TRC, C3D or CSV file.
+        model: the model.
+        knee: its bodies.
+        markers: of the model.
+        units: of the file, where it has none.
+        without: markers to leave out, by the recording's or the model's names.
+        joint_centers: whether the centres of the femur's joints count as its markers: the hip's by the pelvis' markers,
+            the knee's by the tibia's.
+
+    Raises:
+        InputError: what the file's reader refuses; names that may mean several; fewer than three markers of a segment,
+            or never together; markers on a line; a stretch too short for the filter; a femur without a hip.
+    """
+    raw = read_markers(path, units=units)
+    centers = find_centers(model, knee) if joint_centers else []
+    relevant = {*PARTS, *(c.carrier for c in centers)}
+    own = [m for m in markers if m.part in relevant]
+    names = recorded_names(own, raw.names, str(path))
+    left = _left_out(without, names, str(path))
+    notes = _renamed(names)
+    filled, gaps = fill_gaps(
+        raw.select([n for n in names.values() if n not in left]), max_gap_s=MAX_GAP, keep_long=True
+    )
+    notes += [f"{g.marker}: filled frames {g.first_frame} to {g.last_frame}" for g in gaps if g.filled]
+    places = {
+        p: {names[m.name]: m.place for m in own if m.part == p and names.get(m.name) in filled.names} for p in relevant
+    }
+    kept, clusters = _known(filled, places, centers, own, knee)
+    notes.append(
+        f"stretch: {kept.times[0]:g} to {kept.times[-1]:g} s of {raw.times[0]:g} to {raw.times[-1]:g} s, the longest "
+        f"in which enough markers of each of {', '.join(sorted(relevant - {'patella'}))} are seen throughout"
+    )
+    used = frozenset(m for m, theirs in names.items() if theirs in kept.names)
+    cutoff = CUTOFF if kept.rate > 2 * CUTOFF else None
+    notes.append(
+        f"gaps of up to {MAX_GAP:g} s are filled; filter: "
+        + (f"Butterworth, {cutoff:g} Hz, order {ORDER}, forwards and backwards" if cutoff else "none, by the low rate")
+    )
+    smooth = _low_passed(kept.select([n for p in ("femur", "tibia") for n in clusters[p]]), cutoff)
+    fits = {part: _fit(smooth, clusters[part], knee_name(knee, part), notes) for part in ("femur", "tibia")}
+    start, said = resting_patella(model.tree, knee, fits["tibia"].relative_to(fits["femur"]))
+    return Recording(kept, clusters, used, cutoff, start, [*notes, said])
+
+
+def _known(
+    filled: MarkerTrajectories,
+    places: Mapping[str, Mapping[str, Floats]],
+    centers: Sequence[Center],
+    own: Sequence[OsimMarker],
+    knee: OsimKnee,
+) -> tuple[MarkerTrajectories, dict[str, dict[str, Floats]]]:
+    """The longest stretch in which all segments are known, and the markers that tell it; with the joints' centres."""
+    segments = sorted(places.keys() - {"patella"})
+    least = {p: max(0, LEAST - len(centers)) if p == "femur" else LEAST for p in segments}
+    for part in segments:
+        _refuse_few(part, places[part], least[part], filled, own, knee)
+    whole = _stretch(filled, {p: list(places[p]) for p in segments}, least)
+    clusters = {p: _seen(held, whole, throughout=p != "patella") for p, held in places.items()}
+    whole = with_centers(whole, centers, clusters)
+    clusters["femur"] |= {c.name: c.place for c in centers}
+    clusters = {p: clusters[p] for p in PARTS}
+    return whole.select([n for p in PARTS for n in clusters[p]]), clusters
+
+
+def knee_name(knee: OsimKnee, part: str) -> str:
+    """The model's name for a part of the knee; other bodies keep theirs."""
+    return {"femur": knee.femur, "tibia": knee.tibia, "patella": knee.patella}.get(part, part)
+
+
+def _renamed(names: Mapping[str, str]) -> list[str]:
+    differ = [f"{own} is {theirs}" for own, theirs in names.items() if own != theirs]
+    return [f"markers that the recording spells otherwise: {', '.join(differ)}"] if differ else []
+
+
+def _left_out(without: Sequence[str], names: Mapping[str, str], where: str) -> set[str]:
+    """The recording's names of markers to leave out."""
+    found = {name: names.get(name, name) for name in without}
+    if strange := [name for name, theirs in found.items() if theirs not in names.values()]:
+        raise InputError(
+            f"no marker {strange[0]!r} of the knee to leave out",
+            where=where,
+            expected=f"one of: {', '.join(names.values())}",
+        )
+    return set(found.values())
+
+
+def _refuse_few(
+    part: str, places: Mapping[str, Floats], least: int, filled: MarkerTrajectories,
+    own: Sequence[OsimMarker], knee: OsimKnee,
+) -> None:  # fmt: skip
+    seen = list(_seen(places, filled, throughout=False))
+    if len(seen) >= least:
+        return
+    model = ", ".join(m.name for m in own if m.part == part)
+    centers = "" if part != "femur" or least < LEAST else "--joint-centers, where the pelvis has markers; "
+    raise InputError(
+        f"{len(seen)} of the markers on {knee_name(knee, part)} are seen: {', '.join(seen) or 'none'}",
+        where=filled.source,
+        expected=f"{LEAST} or more that span a plane; the model has {model or 'none'} there",
+        remedy=f"--markers FILE.xml with the places of more that were recorded; {centers}"
+        "or coordinates (.mot) or poses (.sto) in place of markers",
+    )
+
+
+def _seen(places: Mapping[str, Floats], markers: MarkerTrajectories, *, throughout: bool) -> dict[str, Floats]:
+    """Those of the markers that are seen in every frame, or in any."""
+    most = 0 if throughout else markers.times.size - 1  # frames in which it may be missing
+    lost = dict(zip(markers.names, np.count_nonzero(markers.missing, axis=0), strict=True))
+    return {name: place for name, place in places.items() if lost[name] <= most}
+
+
+def _stretch(
+    markers: MarkerTrajectories, segments: Mapping[str, list[str]], least: Mapping[str, int]
+) -> MarkerTrajectories:
+    """The longest stretch in which enough markers of each segment are seen in all of its frames; the first of several.
+
+    Raises:
+        InputError: there is none of two frames or more.
+    """
+    counts = {}  # (n + 1, m): in how many of the frames before each was seen
+    for part, names in segments.items():
+        seen = ~markers.select(names).missing
+        counts[part] = np.concatenate([np.zeros((1, len(names)), int), np.cumsum(seen, axis=0)])
+
+    def known(a: int, b: int) -> bool:
+        return all(np.count_nonzero(c[b] - c[a] == b - a) >= least[part] for part, c in counts.items())
+
+    first, best = 0, (0, 0)
+    for end in range(1, markers.times.size + 1):
+        while first < end and not known(first, end):
+            first += 1
+        best = max(best, (first, end), key=lambda span: span[1] - span[0])
+    if best[1] - best[0] < 2:
+        each = "; ".join(f"{part}: {', '.join(names)}" for part, names in segments.items())
+        raise InputError(
+            f"in no two frames enough markers of each segment are seen at once ({each})",
+            where=markers.source,
+            expected="a stretch in which femur and tibia are both known",
+        )
+    return markers.between(float(markers.times[best[0]]), float(markers.times[best[1] - 1]))
+
+
+def _low_passed(markers: MarkerTrajectories, cutoff: float | None) -> MarkerTrajectories:
+    if cutoff is None:
+        return markers
+    try:
+        return markers.with_positions(butterworth_lowpass(markers.positions, markers.rate, cutoff, ORDER))
+    except InputError as error:
+        raise InputError(
+            f"femur and tibia are both known from {markers.times[0]:g} to {markers.times[-1]:g} s at the longest: "
+            f"{error.problem}",
+            where=markers.source,
+            expected=error.expected,
+        ) from error
+
+
+def _fit(markers: MarkerTrajectories, cluster: Mapping[str, Floats], body: str, notes: list[str]) -> PoseSeries:
+    """The poses of a segment; notes how far its markers are from a rigid body, and which one is off most."""
+    poses = segment_poses(markers, cluster, source=f"{markers.source}, {body}")
+    places, seen = np.array([*cluster.values()]), markers.select(list(cluster)).positions
+    off = seen - poses.positions[:, None] - np.einsum("nij,mj->nmi", poses.matrices(), places)
+    each = ", ".join(f"{n} {1e3 * v:.1f}" for n, v in zip(cluster, _rms(off, (0, 2)), strict=True))
+    frames = _rms(off, (1, 2))
+    note = (
+        f"{body}: {len(cluster)} markers are off a rigid body by {1e3 * float(_rms(off, (0, 1, 2))):.1f} mm rms, "
+        f"{1e3 * float(frames.max()):.1f} in the worst frame ({each}): soft tissue, and places that differ from the "
+        "model's"
+    )
+    if len(cluster) > LEAST:
+        others = {n: [m for m in cluster if m != n] for n in cluster}
+        best = {n: _misfit(markers, {m: cluster[m] for m in kept}, body) for n, kept in others.items()}
+        name = min(best, key=lambda n: best[n])
+        note += f"; without {name} by {1e3 * best[name]:.1f} mm rms"
+    notes.append(note)
+    return poses
+
+
+def _misfit(markers: MarkerTrajectories, cluster: Mapping[str, Floats], body: str) -> float:
+    """Root mean square distance of markers from a rigid body over all frames [m]."""
+    places, seen = np.array([*cluster.values()]), markers.select(list(cluster)).positions
+    residual = cluster_poses(seen, places, markers.times, names=list(cluster), source=body).residual_rms
+    assert residual is not None
+    return float(np.sqrt(np.mean(residual**2)))
+
+
+def _rms(off: Floats, axis: tuple[int, ...]) -> NDArray[np.float64]:
+    """Of distances; the coordinates are the last axis."""
+    return np.sqrt(np.mean(off**2, axis=axis) * 3)

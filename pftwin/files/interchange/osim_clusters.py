@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,7 +20,6 @@ from pftwin.files.mocap import (
     MarkerTrajectories,
     PoseSeries,
     butterworth_lowpass,
-    cluster_poses,
     fill_gaps,
     read_markers,
     segment_poses,
@@ -90,14 +89,20 @@ def read_recording(
         f"in which enough markers of each of {', '.join(sorted(relevant - {'patella'}))} are seen throughout"
     )
     used = frozenset(m for m, theirs in names.items() if theirs in kept.names)
+    notes += [
+        f"{c.name} counts as a marker of {knee.femur}: where the model has it by default, told by the markers of "
+        f"{knee_name(knee, c.carrier)}"
+        for c in centers
+    ]
     cutoff = CUTOFF if kept.rate > 2 * CUTOFF else None
     notes.append(
         f"gaps of up to {MAX_GAP:g} s are filled; filter: "
         + (f"Butterworth, {cutoff:g} Hz, order {ORDER}, forwards and backwards" if cutoff else "none, by the low rate")
     )
     smooth = _low_passed(kept.select([n for p in ("femur", "tibia") for n in clusters[p]]), cutoff)
-    fits = {part: _fit(smooth, clusters[part], knee_name(knee, part), notes) for part in ("femur", "tibia")}
+    fits = {p: _fit(smooth, clusters[p], places[p], knee_name(knee, p), notes) for p in ("femur", "tibia")}
     start, said = resting_patella(model.tree, knee, fits["tibia"].relative_to(fits["femur"]))
+    said += "; limits of how far from there it comes to rest are wide"
     return Recording(kept, clusters, used, cutoff, start, [*notes, said])
 
 
@@ -213,8 +218,10 @@ def _low_passed(markers: MarkerTrajectories, cutoff: float | None) -> MarkerTraj
         ) from error
 
 
-def _fit(markers: MarkerTrajectories, cluster: Mapping[str, Floats], body: str, notes: list[str]) -> PoseSeries:
-    """The poses of a segment; notes how far its markers are from a rigid body, and which one is off most."""
+def _fit(
+    markers: MarkerTrajectories, cluster: Mapping[str, Floats], own: Collection[str], body: str, notes: list[str]
+) -> PoseSeries:
+    """The poses of a segment; notes how far its markers are off a rigid body, and which of its own to leave out first."""
     poses = segment_poses(markers, cluster, source=f"{markers.source}, {body}")
     places, seen = np.array([*cluster.values()]), markers.select(list(cluster)).positions
     off = seen - poses.positions[:, None] - np.einsum("nij,mj->nmi", poses.matrices(), places)
@@ -226,20 +233,24 @@ def _fit(markers: MarkerTrajectories, cluster: Mapping[str, Floats], body: str, 
         "model's"
     )
     if len(cluster) > LEAST:
-        others = {n: [m for m in cluster if m != n] for n in cluster}
-        best = {n: _misfit(markers, {m: cluster[m] for m in kept}, body) for n, kept in others.items()}
+        best = {n: _misfit(np.delete(seen, i, 1), np.delete(places, i, 0)) for i, n in enumerate(cluster) if n in own}
         name = min(best, key=lambda n: best[n])
         note += f"; without {name} by {1e3 * best[name]:.1f} mm rms"
     notes.append(note)
     return poses
 
 
-def _misfit(markers: MarkerTrajectories, cluster: Mapping[str, Floats], body: str) -> float:
-    """Root mean square distance of markers from a rigid body over all frames [m]."""
-    places, seen = np.array([*cluster.values()]), markers.select(list(cluster)).positions
-    residual = cluster_poses(seen, places, markers.times, names=list(cluster), source=body).residual_rms
-    assert residual is not None
-    return float(np.sqrt(np.mean(residual**2)))
+def _misfit(seen: Floats, places: Floats) -> float:
+    """Root mean square distance of markers (n, m, 3) from the rigid body (m, 3) that fits each frame best [m].
+
+    By the singular values s of the covariance: the sum of squares that is left is |p|^2 + |r|^2 - 2 (s1 + s2 +- s3).
+    Source: Soederkvist & Wedin 1993.
+    """
+    p, r = seen - seen.mean(axis=1, keepdims=True), places - places.mean(axis=0)
+    u, s, vt = np.linalg.svd(np.einsum("nmi,mj->nij", p, r))
+    s[:, 2] *= np.linalg.det(u @ vt)
+    left = (p**2).sum(axis=(1, 2)) + (r**2).sum() - 2 * s.sum(axis=1)
+    return float(np.sqrt(np.maximum(left, 0.0).mean() / len(places)))
 
 
 def _rms(off: Floats, axis: tuple[int, ...]) -> NDArray[np.float64]:

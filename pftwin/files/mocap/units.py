@@ -85,7 +85,7 @@ def length_factor(header: str | None, argument: str | None, *, where: object) ->
             "no unit of length in the file, and none given",
             where=where,
             expected="a unit in the header (m, cm, mm)",
-            remedy="the argument units='mm' (or 'm', 'cm')",
+            remedy="units='mm' (or 'm', 'cm'): as an argument, in [motion] of a scene file, as --units of a command",
         )
     factors = []
     for text in (argument, header):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -119,6 +121,8 @@ def test_hip_and_knee_count_as_markers_of_the_femur(tmp_path: Path) -> None:
     for lost in ("R_Thigh_B", "R_Thigh_C"):
         markers[lost][:] = np.nan
     told = imported(tmp_path, markers, recorded_knee.with_pelvis(), joint_centers=True)
+    said = next(n for n in told.notes if n.startswith("hip_center counts as a marker of femur_r"))
+    assert said.endswith("told by the markers of pelvis")
     written = read_trc(told.scene.with_name("markers.trc"))
     femur = motion()["femur_r"]
     hip = femur[:, :3, :3] @ HIP_IN_FEMUR + femur[:, :3, 3]
@@ -144,7 +148,9 @@ def test_the_patella_starts_where_the_models_knee_has_it(tmp_path: Path) -> None
         return turns[0].T @ (np.asarray(scene.start.position.array()) - places[0])
 
     told = imported(tmp_path, seen())
-    assert "patella_r starts where the model has it in femur_r by default" in told.notes
+    assert any(
+        n.startswith("patella_r starts where the model has it in femur_r by default; limits") for n in told.notes
+    )
     np.testing.assert_allclose(start(told), [-0.005, 0.001, 0.0499], atol=1e-9)
     coupled = (
         '<ConstraintSet><objects><CoordinateCouplerConstraint name="c"><coupled_coordinates_function><LinearFunction>'
@@ -172,6 +178,11 @@ def test_a_left_out_marker_changes_the_fit_and_is_named_by_either_name(tmp_path:
             load(imported(folder, seen(extra), osim(marker_set(wrong)), without=[name])).motion.femur,
             motion()["femur_r"],
         )
+    line = {**PLACES, "femur_r": {f"R.Thigh.{k}": (0.01 * i, 0.1 * i, 0.03) for i, k in enumerate("ABC")}}
+    line["femur_r"]["R.Thigh.D"] = (0.04, 0.05, 0.08)
+    (tmp_path / "line").mkdir()  # without the fourth, the others are on a line: it is never proposed to its cost
+    told = imported(tmp_path / "line", seen(line), osim(marker_set(line)))
+    check_bone(load(told).motion.femur, motion()["femur_r"])
     with pytest.raises(InputError, match=r"no marker 'R\.Thigh\.E' of the knee to leave out.*R_Thigh_A"):
         imported(tmp_path, seen(extra), without=["R.Thigh.E"])
 
@@ -309,3 +320,28 @@ def test_a_persons_gait(dm_knee: Path, tmp_path: Path) -> None:
     assert scene.measured is not None
     for axis, low, high in (("x", 20, 50), ("z", 5, 30)):
         assert low < 1e3 * np.ptp(scene.measured.readings[f"r_patella.{axis}"]) < high
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore:.*DM_smooth1_new")
+def test_a_persons_patella_goes_up_and_down_with_the_knee(dm_knee: Path, tmp_path: Path) -> None:
+    """Half a second of gait from the files to the comparison, as docs/bring_your_own_knee.md does with all of it."""
+    meshes = {"femoral_component": "Femoral Component", "patellar_button": "Patellar Button"}
+    for file, name in meshes.items():
+        shutil.copy(dm_knee / f"{file}_contact.stl", tmp_path / f"{name} contact.stl")
+    scene, told = tmp_path / "gait" / "scene.toml", tmp_path / "told.json"
+    runner, options = CliRunner(), ["--side", "right", "--joint-centers", "--without", "R_Thigh_Lateral"]
+    files = [str(dm_knee / "DM.osim"), "--motion", str(dm_knee / "DM_smooth1_new.trc"), "--geometry", str(tmp_path)]
+    command = ["import", *files, *options, "--quadriceps", "200", "-o", str(tmp_path / "gait")]
+    done = runner.invoke(app, ["--allow", "most_marker_residual_mm=20", *command])
+    assert done.exit_code == 0, done.output
+    text = scene.read_text()
+    scene.write_text(text.replace("[motion]\n", "[motion]\nstart_time_s = 1.1\nend_time_s = 1.6\n"))
+    done = runner.invoke(app, ["validate", str(scene), "--json", str(told)])
+    assert done.exit_code == 0, done.output
+    found = json.loads(told.read_text())
+    assert found["status_frames"]["energy_from_nowhere"] == 0
+    assert found["mean_distance"] is None
+    row = found["skin_markers"]["r_patella.x"]
+    assert row["correlation"] > 0.8
+    assert 10 < row["measured_range"] < row["simulated_range"] < 60

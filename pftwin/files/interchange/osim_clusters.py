@@ -221,7 +221,7 @@ def _low_passed(markers: MarkerTrajectories, cutoff: float | None) -> MarkerTraj
 def _fit(
     markers: MarkerTrajectories, cluster: Mapping[str, Floats], own: Collection[str], body: str, notes: list[str]
 ) -> PoseSeries:
-    """The poses of a segment; notes how far its markers are off a rigid body, and which of its own to leave out first."""
+    """The poses of a segment; notes how far its markers are off a rigid body, and which of its own to leave out."""
     poses = segment_poses(markers, cluster, source=f"{markers.source}, {body}")
     places, seen = np.array([*cluster.values()]), markers.select(list(cluster)).positions
     off = seen - poses.positions[:, None] - np.einsum("nij,mj->nmi", poses.matrices(), places)

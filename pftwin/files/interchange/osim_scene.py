@@ -163,7 +163,7 @@ def import_osim(
         muscles=pulling,
         over_time=None if pulled is None else OverTime(FILE, pulled.moving),
         seen=seen,
-        limits=limits or {},
+        limits=limits,
     )
     tables = {} if moved is None else {"poses.csv": poses_csv(moved.times, moved.poses)}
     tables |= {} if seen is None else {RECORDING: trc_text(RECORDING, seen.markers)}

@@ -67,24 +67,30 @@ def _lifted(z) -> Pose:
 
 @pytest.mark.parametrize("mode", [jax.jacfwd, pytest.param(jax.jacrev, marks=pytest.mark.slow)])
 def test_gradients_are_those_of_finite_differences(mode):
+    """In the middle of a saddle, and on its rim at x = 30 mm, where the contour is cut."""
     mesh = grid(lambda x, y: 8.0 * (y * y) - 3.0 * x * x, 21)
     pair = mesh_pair(contact_mesh(mesh), contact_mesh(icosphere(RADIUS, 18)))
 
-    def look(d):
+    def look(d, place):
         turn = Quaternion.from_rotation_vector(Vec3(0.1 + d[3], 0.2 + d[4], 0.3 + d[5]))
-        X = Pose(Vec3(0.7e-3 + d[0], 0.4e-3 + d[1], RADIUS - 0.33e-3 + d[2]), turn)
-        (c,) = pair.contacts(X).each
-        found = jnp.concatenate(
+        found = pair.contacts(Pose(Vec3.from_array(place + d[:3]), turn))
+        (c,) = found.each
+        numbers = jnp.concatenate(
             [jnp.stack([c.indentation * 1e3, c.area * 1e6]), c.normal.array(), c.point.array() * 1e3]
         )
-        return found, found
+        return numbers, (numbers, found.at_rim)
 
     slopes_and_values = jax.jit(mode(look, has_aux=True))  # one program for both: compiling it takes longest
-    slopes, _ = slopes_and_values(jnp.zeros(6))
-    looked = [slopes_and_values(s * step)[1] for s in (1, -1) for step in 1e-8 * jnp.eye(6)]
-    differences = (np.stack(looked[:6]) - np.stack(looked[6:])).T / 2e-8
-    assert np.isfinite(slopes).all()
-    np.testing.assert_allclose(slopes, differences, rtol=1e-5, atol=1e-5 * float(np.abs(differences).max()))
+    upright = np.array([6 * 0.0295, 0.0, 1.0]) / np.hypot(6 * 0.0295, 1.0)
+    on_rim = np.array([0.0295, 0.4e-3, -3.0 * 0.0295**2]) + (RADIUS - 0.33e-3) * upright
+    for place, cut in (((0.7e-3, 0.4e-3, RADIUS - 0.33e-3), False), (on_rim, True)):
+        place = jnp.asarray(place)
+        slopes, (_, at_rim) = slopes_and_values(jnp.zeros(6), place)
+        assert bool(at_rim) is cut
+        looked = [slopes_and_values(s * step, place)[1][0] for s in (1, -1) for step in 1e-8 * jnp.eye(6)]
+        differences = (np.stack(looked[:6]) - np.stack(looked[6:])).T / 2e-8
+        assert np.isfinite(slopes).all()
+        np.testing.assert_allclose(slopes, differences, rtol=1e-5, atol=1e-5 * float(np.abs(differences).max()))
 
 
 @pytest.mark.slow
@@ -144,6 +150,33 @@ def test_a_contour_that_ends_on_a_rim_is_flagged(on_a_plate):
     pair = mesh_pair(contact_mesh(plate()), contact_mesh(SurfaceMesh(dome.vertices, dome.faces[bottom])))
     for tilt, expected in ((0.0, False), (0.45, True)):
         assert bool(contacts(pair, at(0.0, 0.0, RADIUS - 0.4e-3, (tilt, 0.0, 0.0))).at_rim) is expected
+
+
+@pytest.mark.parametrize("past", [-2e-3, 0.0, 2e-3])
+def test_on_the_edge_of_a_plate_a_contour_is_closed_along_it(on_a_plate, past):
+    """A circle's part on one side of a chord: its area, and the middle of arc and chord by their lengths."""
+    depth, edge = 0.4e-3, 0.03
+    found = contacts(on_a_plate, at(edge + past, 2e-3, RADIUS - depth))
+    (c,) = found.each
+    r = np.sqrt(2 * RADIUS * depth - depth**2)
+    half = np.arccos(past / r)  # of the arc's angle
+    arc, chord = 2 * half * r, 2 * r * np.sin(half)
+    middle = arc * (past - r * np.sin(half) / half) / (arc + chord)
+    assert found.at_rim
+    np.testing.assert_allclose(array(c.normal), [0, 0, 1], atol=1e-9)
+    np.testing.assert_allclose(c.area, r * r * (half - np.sin(half) * np.cos(half)), rtol=0.02)
+    np.testing.assert_allclose(array(c.point), [edge + middle, 2e-3, 0], atol=5e-5)
+
+
+def test_over_a_corner_of_a_plate_and_on_its_own_rim_the_direction_is_the_plates(on_a_plate):
+    corner = contacts(on_a_plate, at(0.029, 0.0285, RADIUS - 0.4e-3))
+    dome = icosphere(RADIUS, 30)
+    bottom = dome.vertices[dome.faces].mean(axis=1)[:, 2] < -0.9 * RADIUS
+    cap = mesh_pair(contact_mesh(plate()), contact_mesh(SurfaceMesh(dome.vertices, dome.faces[bottom])))
+    tilted = contacts(cap, at(0.0, 0.0, RADIUS - 0.4e-3, (0.45, 0.0, 0.0)))
+    for found in (corner, tilted):
+        assert found.at_rim
+        np.testing.assert_allclose(array(found.each[0].normal), [0, 0, 1], atol=1e-9)
 
 
 @pytest.mark.slow

@@ -89,8 +89,10 @@ class Segment(NamedTuple):
 
     start: Vec3
     end: Vec3
-    edges: tuple[Array, Array]  # int32 bits: the edges (1, 2, 4: ab, bc, ca) of the first triangle, and of the second,
-    # that the ends are on; each end is on an edge of one of them
+    # int32 bits: the edges (1, 2, 4: ab, bc, ca) of the first triangle, and of the second, that an end is on; each is
+    # on an edge of one of them
+    start_edges: tuple[Array, Array]
+    end_edges: tuple[Array, Array]
     crossing: Array  # bool
 
 
@@ -122,9 +124,10 @@ def crossing(s: Triangle, t: Triangle) -> Segment:
     to_s = stop_gradient(s1.dot(along) <= t1.dot(along))
     start, end = _select(from_s, s0, t0), _select(to_s, s1, t1)
     zero = jnp.zeros_like(s_bit0)
-    of_s = jnp.where(from_s, s_bit0, zero) | jnp.where(to_s, s_bit1, zero)
-    of_t = jnp.where(from_s, zero, t_bit0) | jnp.where(to_s, zero, t_bit1)
-    return Segment(start, end, (of_s, of_t), s_cuts & t_cuts & (stop_gradient((end - start).dot(along)) > 0))
+    start_edges = jnp.where(from_s, s_bit0, zero), jnp.where(from_s, zero, t_bit0)
+    end_edges = jnp.where(to_s, s_bit1, zero), jnp.where(to_s, zero, t_bit1)
+    ahead = stop_gradient((end - start).dot(along)) > 0
+    return Segment(start, end, start_edges, end_edges, s_cuts & t_cuts & ahead)
 
 
 def _edge_crossings(own: Triangle, other: Triangle) -> tuple[tuple[Vec3, Vec3], tuple[Array, Array], Array]:

@@ -3,7 +3,7 @@
 Michaud et al. 2024, section 2.4.1 (and Dopico et al. 2019, whom they follow): from the triangles that meet come the
 contours of contact; from each contour an averaged point and a direction, from the corners inside the largest
 indentation. A contour's direction is that of its area vector, half the sum of p x q over its segments, which needs no
-order among them.
+order among them. A curve that ends on the rim of an open mesh is closed along it: the surface ends there.
 
 There is one contact for each facet of the groove, medial and lateral, whatever number of curves it consists of; where a
 curve leads across the border of the facets, both are one contact.
@@ -27,7 +27,7 @@ from pftwin.geometry.bvh.corners import ray_depth
 from pftwin.geometry.bvh.deepest import Deepest, DepthSearch, depth_search
 from pftwin.geometry.bvh.loops import member_by_member, most_in_batch
 from pftwin.geometry.bvh.pairs import PairListLengths, Pairs, PairSearch, pair_search
-from pftwin.geometry.bvh.triangle import Triangle, crossing
+from pftwin.geometry.bvh.triangle import Segment, Triangle, crossing
 from pftwin.geometry.contact.contact_mesh import ContactMesh
 
 LIMIT = 5e-3  # [m]: no indentation is looked for beyond it
@@ -49,9 +49,7 @@ class Contacts(NamedTuple):
     each: tuple[ContourContact, ...]  # one for each facet of the first mesh; where they are one, the first has it
     pairs: Array  # () int32: of triangles that meet
     merged: Array  # () bool: whether both facets' contacts are one
-    at_rim: (
-        Array  # () bool: a contour ends on the rim of an open mesh, so the contact leads past it: the force is wrong
-    )
+    at_rim: Array  # () bool: a contour ends on the rim of an open mesh: what lies past it bears nothing
     overflow: Array  # () bool: a search ran out of room, the contact may be wrong
     too_deep: Array  # () bool: corners reach the search limit, or are deep although no triangles meet
 
@@ -80,7 +78,8 @@ class MeshPair(eqx.Module):
         overflow = pairs.overflow | deepest.overflow
         most = stop_gradient(jnp.max(jnp.stack(depths)))
         too_deep = (most > FULL * self.depths.limit) | (deepest.found.any() & (pairs.count == 0))
-        return Contacts(each, pairs.count, merged, found.at_rim > 0, overflow, too_deep)
+        at_rim = jnp.stack([s.rim_ends > 0 for s in sums]).any()
+        return Contacts(each, pairs.count, merged, at_rim, overflow, too_deep)
 
     def _indentations(self, X_AB: Pose, deepest: Deepest) -> list[Scalar]:
         """How deep every facet's deepest corner is; 0 where there is none."""
@@ -107,6 +106,7 @@ def _select(which: Array, one: SegmentSums, other: SegmentSums) -> SegmentSums:
 
 
 def _contact(sums: SegmentSums, depth: Scalar, origin: Vec3) -> ContourContact:
+    sums = _closed(sums)
     square = sums.area.squared_norm()
     there = stop_gradient((square > 0) & (sums.length > 0))
     area = jnp.where(there, jnp.sqrt(jnp.where(there, square, 1.0)), 0.0)
@@ -114,6 +114,22 @@ def _contact(sums: SegmentSums, depth: Scalar, origin: Vec3) -> ContourContact:
     # The segments run along (normal of a) x (normal of b): around what of b is inside a, seen from there.
     point = jax.tree.map(lambda m, o: jnp.where(there, over_length * m + o, 0.0), sums.moment, origin)
     return ContourContact(point, over_area * sums.area, jnp.where(there, depth, 0.0), area)
+
+
+def _closed(sums: SegmentSums) -> SegmentSums:
+    """With the straight way along the rim from where the contour ends to where it starts.
+
+    The way leads over the middle of all ends. Counted from there it adds no area of its own, and half of that middle x
+    (ends - starts) is left out of what was counted from b's origin. For one curve at a straight rim that is exact;
+    several curves of one contact are closed over one middle.
+    """
+    some = stop_gradient(sums.rim_ends > 0)
+    middle = jnp.where(some, 1 / jnp.where(some, sums.rim_ends, 1.0), 0.0) * sums.rim_points
+    square = sums.rim_gap.squared_norm()
+    apart = some & stop_gradient(square > 0)
+    way = jnp.where(apart, jnp.sqrt(jnp.where(apart, square, 1.0)), 0.0)
+    area = sums.area - 0.5 * middle.cross(sums.rim_gap)
+    return sums._replace(area=area, moment=sums.moment + way * middle, length=sums.length + way)
 
 
 # Sums over the segments in which the meshes cross. Without derivatives the loop takes as many pairs as there are. By
@@ -131,6 +147,10 @@ class SegmentSums(NamedTuple):
     area: Vec3  # area vector [m^2]
     moment: Vec3  # of the segments' middles from b's origin, times their lengths [m^2]
     length: Scalar  # [m]
+    # Of ends on a rim:
+    rim_points: Vec3  # their places from b's origin [m]
+    rim_gap: Vec3  # where segments end there less where they start [m]
+    rim_ends: Scalar  # how many
 
 
 class ContourSums(NamedTuple):
@@ -138,7 +158,6 @@ class ContourSums(NamedTuple):
 
     facets: tuple[SegmentSums, ...]
     across: Scalar  # how many segments end on the border of two facets
-    at_rim: Scalar  # and on a rim
 
 
 class Sloped(NamedTuple):
@@ -239,26 +258,34 @@ def _sums_over_pairs(meshes: MeshPair, X_AB: Pose, pairs: Pairs, start: Array) -
     segment = crossing(first, second)
     there = segment.crossing & (start + jnp.arange(PIECE, dtype=jnp.int32) < pairs.count)
     facet = a.facet(which)
-    sums = tuple(_sums(segment.start, segment.end, there & (facet == k)) for k in range(a.facets))
     seam, rim, other_rim = (x.astype(jnp.int32) for x in (a.seam[which], a.rim[which], b.rim[other]))
-    own, others = segment.edges
-    across = there & ((seam & own) > 0)
-    at_rim = there & (((rim & own) > 0) | ((other_rim & others) > 0))
-    return ContourSums(sums, *(jnp.sum(x).astype(origin.x.dtype) for x in (across, at_rim)))
+    starts, ends = (
+        ((rim & own) > 0) | ((other_rim & others) > 0) for own, others in (segment.start_edges, segment.end_edges)
+    )
+    sums = tuple(_sums(segment, there & (facet == k), starts, ends) for k in range(a.facets))
+    across = there & ((seam & (segment.start_edges[0] | segment.end_edges[0])) > 0)
+    return ContourSums(sums, jnp.sum(across).astype(origin.x.dtype))
 
 
-def _sums(p: Vec3, q: Vec3, there: Array) -> SegmentSums:
-    def total(x: Scalar) -> Scalar:
-        return jnp.sum(jnp.where(there, x, 0.0))
+def _sums(segment: Segment, there: Array, starts: Array, ends: Array) -> SegmentSums:
+    """Over the segments that are there, of which some start or end on a rim."""
 
+    def total(x: Scalar, which: Array = there) -> Scalar:
+        return jnp.sum(jnp.where(which, x, 0.0))
+
+    p, q = segment.start, segment.end
     area, way = p.cross(q), q - p
     # Safe where a segment has no length: neither it nor its derivative counts.
     square = way.squared_norm()
     long = there & (square > 0)
     length = jnp.where(long, jnp.sqrt(jnp.where(long, square, 1.0)), 0.0)
     middle = 0.5 * (p + q)
+    first, last = (jax.tree.map(lambda x, w=w: total(x, w), e) for e, w in ((p, there & starts), (q, there & ends)))
     return SegmentSums(
         Vec3(*(0.5 * total(x) for x in (area.x, area.y, area.z))),
         Vec3(*(total(length * m) for m in (middle.x, middle.y, middle.z))),
         jnp.sum(length),
+        first + last,
+        last - first,
+        total(starts.astype(p.x.dtype) + ends.astype(p.x.dtype)),
     )

@@ -51,7 +51,7 @@ class MeshContact(ButtonMesh):
         **BY_FACET,
         "contour_area": Observable("m^2", "area that the contours of contact enclose"),
         "merged": Observable("1", "1 where the medial and the lateral contact are one, which counts as medial"),
-        "at_rim": Observable("1", "1 where a contour ends on the rim of an open mesh: the force is wrong"),
+        "at_rim": Observable("1", "1 where a contour ends on the rim of an open mesh: what lies past it bears nothing"),
         "overflow": Observable("1", "1 where the search ran out of room: the contact may be wrong"),
         "too_deep": Observable("1", "1 where a mesh is deeper inside the other than is looked for: the force is wrong"),
     }

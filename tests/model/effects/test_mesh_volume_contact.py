@@ -102,6 +102,17 @@ def test_half_the_rims_length_inside_the_sphere_is_said():
     assert float(seen["off_patch"]) == 0
 
 
+def test_on_the_edge_of_a_plate_the_force_leans_as_the_volume_falls():
+    """By the depth over half a circle: pi r^2 / 2 for a step down, 2 r^3 / 3R for one past the edge."""
+    depth = 4e-4
+    push = np.asarray(loaded(PLATE, look((0.03, 0.0031, RADIUS - depth)))[1].force.array())
+    r = np.sqrt(2 * RADIUS * depth - depth**2)
+    lean = np.arctan2(push[0], push[2])
+    np.testing.assert_allclose(lean, np.arctan(4 * r / (3 * np.pi * RADIUS)), rtol=0.02)
+    assert np.degrees(lean) < 5
+    np.testing.assert_allclose(push[1], 0, atol=1e-9 * push[2])
+
+
 @pytest.mark.parametrize("height", [0.0, -1e-4, -3e-4])
 def test_between_two_contacts_and_one_the_force_is_the_energys_slope(height):
     """In a groove that the sphere fills more and more: by differences of the energy, in every direction."""

@@ -194,6 +194,7 @@ def import_model(
         "units": units,
     }
     bodies = {"femur": femur, "tibia": tibia, "patella": patella}
+    terminal.start_computing()
     with terminal.spinner(f"reading {model}"):
         found = import_osim(model, folder, motion=motion, rate=rate, bend=bend, side=side, **bodies, **more)
     trouble = _import_problem(found)
@@ -218,7 +219,6 @@ def _shorten_names(names: str) -> str:
 
 def _import_problem(found: Imported) -> str | None:
     """Why the scene cannot be loaded as it is; None where it can."""
-    terminal.start_computing()
     from pftwin.files.scene_file import load_scene_file
     from pftwin.model.limits import upward_lines
 

@@ -186,8 +186,8 @@ def _remarks(found: Sequence[_Pulling], forces: Sequence[MuscleForce], values: F
     for p in found:
         if p.straight:
             yield f"{p.muscle.name}: its length is straight, though it wraps over {', '.join(p.straight)}"
-        elif list(p.element.all("PathWrap")):
-            yield f"{p.muscle.name}: wrapping over cylinders is in its length"
+    if wrapped := [p.muscle.name for p in found if not p.straight and list(p.element.all("PathWrap"))]:
+        yield f"wrapping over cylinders is in the lengths of {', '.join(wrapped)}"
     raised = [f for f, a in zip(forces, values.T, strict=True) if a.min() < f.least_activation]
     if raised:
         which = ", ".join(f"{f.name} {f.least_activation:g}" for f in raised)

@@ -42,7 +42,8 @@ def wraps_of(muscle: Element, root: Element, model: OsimModel, knee: OsimKnee) -
     Raises:
         InputError: no object of that name; a cylinder or a range that cannot be.
     """
-    known = {o.name: (o, held) for held in root.all("WrapObjectSet") for o in held.needed("objects").children}
+    sets = [(held, held.child("objects")) for held in root.all("WrapObjectSet")]  # some have none
+    known = {o.name: (o, held) for held, objects in sets if objects is not None for o in objects.children}
     count = len(list(muscle.all("PathPoint", "ConditionalPathPoint", "MovingPathPoint")))
     found, left = [], []
     for wrap in muscle.all("PathWrap"):

@@ -37,7 +37,8 @@ def written(folder: Path, wrap: str, over: str = "roll", more: str = "") -> Path
         "</Millard2012EquilibriumMuscle>"
     )
     held = f'<WrapObjectSet name="wrapobjectset"><objects>{wrap}</objects></WrapObjectSet>'
-    text = model(forces=muscle, meshes=False).replace('<Body name="femur_r">', f'<Body name="femur_r">{held}', 1)
+    text = model(forces=muscle, meshes=False).replace("<defaults>", '<defaults><WrapObjectSet name="default"/>')
+    text = text.replace('<Body name="femur_r">', f'<Body name="femur_r">{held}', 1)
     (folder / "wraps.osim").write_text(text)
     return folder / "wraps.osim"
 

@@ -95,7 +95,7 @@ def activated(
     lengths = [_mended(p.path.lengths, motion.times, out) for p in found]
     pulls = np.stack([f.tensions(x, a) for f, x, a in zip(forces, lengths, values.T, strict=True)], axis=1)
     ends = [p.ends() for p in found]
-    notes = [*_described(said, pulls, ends), _lengths_said(motion, knee, bodies, out), *notes]
+    notes = [*_described(said, pulls, ends), _lengths_said(motion, knee, out), *notes]
     notes += _remarks(found, forces, values)
     return Activated(ends, pulls, np.stack([p.path.origin for p in found], axis=1), notes)
 
@@ -156,7 +156,7 @@ def _described(said: str, pulls: Floats, muscles: Sequence[PatellarMuscle]) -> I
     yield f"tension in the first frame, and its range: {', '.join(each)}"
 
 
-def _lengths_said(motion: Motion, knee: OsimKnee, bodies: MovingBodies, out: np.ndarray) -> str:
+def _lengths_said(motion: Motion, knee: OsimKnee, out: np.ndarray) -> str:
     """At which poses of the patella the lengths were taken."""
     text = "lengths of muscles: with the patella " + (
         "as it was measured" if motion.measured else "where the model has it"

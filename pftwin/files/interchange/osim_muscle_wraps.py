@@ -45,7 +45,7 @@ def wraps_of(muscle: Element, root: Element, model: OsimModel, knee: OsimKnee) -
     sets = [(held, held.child("objects")) for held in root.all("WrapObjectSet")]  # some have none
     known = {o.name: (o, held) for held, objects in sets if objects is not None for o in objects.children}
     count = len(list(muscle.all("PathPoint", "ConditionalPathPoint", "MovingPathPoint")))
-    found, left = [], []
+    frames, found, left = Frames(root), [], []
     for wrap in muscle.all("PathWrap"):
         name = wrap.words("wrap_object")
         if name not in known:
@@ -56,7 +56,7 @@ def wraps_of(muscle: Element, root: Element, model: OsimModel, knee: OsimKnee) -
         if element.tag != CYLINDER:
             left.append(name)
             continue
-        part, pose = part_and_pose(model, knee, Frames(root).find("..", held, held.where))
+        part, pose = part_and_pose(model, knee, frames.find("..", held, held.where))
         first, last = wrap.numbers_of("range", (-1.0, -1.0))
         found.append(Wrap(part, _cylinder(element, pose, part), max(int(first), 1) - 1, _last(int(last), count)))
     return found, left

@@ -237,3 +237,13 @@ def test_the_command_takes_a_number_or_a_file(tmp_path):
     done = CliRunner().invoke(app, [*command, "--activation", "0.2", "--quadriceps", "20"])
     assert done.exit_code == 2
     assert "both a tension and an activation" in done.output
+
+
+@pytest.mark.parametrize("muscles", ["", VASTUS.replace(">0.14<", ">0.4<")], ids=["no muscle", "a slack one"])
+def test_a_scene_that_nothing_pulls_upward_is_code_3(tmp_path, muscles):
+    path = knee_file(tmp_path, muscles, meshes=True)
+    given = ["--activation", "0.2"] if muscles else []
+    done = CliRunner().invoke(app, ["import", str(path), "-o", str(tmp_path / "out"), *given])
+    assert done.exit_code == 3, done.output
+    assert "scene.toml: nothing in it pulls the patella upward" in " ".join(done.stderr.split())
+    assert (tmp_path / "out" / "scene.toml").is_file()

@@ -1,5 +1,6 @@
 """From files of a motion laboratory to poses of segments: read, fill gaps, filter, fit."""
 
+from pftwin.files.mocap.bones import mended_bones
 from pftwin.files.mocap.c3d import read_c3d, read_c3d_channels
 from pftwin.files.mocap.csv_files import read_csv, read_marker_csv, write_csv
 from pftwin.files.mocap.filters import Gap, butterworth_lowpass, fill_gaps, find_gaps, singular_spectrum_filter
@@ -11,6 +12,7 @@ from pftwin.files.mocap.poses import PoseSeries, mirror_left_markers, mirror_lef
 from pftwin.files.mocap.reading import read_markers, read_readings
 from pftwin.files.mocap.resampling import frame_means
 from pftwin.files.mocap.sto import read_sto
+from pftwin.files.mocap.strays import Stray, mended_cluster
 from pftwin.files.mocap.tables import Table
 from pftwin.files.mocap.trc import read_trc, write_trc
 
@@ -19,6 +21,7 @@ __all__ = [
     "JointCenter",
     "MarkerTrajectories",
     "PoseSeries",
+    "Stray",
     "Table",
     "butterworth_lowpass",
     "cluster_poses",
@@ -26,6 +29,8 @@ __all__ = [
     "find_gaps",
     "frame_means",
     "mean_cluster",
+    "mended_bones",
+    "mended_cluster",
     "mirror_left_markers",
     "mirror_left_poses",
     "read_c3d",

@@ -161,11 +161,19 @@ def mean_cluster(markers: MarkerTrajectories, names: Sequence[str]) -> dict[str,
     return dict(zip(names, shape, strict=True))
 
 
+def spans_plane(points: NDArray[np.float64], seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """In which frames (n,) the points (n, m, 3) that are seen (n, m) are three or more, and on no line."""
+    count = np.maximum(seen.sum(axis=1), 1)[:, None, None]
+    there = np.where(seen[:, :, None], points, 0.0)
+    centred = np.where(seen[:, :, None], there - there.sum(axis=1, keepdims=True) / count, 0.0)
+    spread = np.linalg.eigvalsh(np.einsum("nmi,nmj->nij", centred, centred))  # ascending, squared lengths
+    return np.asarray(spread[:, 1] > _COLLINEAR**2 * spread[:, 2], dtype=np.bool_)
+
+
 def _refuse_lines(
     centred: NDArray[np.float64], seen: NDArray[np.bool_], labels: Sequence[str], what: str, source: str
 ) -> None:
-    spread = np.linalg.eigvalsh(np.einsum("nmi,nmj->nij", centred, centred))  # ascending, squared lengths
-    if (bad := np.flatnonzero(~(spread[:, 1] > _COLLINEAR**2 * spread[:, 2]))).size:
+    if (bad := np.flatnonzero(~spans_plane(centred, seen))).size:
         used = [label for label, there in zip(labels, seen[bad[0]], strict=True) if there]
         raise InputError(
             f"{what} {quoted_list(used)} lie on a line in frames {quoted_list(bad)} (from 0)",

@@ -7,48 +7,72 @@ from the one before, by a patella in its groove: as fast as any, or several time
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 
 from pftwin.files.mocap.poses import PoseSeries
 
-_APART, _TURNED = 5e-3, np.radians(15.0)  # [m], [rad] that two frames of a good recording may differ by, however close
+APART, TURNED = 5e-3, np.radians(15.0)  # [m], [rad] that two frames of a good recording may differ by, however close
 _SPEED, _SPIN = 0.25, 6.0  # [m/s], [rad/s] at which a patella may move in the femur, and
 _FASTER = 8.0  # times its usual speed, the lower quartile: where two frames in five are wrong, four steps in five are
 _COASTS = 3  # frames for which it is taken to go on moving at that speed where others are skipped
 _BACK = 200  # frames before each that are tried, and the end of the longest series before these
 _NAMED = 8  # stretches that are named
+Frames = NDArray[np.intp]
+Reached = Callable[[Frames, Frames | int, NDArray[np.float64]], NDArray[np.bool_]]
 
 
-def jumps(poses: PoseSeries) -> NDArray[np.bool_]:
-    """Which frames (n,) of a patella in its femur are out of line."""
+def jumps(poses: PoseSeries, *, speed: float = _SPEED, spin: float = _SPIN) -> NDArray[np.bool_]:
+    """Which frames (n,) of a patella in its femur are out of line; of another body, with its speeds [m/s, rad/s]."""
     n, times = poses.times.size, poses.times
-    step = np.arange(1, n)
-    away, turn = _between(poses, step - 1, step)
-    interval = np.diff(times)
     if n < 2:
         return np.zeros(n, bool)
-    usual = (float(np.quantile(a / interval, 0.25)) for a in (away, turn))
-    speed, spin = (max(least, _FASTER * u) for least, u in zip((_SPEED, _SPIN), usual, strict=True))
-    coasting = _COASTS * float(np.median(interval))
+    usual = (float(np.quantile(s / np.diff(times), 0.25)) for s in _between(poses, np.arange(n - 1), np.arange(1, n)))
+    fast, quick = (max(least, _FASTER * u) for least, u in zip((speed, spin), usual, strict=True))
+
+    def reached(earlier: Frames, later: Frames | int, passed: NDArray[np.float64]) -> NDArray[np.bool_]:
+        away, turn = _between(poses, earlier, later)
+        return (away <= APART + fast * passed) & (turn <= TURNED + quick * passed)
+
+    return out_of_line(times, reached)
+
+
+def out_of_line(times: NDArray[np.float64], reached: Reached, *, coasting: float | None = None) -> NDArray[np.bool_]:
+    """Which frames (n,) are not of the longest series of which each can be reached from the one before.
+
+    Args:
+        times: (n,) seconds, increasing.
+        reached: from earlier frames, later ones or one, and the seconds to move in: which can be reached from which.
+        coasting: seconds to move in at most where frames are skipped; those of three frames by default.
+    """
+    n = times.size
+    if reached(np.arange(n - 1), np.arange(1, n), np.diff(times)).all():
+        return np.zeros(n, bool)
+    coasting = coasts(times) if coasting is None else coasting
     length, before, longest = np.ones(n, int), np.full(n, -1), 0
     for k in range(1, n):
         if k > _BACK and length[k - _BACK - 1] >= length[longest]:
             longest = k - _BACK - 1
         near = np.arange(max(k - _BACK, 0), k)
         earlier = near if near[0] == 0 else np.append(near, longest)
-        away, turn = _between(poses, earlier, k)
         passed = times[k] - times[earlier]
         passed = np.where(earlier == k - 1, passed, np.minimum(passed, coasting))
-        reached = (away <= _APART + speed * passed) & (turn <= _TURNED + spin * passed)
-        if reached.any():
-            best = earlier[reached][np.argmax(length[earlier[reached]])]
+        follows = reached(earlier, k, passed)
+        if follows.any():
+            best = earlier[follows][np.argmax(length[earlier[follows]])]
             length[k], before[k] = length[best] + 1, best
     odd, at = np.ones(n, bool), int(np.argmax(length))
     while at >= 0:
         odd[at] = False
         at = before[at]
     return odd
+
+
+def coasts(times: NDArray[np.float64]) -> float:
+    """For how long [s] a body is taken to go on moving where frames are skipped."""
+    return _COASTS * float(np.median(np.diff(times))) if times.size > 1 else 0.0
 
 
 def in_words(odd: NDArray[np.bool_]) -> str:
@@ -59,10 +83,12 @@ def in_words(odd: NDArray[np.bool_]) -> str:
     return f"frame{'s' if odd.sum() > 1 else ''} {', '.join(runs[:_NAMED])}{more}"
 
 
-def _between(
-    poses: PoseSeries, one: NDArray[np.intp], other: NDArray[np.intp] | int
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _between(poses: PoseSeries, one: Frames, other: Frames | int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Distances [m] and angles [rad] between frames."""
     away = np.linalg.norm(poses.positions[one] - poses.positions[other], axis=-1)
-    cosine = np.abs(np.sum(poses.quaternions[one] * poses.quaternions[other], axis=-1))
-    return away, 2 * np.arccos(np.minimum(cosine, 1.0))
+    return away, turned(poses.quaternions[one], poses.quaternions[other])
+
+
+def turned(one: NDArray[np.float64], other: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Angles [rad] between unit quaternions (..., 4)."""
+    return 2 * np.arccos(np.minimum(np.abs(np.sum(one * other, axis=-1)), 1.0))

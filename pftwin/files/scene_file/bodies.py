@@ -63,12 +63,14 @@ def guided_motion(
             expected="a recording: the run goes through its frames",
             remedy="a file of poses with one pose in every frame",
         )
-    shin = side.poses("world", "tibia", recording.poses(tibia, "tibia"))
-    if femur.fixed is not None:
+    thigh, shin = recording.bones()
+    shin = side.poses("world", "tibia", shin)
+    if thigh is None:
+        assert femur.fixed is not None
         fixed = side.pose("world", "femur", femur.fixed.pose())
         with document.naming("tibia"):
             return KneeMotion.from_poses(fixed.pose(), shin), fixed, None
-    thigh = side.poses("world", "femur", recording.poses(femur, "femur"))
+    thigh = side.poses("world", "femur", thigh)
     with document.naming("motion"):
         return KneeMotion.from_poses(thigh, shin), None, thigh
 

@@ -17,6 +17,8 @@ from pftwin.files.mocap import (
     butterworth_lowpass,
     fill_gaps,
     mean_cluster,
+    mended_bones,
+    mended_cluster,
     read_markers,
     read_poses,
     segment_poses,
@@ -68,7 +70,7 @@ class SegmentRecording:
                 return self._body(section.body)
         if section.cluster_m is not None:
             with self.document.naming(*at, "cluster_m"):
-                markers = self._filtered(section.marker_names())
+                markers = self._filtered(section.marker_names(), section.cluster_m)
                 poses = segment_poses(markers, section.cluster_m, source=f"{markers.source}, {at[0]}")
                 self.clusters.take(".".join(at), section.cluster_m, markers, poses)
                 return poses
@@ -80,6 +82,25 @@ class SegmentRecording:
             source = f"{markers.source}, {at[0]}"
             poses = three_point_frames(a, b, c, markers.times, axes=three.axes, source=source)
             return poses.compose(three.segment.pose().pose())
+
+    def bones(self) -> tuple[PoseSeries | None, PoseSeries]:
+        """The poses of femur, None where it is fixed, and tibia in the time range of the scene.
+
+        Stretches of frames of a file of poses in which one of them jumps out and back are filled.
+
+        Raises:
+            InputError: stretches that are too long.
+        """
+        femur, tibia = self.segments["femur"], self.segments["tibia"]
+        shin = self.poses(tibia, "tibia")
+        thigh = None if femur.fixed is not None else self.poses(femur, "femur")
+        if tibia.body is None or (thigh is not None and femur.body is None):
+            return thigh, shin
+        speed, spin = self.limits.most_knee_speed_m_per_s, self.limits.most_angular_speed_rad_per_s / 2
+        with self.document.naming("motion"):
+            thigh, shin, words = mended_bones(thigh, shin, max_gap_s=self.motion.max_gap_s, speed=speed, spin=spin)
+        self.notes.extend(words)
+        return thigh, shin
 
     def poses(self, section: SegmentSection, *at: str) -> PoseSeries:
         """The poses of a segment in the time range of the scene."""
@@ -120,20 +141,30 @@ class SegmentRecording:
             self._poses.update(read_poses(str(path), [name], rate=self.motion.rate_Hz))
         return self._poses[name]
 
-    def _filtered(self, names: list[str], *, keep_long: bool = False) -> MarkerTrajectories:
-        """The named markers with gaps filled, filtered; fixed points and joint centres among them as they are."""
+    def _filtered(
+        self, names: list[str], cluster: Mapping[str, list[float]] | None = None, *, keep_long: bool = False
+    ) -> MarkerTrajectories:
+        """The named markers mended, with gaps filled, filtered; fixed points and joint centres are not filtered.
+
+        Markers of a cluster are mended by its shape, its points' places in a segment's frame [m].
+        """
         motion, recorded = self.motion, self._recorded()
         still = {name: np.array(motion.fixed_points_m[name]) for name in names if name in motion.fixed_points_m}
         more = {**still, **{name: self._center(name) for name in names if name in motion.joint_centers}}
         seen = [name for name in names if name not in more]
-        markers, gaps = fill_gaps(recorded.select(seen), max_gap_s=motion.max_gap_s, keep_long=keep_long)
+        added = [np.broadcast_to(path, (recorded.times.size, 3))[:, None] for path in more.values()]
+        positions = np.concatenate([recorded.select(seen).positions, *added], axis=1)
+        whole = MarkerTrajectories(recorded.times, (*seen, *more), positions, recorded.source)
+        if cluster is not None:
+            whole, strays = mended_cluster(whole, cluster)
+            self.notes.extend(w for s in strays if (w := s.in_words()) not in self.notes)  # a patella is read twice
+        markers, gaps = fill_gaps(whole.select(seen), max_gap_s=motion.max_gap_s, keep_long=keep_long)
         self.notes.extend(
             f"{g.marker}: {'filled' if g.filled else 'no'} frames {g.first_frame} to {g.last_frame}" for g in gaps
         )
         if motion.cutoff_Hz is not None:
             markers = self._low_passed(markers, motion.cutoff_Hz)
-        added = [np.broadcast_to(path, (markers.times.size, 3))[:, None] for path in more.values()]
-        positions = np.concatenate([markers.positions, *added], axis=1)
+        positions = np.concatenate([markers.positions, whole.select([*more]).positions], axis=1)
         return MarkerTrajectories(markers.times, (*seen, *more), positions, markers.source)
 
     def _recorded(self) -> MarkerTrajectories:

@@ -84,7 +84,10 @@ class MotionSection(Section):
         default_factory=dict,
         description="points fixed in a segment that count as markers: given, or found from the motion",
     )
-    max_gap_s: NotNegative = Field(default=0.1, description="longest gap in a marker that is filled by a spline [s]")
+    max_gap_s: NotNegative = Field(
+        default=0.1,
+        description="longest gap in a marker, or stretch in which a bone jumps, that is filled by a spline [s]",
+    )
     cutoff_Hz: Positive | None = Field(default=None, description="cut-off of the zero-phase Butterworth filter [Hz]")
     filter_order: Literal[1, 2, 3, 4] = Field(default=2, description="order of one pass of the filter")
     correct_two_passes: bool = Field(

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from toy_scene_files import CLUSTERS, LIGHT, START, changed, fixed_poses, load, markers_of, refused, tibia_poses
+from seen_clusters import FOUR, clusters, seen, tibia_seen
+from toy_scene_files import CLUSTERS, LIGHT, changed, load, refused
 from typer.testing import CliRunner
 
 from pftwin.base.errors import InputError
 from pftwin.cli import app
-from pftwin.files.mocap import MarkerTrajectories, write_trc
+from pftwin.files.mocap import MarkerTrajectories
 from pftwin.files.scene_file import load_scene, load_scene_file
 
 HEAVY = changed("mass_kg = 0.12", "mass_kg = 120")
@@ -41,37 +40,6 @@ def test_a_limit_that_is_none_is_named_with_its_line(toy):
 def test_a_scene_without_tendons_is_refused(toy):
     text = LIGHT[: LIGHT.index("[[tendon]]")] + LIGHT[LIGHT.index("[contact]") :]
     assert "number of lines of force (tendons, ligaments, muscles) is 0" in refused(toy, text)
-
-
-FOUR = {**CLUSTERS["tibia"], "T4": (-0.2, 0.0, 0.15)}  # not in a plane
-
-
-def tibia_seen(markers: MarkerTrajectories, folder, clusters) -> str:
-    """A scene whose tibia, and patella, are seen through clusters of these markers."""
-    write_trc(folder / "seen.trc", markers)
-    text = changed('poses = "poses.csv"', 'markers = "seen.trc"')
-    parts = {k: json.dumps(v).replace('":', '" =') for k, v in clusters.items()}
-    text = text.replace('[tibia]\nbody = "tibia"', f"[tibia]\ncluster_m = {parts['tibia']}")
-    return text.replace("fixed = { position_m = [-0.005, 0.001, 0.05] }", f"cluster_m = {parts['patella']}")
-
-
-def seen(noise: float = 0.0, tibia=FOUR):
-    poses = tibia_poses()
-    bodies = {"tibia": poses, "patella": fixed_poses(poses, *START)}
-    markers = markers_of(bodies)
-    names = [*markers.names, *(n for n in tibia if n not in markers.names)]
-    extra = [
-        poses.positions + np.einsum("nij,j->ni", poses.matrices(), np.asarray(tibia[n]))
-        for n in tibia
-        if n not in markers.names
-    ]
-    points = np.concatenate([markers.positions, *(e[:, None] for e in extra)], axis=1)
-    rng = np.random.default_rng(0)
-    return MarkerTrajectories(markers.times, tuple(names), points + noise * rng.normal(size=points.shape))
-
-
-def clusters(tibia=FOUR):
-    return {"tibia": tibia, "patella": CLUSTERS["patella"]}
 
 
 def test_good_clusters_are_read_and_those_in_a_plane_are_said_to_tell_no_side(toy):

@@ -1,0 +1,125 @@
+"""Frames in which a recorded femur or tibia jumps out and back: found by their motion in each other, and filled."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pftwin.base.arrays import Floats
+from pftwin.base.errors import InputError
+from pftwin.files.mocap.jumps import APART, TURNED, in_words, jumps, turned
+from pftwin.files.mocap.poses import PoseSeries
+
+_NEAR = 1e-3  # [m] from its mean: farther off, places of the knee count by distance rather than by its square
+
+
+def mended_bones(
+    femur: PoseSeries | None, tibia: PoseSeries, *, max_gap_s: float, speed: float, spin: float
+) -> tuple[PoseSeries | None, PoseSeries, list[str]]:
+    """Both bones' poses, with stretches filled in which one jumps out and back, and what was done, in words.
+
+    Out of line is what `jumps` finds of the tibia in the femur, at the point that moves least in both: near the knee,
+    wherever the bones' frames are. Filled are positions and quaternions, by the cubic spline through the frames around,
+    of the bone that is farther off that spline; of the other too where they are out of line even so.
+
+    Args:
+        femur: None for one that does not move.
+        tibia: at the same times.
+        max_gap_s: longest stretch that is filled [s].
+        speed: at which the tibia may move along the femur [m/s].
+        spin: at which it may turn [rad/s].
+
+    Raises:
+        InputError: a longer stretch, or one at the start or end, naming its frames.
+    """
+    bones = [tibia] if femur is None else [femur, tibia]
+    knee = _knee(_in_femur(bones))
+
+    def out_of_line(bones: list[PoseSeries]) -> NDArray[np.bool_]:
+        seen = _in_femur(bones)
+        return jumps(replace(seen, positions=seen.positions + seen.matrices() @ knee), speed=speed, spin=spin)
+
+    odd = out_of_line(bones)
+    if not odd.any():
+        return femur, tibia, []
+    stretches = np.flatnonzero(np.diff(np.concatenate([[False], odd, [False]]).astype(int))).reshape(-1, 2)
+    _check_gaps(stretches, tibia, max_gap_s)
+    curves = [_spline(bone, odd) for bone in bones]
+    off = np.array([_off(bone, curve) for bone, curve in zip(bones, curves, strict=True)])
+    wrong = np.zeros((len(bones), odd.size), bool)
+    for first, end in stretches:
+        wrong[np.argmax(off[:, first:end].max(axis=1)), first:end] = True
+    still = out_of_line([_where(w, c, b) for w, c, b in zip(wrong, curves, bones, strict=True)])
+    for first, end in stretches:
+        wrong[:, first:end] |= still[first:end].any()
+    filled = [_where(w, c, b) for w, c, b in zip(wrong, curves, bones, strict=True)]
+    words = [
+        f"{bone.source}: {in_words(w)} of {odd.size} (counted from 1) filled by a spline: it jumps there out and back"
+        for bone, w in zip(bones, wrong, strict=True)
+        if w.any()
+    ]
+    return (None if femur is None else filled[0]), filled[-1], words
+
+
+def _in_femur(bones: list[PoseSeries]) -> PoseSeries:
+    return bones[0] if len(bones) == 1 else bones[1].relative_to(bones[0])
+
+
+def _where(frames: NDArray[np.bool_], there: PoseSeries, elsewhere: PoseSeries) -> PoseSeries:
+    if not frames.any():
+        return elsewhere
+    choose = frames[:, None]
+    positions = np.where(choose, there.positions, elsewhere.positions)
+    return replace(
+        elsewhere, positions=positions, quaternions=np.where(choose, there.quaternions, elsewhere.quaternions)
+    )
+
+
+def _knee(seen: PoseSeries) -> Floats:
+    """The tibia's point (3,) that moves least in the femur, in frames that are far off hardly counted."""
+    from scipy.optimize import least_squares
+
+    turns = seen.matrices()
+
+    def off(both: Floats) -> Floats:
+        return (seen.positions + turns @ both[:3] - both[3:]).ravel()
+
+    slopes = np.concatenate([turns, np.broadcast_to(-np.eye(3), turns.shape)], axis=2).reshape(-1, 6)
+    start = np.concatenate([np.zeros(3), np.median(seen.positions, axis=0)])
+    return least_squares(off, start, jac=lambda _: slopes, loss="soft_l1", f_scale=_NEAR).x[:3]  # pyright: ignore[reportArgumentType]
+
+
+def _spline(poses: PoseSeries, odd: NDArray[np.bool_]) -> PoseSeries:
+    """The poses on the spline through those of the frames that are not odd."""
+    from scipy.interpolate import CubicSpline
+
+    kept = PoseSeries(poses.times[~odd], poses.positions[~odd], poses.quaternions[~odd])  # signs without the odd ones
+    curve = CubicSpline(kept.times, np.concatenate([kept.positions, kept.quaternions], axis=1))(poses.times)
+    quaternions = curve[:, 3:] / np.linalg.norm(curve[:, 3:], axis=1, keepdims=True)
+    return replace(poses, positions=curve[:, :3], quaternions=quaternions)
+
+
+def _off(poses: PoseSeries, curve: PoseSeries) -> Floats:
+    """How far (n,) each frame is off the spline, in what two frames may differ by however close."""
+    away = np.linalg.norm(poses.positions - curve.positions, axis=1)
+    return np.maximum(away / APART, turned(poses.quaternions, curve.quaternions) / TURNED)
+
+
+def _check_gaps(stretches: NDArray[np.intp], tibia: PoseSeries, max_gap_s: float) -> None:
+    times = tibia.times
+    interval = float(np.median(np.diff(times)))
+    refused = np.zeros(times.size, bool)
+    for first, end in stretches:
+        inside = first > 0 and end < times.size
+        if not inside or times[end] - times[first - 1] - interval > max_gap_s + 1e-6 * interval:
+            refused[first:end] = True
+    if refused.any():
+        raise InputError(
+            f"femur and tibia jump against each other in {in_words(refused)} of {times.size} (counted from 1)",
+            where=tibia.source,
+            expected=f"stretches of at most {max_gap_s:g} s (max_gap_s) to fill, not at the ends",
+            remedy="start_time_s and end_time_s, or a larger max_gap_s, in [motion]; or, if it is meant, a larger "
+            "most_knee_speed_m_per_s, or most_angular_speed_rad_per_s, in [limits]",
+        )

@@ -161,7 +161,7 @@ def import_model(
             "over time (.sto, .mot, .csv); tensions follow from it and from the muscles' lengths.",
         ),
     ] = None,
-    bend: Annotated[str | None, Option("--bend", metavar="COORDINATE", help="The one to bend by.")] = None,
+    bend: Annotated[str | None, Option("--bend", metavar="COORDINATE", help="To bend by, without --motion.")] = None,
     side: Annotated[str | None, Option("--side", metavar="right|left", help="Where the model has both.")] = None,
     femur: Annotated[str | None, Option("--femur", metavar="BODY", help="If its name does not tell.")] = None,
     tibia: Annotated[str | None, Option("--tibia", metavar="BODY", help="If its name does not tell.")] = None,

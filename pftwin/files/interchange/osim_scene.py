@@ -97,7 +97,7 @@ def import_osim(
             where the patella is among them, its poses are the scene's measurements. TRC, C3D or CSV file of the
             markers of femur and tibia, and maybe of the patella. None: the knee is bent through its range.
         rate: frames per second, where the times of a file of poses count frames.
-        bend: the coordinate to bend by; None: the first rotation of the tibia's joint.
+        bend: the coordinate to bend by, where there is no motion; None: the first rotation of the tibia's joint.
         quadriceps: a constant tension [N] of all muscles together that end on the patella, shared out by their maximum
             isometric forces, along straight lines from the point before on their paths; None: they are left out.
         activation: in place of a tension, the activation of these muscles, 0 to 1, or a STO, MOT or CSV file of
@@ -132,8 +132,10 @@ def import_osim(
     places = [Path(p) for p in geometry]
     seen = moved = None
     how: dict[str, Any] = {"units": units, "without": without, "joint_centers": joint_centers}
+    if motion is not None:
+        _refuse_others("a motion", bend=bend)
     if motion is not None and Path(motion).suffix.lower() in MARKER_FILES:
-        _refuse_others("a recording of markers", rate=rate, bend=bend)
+        _refuse_others("a recording of markers", rate=rate)
         if activation is not None:
             expected = "coordinates (.mot) or poses (.sto), by which muscles have lengths; or a constant tension"
             raise InputError("an activation, and a recording of markers", where="activation", expected=expected)

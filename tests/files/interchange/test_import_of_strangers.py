@@ -120,6 +120,8 @@ def test_options_are_checked(tmp_path):
         ({"side": "up"}, "right or left"),
         ({"patella": "cap"}, "no body is called 'cap'"),
         ({"bend": "elbow"}, "no coordinate 'elbow'"),
+        ({"bend": "knee_flex_r", "motion": tmp_path / "walk.mot"}, "bend given, and a motion"),
+        ({"activation": 0.0, "motion": tmp_path / "walk.trc"}, "an activation, and a recording of markers"),
     ):
         with pytest.raises(InputError, match=words):
             bare(tmp_path, text, **options)

@@ -31,13 +31,16 @@ def check_c3d_structure(content: bytes, *, where: object) -> None:
     if processor not in (_INTEL, _DEC, _MIPS):
         raise _damaged(where)
     order = ">" if processor == _MIPS else "<"
-    _walk_parameters(content, start + 4, order, where)
+    counts = _walk_parameters(content, start + 4, order, where)
+    _check_channels(content, order, counts, where)
     if processor != _DEC:  # the sign of DEC's float is elsewhere
         _check_length(content, order, where)
 
 
-def _walk_parameters(content: bytes, position: int, order: str, where: object) -> None:
-    groups, used = set(), set()
+def _walk_parameters(content: bytes, position: int, order: str, where: object) -> dict[tuple[bytes, bytes], int]:
+    """How many values each parameter has, by the names of its group and its own."""
+    groups: dict[int, bytes] = {}
+    counts: dict[tuple[int, bytes], int] = {}
     while True:
         if position + 2 > len(content):
             raise _truncated("its parameter section", where)
@@ -51,14 +54,39 @@ def _walk_parameters(content: bytes, position: int, order: str, where: object) -
         step = struct.unpack_from(order + "h", content, link)[0]
         if group == 0 or step < 0 or any(byte < 32 for byte in content[position + 2 : link]):
             raise _damaged(where)
-        (groups if group < 0 else used).add(abs(group))
+        name = content[position + 2 : link].upper()
+        if group < 0:
+            groups[-group] = name
+        else:
+            dimensions = content[link + 3 : link + 4] or b"\0"
+            counts[group, name] = math.prod(content[link + 4 : link + 4 + dimensions[0]])
         last = step == 0
         _check_record(content, link + 2, len(content) if last else link + step, group, where)
         if last:
             break
         position = link + step
-    if used - groups:
+    if {group for group, _ in counts} - groups.keys():
         raise _damaged(where)
+    return {(groups[group], name): count for (group, name), count in counts.items()}
+
+
+def _check_channels(content: bytes, order: str, counts: dict[tuple[bytes, bytes], int], where: object) -> None:
+    """Every analog channel has a scale and an offset: ezc3d reads beyond the end of lists that are shorter."""
+    if len(content) < 20:
+        raise _truncated("its header", where)
+    (samples,), (each,) = (struct.unpack_from(order + "H", content, at) for at in (4, 18))
+    channels = samples // max(each, 1)
+    for key in (b"SCALE", b"OFFSET"):
+        there = sum(
+            n for (group, name), n in counts.items() if group == b"ANALOG" and name.rstrip(b"0123456789") == key
+        )
+        if there < channels and (b"SHADOW" not in {group for group, _ in counts}):
+            raise InputError(
+                f"{channels} analog channels, and {there} values of ANALOG:{key.decode()}",
+                where=where,
+                expected="one for each channel",
+                remedy="export the file again",
+            )
 
 
 def _check_record(content: bytes, begin: int, end: int, group: int, where: object) -> None:

@@ -148,3 +148,14 @@ def test_channels_that_cannot_be_used(tmp_path):
     twice = {"a": ("N", SAMPLES), "a ": ("N", SAMPLES)}
     with pytest.raises(InputError, match=r"b\.c3d: columns that occur twice: a"):
         read_c3d_channels(write(tmp_path / "b.c3d", channels=twice))
+
+
+@pytest.mark.parametrize("name", [b"OFFSET", b"SCALE"])
+def test_channels_without_offset_or_scale_are_refused(tmp_path, name):
+    """ezc3d ends the process there."""
+    whole = write(tmp_path / "a.c3d", channels={k: v for k, v in CHANNELS.items() if k}).read_bytes()
+    at = whole.index(b"ANALOG")  # SCALE is a name in POINT too
+    (tmp_path / "a.c3d").write_bytes(whole[:at] + whole[at:].replace(b"\x02" + name, b"\x02" + b"X" * len(name), 1))
+    for read in (read_c3d, read_c3d_channels):
+        with pytest.raises(InputError, match=rf"a\.c3d: 4 analog channels, and 0 values of ANALOG:{name.decode()}"):
+            read(tmp_path / "a.c3d")

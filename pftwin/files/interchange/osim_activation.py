@@ -20,6 +20,7 @@ from pftwin.files.interchange.osim_muscle_force import MUSCLES, MuscleForce, rea
 from pftwin.files.interchange.osim_muscle_path import MovingBodies, PathOverMotion, path_over_motion
 from pftwin.files.interchange.osim_muscle_wraps import wraps_of
 from pftwin.files.interchange.osim_muscles import BODIES, PatellarMuscle
+from pftwin.files.interchange.osim_wraps import Wraps
 from pftwin.files.mocap.jumps import in_words, jumps
 from pftwin.files.mocap.poses import PoseSeries
 
@@ -63,6 +64,7 @@ def activated(
     motion: Motion,
     muscles: Sequence[PatellarMuscle],
     given: float | str | os.PathLike[str],
+    objects: Wraps,
 ) -> Activated:
     """The tensions of muscles that end on the patella, by their activations.
 
@@ -73,6 +75,7 @@ def activated(
         motion: of the knee.
         muscles: those that end on the patella.
         given: their activations, as `activations` takes them.
+        objects: that paths may wrap over.
 
     Raises:
         InputError: no such activation or file; no muscle that could have a tension; numbers that no muscle has.
@@ -82,7 +85,7 @@ def activated(
     found = []
     for muscle, element in _elements(root, muscles):
         if _usable(element, notes):
-            wraps, left = wraps_of(element, root, model, knee)
+            wraps, left = wraps_of(element, objects)
             path = path_over_motion(element, frames, bodies, wraps)
             found += [] if path is None else [_Pulling(muscle, element, path, left)]
     if not found:
@@ -185,9 +188,9 @@ def _remarks(found: Sequence[_Pulling], forces: Sequence[MuscleForce], values: F
         )
     for p in found:
         if p.straight:
-            yield f"{p.muscle.name}: its length is straight, though it wraps over {', '.join(p.straight)}"
+            yield f"{p.muscle.name}: left out of its length is wrapping over {', '.join(p.straight)}"
     if wrapped := [p.muscle.name for p in found if not p.straight and list(p.element.all("PathWrap"))]:
-        yield f"wrapping over cylinders is in the lengths of {', '.join(wrapped)}"
+        yield f"wrapping is in the lengths of {', '.join(wrapped)}"
     raised = [f for f, a in zip(forces, values.T, strict=True) if a.min() < f.least_activation]
     if raised:
         which = ", ".join(f"{f.name} {f.least_activation:g}" for f in raised)

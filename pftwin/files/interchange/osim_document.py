@@ -186,15 +186,15 @@ class OsimFrame(NamedTuple):
     pose: Floats  # (4, 4) in the body's frame
 
 
-def placed(element: Element, translation: str) -> Floats:
-    """The pose (4, 4) by an element's <orientation>, and its translation [m] under the tag that it has for it.
+def placed(element: Element, translation: str, rotation: str = "orientation") -> Floats:
+    """The pose (4, 4) by an element's translation [m] and body-fixed angles [rad], under the tags that it has for them.
 
     Raises:
         InputError: they are not three numbers each.
     """
     pose = np.eye(4)
     pose[:3, 3] = element.numbers_of(translation, (0.0, 0.0, 0.0))
-    pose[:3, :3] = Rotation.from_euler("XYZ", element.numbers_of("orientation", (0.0, 0.0, 0.0))).as_matrix()
+    pose[:3, :3] = Rotation.from_euler("XYZ", element.numbers_of(rotation, (0.0, 0.0, 0.0))).as_matrix()
     return pose
 
 

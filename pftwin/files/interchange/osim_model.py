@@ -65,7 +65,7 @@ def ligaments(
             (frames.find(p.needed("socket_parent_frame").text, p, p.where), p.needed("location").numbers(3))
             for p in points
         ]
-        wraps = tuple(w.words("wrap_object") for w in element.all("PathWrap"))
+        wraps = path_wraps(element)
         k, slack, toe, damping = (
             value(element, tag, defaults)
             for tag in ("linear_stiffness", "slack_length", "transition_strain", "damping_coefficient")
@@ -77,6 +77,16 @@ def ligaments(
                 expected="positive numbers",
             )
         yield OsimLigament(element.name, (ends[0], ends[1]), k, slack, toe, damping, wraps, element.where)
+
+
+def path_wraps(force: Element, first: int = 0, last: int = 1) -> tuple[str, ...]:
+    """Names of the objects over which a force's path may wrap between two of its points, which count from 0."""
+
+    def covers(wrap: Element) -> bool:
+        start, end = wrap.numbers_of("range", (-1.0, -1.0))  # these count from 1; less than that is an end of the path
+        return first >= start - 1 and (end < 1 or last <= end - 1)
+
+    return tuple(w.words("wrap_object") for w in force.all("PathWrap") if covers(w))
 
 
 def value(element: Element, tag: str, defaults: dict[str, Element]) -> float:

@@ -1,29 +1,23 @@
-"""What the path of an OpenSim model's muscle wraps over, and how much longer that makes it."""
+"""How much longer the path of an OpenSim model's muscle is for what it wraps over."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from pftwin.base.arrays import Floats
-from pftwin.base.errors import InputError
-from pftwin.files.interchange.osim_document import Element, Frames
-from pftwin.files.interchange.osim_knee import OsimKnee, part_and_pose
-from pftwin.files.interchange.osim_model import OsimModel
+from pftwin.files.interchange.osim_document import Element
+from pftwin.files.interchange.osim_wraps import OsimWrap, Wraps
 
 if TYPE_CHECKING:
     from pftwin.geometry.wrapping.obstacle import Obstacle
-
-CYLINDER = "WrapCylinder"
-_ANY_SIDE = ("all", "unassigned")
 
 
 class Wrap(NamedTuple):
     """An obstacle, and the points of a path between which it counts."""
 
-    part: str  # that carries it: of the knee, or another body's name
+    part: str  # of the knee that carries it
     obstacle: Obstacle  # in that part's frame
     first: int
     last: int
@@ -36,52 +30,34 @@ class Wrap(NamedTuple):
         return np.maximum(around - np.linalg.norm(end - start, axis=-1), 0.0)
 
 
-def wraps_of(muscle: Element, root: Element, model: OsimModel, knee: OsimKnee) -> tuple[list[Wrap], list[str]]:
-    """What a path wraps over; and the names of those objects that are left out, for they are no cylinders.
+def wraps_of(muscle: Element, objects: Wraps) -> tuple[list[Wrap], list[str]]:
+    """What a muscle's path wraps over; and the names of those objects that are left out, with the reasons.
 
     Raises:
-        InputError: no object of that name; a cylinder or a range that cannot be.
+        InputError: an object or a range that cannot be.
     """
-    sets = [(held, held.child("objects")) for held in root.all("WrapObjectSet")]  # some have none
-    known = {o.name: (o, held) for held, objects in sets if objects is not None for o in objects.children}
     count = len(list(muscle.all("PathPoint", "ConditionalPathPoint", "MovingPathPoint")))
-    frames, found, left = Frames(root), [], []
+    found, left = [], []
     for wrap in muscle.all("PathWrap"):
-        name = wrap.words("wrap_object")
-        if name not in known:
-            raise InputError(f"no wrap object {name!r}", where=wrap.where, expected=f"one of: {', '.join(known)}")
-        element, held = known[name]
-        if element.words("active") == "false":
-            continue
-        if element.tag != CYLINDER:
-            left.append(name)
-            continue
-        part, pose = part_and_pose(model, knee, frames.find("..", held, held.where))
-        first, last = wrap.numbers_of("range", (-1.0, -1.0))
-        found.append(Wrap(part, _cylinder(element, pose, part), max(int(first), 1) - 1, _last(int(last), count)))
+        over, why = objects.over([wrap.words("wrap_object")])
+        left += why
+        if over is not None:
+            first, last = (int(n) for n in wrap.numbers_of("range", (-1.0, -1.0)))  # these count from 1, or are none
+            found.append(Wrap(over.body, _obstacle(over), max(first, 1) - 1, (last if last > 0 else count) - 1))
     return found, left
 
 
-def _last(number: int, count: int) -> int:
-    return (count if number < 1 else number) - 1
-
-
-def _cylinder(element: Element, pose: Floats, part: str) -> Obstacle:
-    """Its axis is z; it is passed on the side of its own x or y, or of their opposites, where a quadrant says so."""
+def _obstacle(over: OsimWrap) -> Obstacle:
+    """In the model's axes."""
     from pftwin.base.leaves import number, vector
+    from pftwin.base.spatial import Quaternion
     from pftwin.geometry.wrapping.cylinder import Cylinder
+    from pftwin.geometry.wrapping.ellipsoid import Ellipsoid
 
-    radius = element.needed("radius").numbers(1)[0]
-    if radius <= 0:
-        raise InputError(f"a radius of {radius:g} m", where=element.where, expected="a positive one")
-    turn = Rotation.from_euler("XYZ", element.numbers_of("xyz_body_rotation", (0.0, 0.0, 0.0))).as_matrix()
-    axes = pose[:3, :3] @ turn
-    center = pose[:3, :3] @ element.numbers_of("translation", (0.0, 0.0, 0.0)) + pose[:3, 3]
-    quadrant = (element.words("quadrant") or "all").lower()
-    sides = {"x": axes[:, 0], "y": axes[:, 1]}
-    side = None if quadrant in _ANY_SIDE else sides.get(quadrant.lstrip("+-"))
-    if side is None and quadrant not in _ANY_SIDE:
-        raise InputError(f"a quadrant {quadrant!r}", where=element.where, expected="all, or x, -x, y or -y")
-    if side is not None and quadrant.startswith("-"):
-        side = -side
-    return Cylinder(vector(center), part, number(radius), vector(axes[:, 2]), None if side is None else vector(side))
+    numbers = over.numbers
+    center = vector(numbers["center_m"])
+    if over.kind == "ellipsoid":
+        turn = Quaternion(*(number(v) for v in numbers["quaternion_wxyz"]))
+        return Ellipsoid(center, over.body, vector(numbers["radii_m"]), turn)
+    side = vector(numbers["side"]) if "side" in numbers else None
+    return Cylinder(center, over.body, number(numbers["radius_m"]), vector(numbers["axis"]), side)

@@ -12,7 +12,7 @@ from pftwin.base.errors import InputError
 from pftwin.base.text_files import refuse_repeated
 from pftwin.files.interchange.osim_document import Element, Frames
 from pftwin.files.interchange.osim_knee import OsimKnee, part_and_pose
-from pftwin.files.interchange.osim_model import OsimModel, plain_name
+from pftwin.files.interchange.osim_model import OsimModel, path_wraps, plain_name
 
 BODIES = ("femur", "tibia", "ground")
 _STRENGTH = "max_isometric_force"
@@ -20,7 +20,7 @@ POINTS = ("PathPoint", "ConditionalPathPoint", "MovingPathPoint")
 
 
 class PatellarMuscle(NamedTuple):
-    """The straight piece of a muscle's path that ends on the patella."""
+    """The piece of a muscle's path that ends on the patella, from the point before."""
 
     kind: str
     name: str
@@ -29,6 +29,7 @@ class PatellarMuscle(NamedTuple):
     body: str  # part of the knee that has that point, or the model's name for another body
     strength: float | None  # its maximum isometric force [N]
     plain: bool = True  # whether it is all of the muscle at the patella, between two points that stay where they are
+    wraps: tuple[str, ...] = ()  # names of the objects over which that piece may wrap
 
     @property
     def line(self) -> str:
@@ -46,7 +47,7 @@ class PatellarMuscle(NamedTuple):
         if self.body not in BODIES:
             return f"it comes from the {self.body}, which a scene does not have; {ends}"
         if not self.plain:
-            return f"its points move, or it passes over the patella: only one straight line can be taken; {ends}"
+            return f"its points move, or it passes over the patella: only one line can be taken; {ends}"
         return f"its activation says how strongly it pulls: give a tension in [[prescribed_tension]]; {ends}"
 
 
@@ -77,7 +78,8 @@ def _at_patella(force: Element, model: OsimModel, knee: OsimKnee, frames: Frames
     strength = force.child(_STRENGTH)
     newtons = None if strength is None else float(strength.numbers(1)[0])
     plain = len(pairs) == 1 and at[i][2] and at[j][2]
-    return PatellarMuscle(force.tag, force.name, at[i][1], at[j][1], at[j][0], newtons, plain)
+    wraps = path_wraps(force, min(i, j), max(i, j))
+    return PatellarMuscle(force.tag, force.name, at[i][1], at[j][1], at[j][0], newtons, plain, wraps)
 
 
 def shared_tensions(muscles: Sequence[PatellarMuscle], total: float) -> dict[str, float]:

@@ -27,6 +27,7 @@ from pftwin.files.interchange.osim_muscles import (
     muscles_of,
     shared_tensions,
 )
+from pftwin.files.interchange.osim_wraps import OsimWrap, Wraps
 from pftwin.model.limits import Limits
 
 if TYPE_CHECKING:
@@ -88,7 +89,7 @@ def import_osim(
 
     Imported are bodies with their mass and meshes, `Blankevoort1991Ligament` of two points, `Smith2018ContactMesh` with
     the `Smith2018ArticularContactForce` between femur and patella, joints and coordinates (for the motion and the
-    patella's start). What is not, is listed with the reason.
+    patella's start), `WrapCylinder` and `WrapEllipsoid`. What is not, is listed with the reason.
 
     Args:
         model: .osim file of OpenSim 4.
@@ -99,7 +100,7 @@ def import_osim(
         rate: frames per second, where the times of a file of poses count frames.
         bend: the coordinate to bend by, where there is no motion; None: the first rotation of the tibia's joint.
         quadriceps: a constant tension [N] of all muscles together that end on the patella, shared out by their maximum
-            isometric forces, along straight lines from the point before on their paths; None: they are left out.
+            isometric forces, from the point before on their paths; None: they are left out.
         activation: in place of a tension, the activation of these muscles, 0 to 1, or a STO, MOT or CSV file of
             activations over time (`osim_activation_file.activations`). Their tensions follow from it and from the
             lengths of their paths, at rest.
@@ -146,14 +147,20 @@ def import_osim(
         told.notes.append(f"motion: {moved.said}")
     if found.bodies[knee.patella].mass <= 0:
         raise InputError("a patella without mass", where=found.bodies[knee.patella].where, expected="a positive mass")
-    strands = _ligament_groups(found, knee, told)
+    wraps = Wraps(root, found, knee)
+    strands = _ligament_groups(found, knee, wraps, told)
     contact, pressing = _contact_meshes(found, knee, places, told)
     taken = {m.file for m in pressing}
     drawn = list(bones(found, knee, places, taken, told.left_out))
     if drawn:
         told.notes.append(f"bones: {len(drawn)} meshes lie in {FOLDER}/; a scene file has no table for them")
-    pulling, pulled = _pulls(root, found, knee, moved, told, quadriceps, activation)
+    pulling, pulled = _pulls(root, found, knee, moved, told, quadriceps, activation, wraps)
     told.left_out += _unused_elements(root, told, recorded=seen is not None)
+    if any(
+        w is not None and w.kind == "cylinder"
+        for w in (*(s.wrap for g in strands for s in g), *(w for _, w in pulling))
+    ):
+        told.notes.append("wrapping: cylinders are taken as endless")
     text = scene_text(
         found,
         knee,
@@ -183,23 +190,25 @@ def _pulls(
     told: Imported,
     quadriceps: float | None,
     activation: float | str | os.PathLike[str] | None,
-) -> tuple[Sequence[PatellarMuscle], Activated | None]:
-    """The muscles that pull at the patella, with a tension of all, or over time by their activation."""
+    wraps: Wraps,
+) -> tuple[list[tuple[PatellarMuscle, OsimWrap | None]], Activated | None]:
+    """The muscles that pull at the patella with their obstacles: a tension of all, or over time by activation."""
     muscles = told.muscles = list(muscles_of(root, model, knee))
     pulled = None
     if quadriceps is not None:
         told.tensions = shared_tensions(muscles, quadriceps)
         each = ", ".join(f"{name} {newtons:.3g} N" for name, newtons in told.tensions.items())
-        told.notes.append(f"tensions, constant, by maximum isometric force, along straight lines: {each}")
+        told.notes.append(f"tensions, constant, by maximum isometric force: {each}")
     elif activation is not None and moved is not None:
         from pftwin.files.interchange.osim_activation import activated
 
-        pulled = activated(root, model, knee, moved, muscles, activation)
+        pulled = activated(root, model, knee, moved, muscles, activation, wraps)
         told.tensions = {m.name: float(t) for m, t in zip(pulled.muscles, pulled.tensions[0], strict=True)}
         told.notes += pulled.notes
     if told.tensions and (without := [m.name for m in muscles if m.name not in told.tensions]):
         told.notes.append(f"without a tension: {', '.join(without)}")
-    return [m for m in muscles if m.name in told.tensions] if pulled is None else pulled.muscles, pulled
+    pulling = [m for m in muscles if m.name in told.tensions] if pulled is None else pulled.muscles
+    return list(_wrapped(pulling, wraps, told)), pulled
 
 
 def _recording(
@@ -233,11 +242,11 @@ def _refuse_others(found: str, **options: Any) -> None:
         raise InputError(f"{given[0]} given, and {found}", where=given[0], expected="one or the other")
 
 
-def _ligament_groups(model: OsimModel, knee: OsimKnee, told: Imported) -> dict[tuple[str, str], list[OsimStrand]]:
-    """Ligaments of the patella by name and other body; those of one name without its number are one group."""
+def _ligament_groups(model: OsimModel, knee: OsimKnee, wraps: Wraps, told: Imported) -> list[list[OsimStrand]]:
+    """Ligaments of the patella; those of one name without its number, other body and obstacle are one group."""
     from pftwin.files.interchange.osim_toml import OsimStrand
 
-    groups: dict[tuple[str, str], list[OsimStrand]] = {}
+    groups: dict[tuple[str, str, tuple[str, ...] | None], list[OsimStrand]] = {}
     straight: dict[tuple[str, tuple[str, ...]], list[str]] = {}
     for ligament in model.ligaments:
         ends = [(part_and_pose(model, knee, frame), point) for frame, point in ligament.ends]
@@ -247,17 +256,30 @@ def _ligament_groups(model: OsimModel, knee: OsimKnee, told: Imported) -> dict[t
             told.left_out.append(LeftOut(LIGAMENT, ligament.name, _why_not(parts)))
             continue
         k = parts.index("patella")
-        (_, insertion), (body, origin) = places[k], places[1 - k]
-        name = ligament.name.rstrip("0123456789") or ligament.name
-        if ligament.wraps:
-            straight.setdefault((name, ligament.wraps), []).append(ligament.name)
-        groups.setdefault((name, body), []).append(OsimStrand(ligament, insertion, origin))
-    for (_, wraps), names in straight.items():
-        which = f"{names[0]}: a straight line, though it wraps"
-        if len(names) > 1:
-            which = f"{names[0]} to {names[-1]} ({len(names)} strands): straight lines, though they wrap"
-        told.notes.append(f"{which} over {', '.join(wraps)}")
-    return groups
+        over, left = wraps.over(ligament.wraps)
+        strand = OsimStrand(ligament, places[k][1], *places[1 - k], over)
+        straight.setdefault((strand.name, tuple(left)), []).append(ligament.name)
+        groups.setdefault((strand.name, strand.body, over and over.like), []).append(strand)
+    told.notes += _straight(straight)
+    return list(groups.values())
+
+
+def _wrapped(
+    muscles: Sequence[PatellarMuscle], wraps: Wraps, told: Imported
+) -> Iterator[tuple[PatellarMuscle, OsimWrap | None]]:
+    """Muscles with their obstacles."""
+    for muscle in muscles:
+        over, left = wraps.over(muscle.wraps)
+        told.notes += _straight({(muscle.name, tuple(left)): [muscle.name]})
+        yield muscle, over
+
+
+def _straight(lines: dict[tuple[str, tuple[str, ...]], list[str]]) -> Iterator[str]:
+    """What is said of lines by their common name and the objects over which they do not wrap."""
+    for (_, objects), names in lines.items():
+        if objects:
+            which = names[0] if len(names) == 1 else f"{names[0]} to {names[-1]} ({len(names)} strands)"
+            yield f"{which}: not wrapped over {', '.join(objects)}"
 
 
 def _why_not(parts: list[str]) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from itertools import groupby
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -14,6 +14,7 @@ from pftwin.base.arrays import Floats
 from pftwin.files.interchange.osim_knee import OsimKnee, Written
 from pftwin.files.interchange.osim_model import LeftOut, OsimContact, OsimLigament, OsimModel, plain_name
 from pftwin.files.interchange.osim_muscles import PatellarMuscle
+from pftwin.files.interchange.osim_wraps import OsimWrap, of_group
 from pftwin.files.toml_text import render_toml
 
 if TYPE_CHECKING:
@@ -29,7 +30,30 @@ class OsimStrand(NamedTuple):
 
     ligament: OsimLigament
     insertion: Floats
+    body: str  # the other bone
     origin: Floats
+    wrap: OsimWrap | None
+
+    @property
+    def name(self) -> str:
+        """The ligament's, without the strand's number."""
+        return self.ligament.name.rstrip("0123456789") or self.ligament.name
+
+
+class StrandGroup(NamedTuple):
+    """Strands of one ligament, over like obstacles."""
+
+    strands: list[OsimStrand]
+    body: str
+    wrap: OsimWrap | None
+
+
+class MuscleGroup(NamedTuple):
+    """Muscles from one body, over like obstacles."""
+
+    body: str
+    wrap: OsimWrap | None
+    muscles: list[PatellarMuscle]
 
 
 # Limits for a patella whose start is a guess of the model, not a recording.
@@ -49,20 +73,21 @@ _FINE = 10_000  # triangles of a femur's mesh from which on its depths are bette
 def scene_text(
     model: OsimModel,
     knee: OsimKnee,
-    strands: dict[tuple[str, str], list[OsimStrand]],
+    strands: Sequence[list[OsimStrand]],
     contact: OsimContact | None,
     meshes: Sequence[Written],
     told: Imported,
     *,
     measured: bool = False,
-    muscles: Sequence[PatellarMuscle] = (),
+    muscles: Sequence[tuple[PatellarMuscle, OsimWrap | None]] = (),
     over_time: OverTime | None = None,
     seen: Recording | None = None,
     limits: Mapping[str, float] | None = None,
 ) -> str:
     """The scene file; adds to the notes what it could not take over as it is.
 
-    Its measurements are the patella's poses, where that was `measured`, or its markers, where they were `seen`.
+    Its measurements are the patella's poses, where that was `measured`, or its markers, where they were `seen`. Strands
+    come in groups of one name, body and obstacle, muscles each with its obstacle.
     """
     body = model.bodies[knee.patella]
     if np.any(body.inertia[3:]):
@@ -75,6 +100,11 @@ def scene_text(
             told.notes.append(f"{layer.mesh.name}: one thickness throughout, {1e3 * layer.thickness:g} mm")
     if contact is not None and contact.lumped:
         told.notes.append(f"{contact.name}: two layers in series; the model lumps both into one of averaged modulus")
+    ligaments: dict[str, StrandGroup] = {}
+    for group in strands:
+        wraps, body_of = [s.wrap for s in group if s.wrap is not None], group[0].body
+        label = _unlike(plain_name(group[0].name), body_of, ligaments)
+        ligaments[label] = StrandGroup(group, body_of, of_group(wraps) if wraps else None)
     return render_toml(
         "pftwin.files.interchange",
         "imported.toml.jinja",
@@ -83,14 +113,13 @@ def scene_text(
         axes=AXES[knee.side],
         patella=body,
         measured=measured,
-        seen=None if seen is None else _seen_markers(seen, [label for label, _, _ in _labelled(strands)]),
+        seen=None if seen is None else _seen_markers(seen, list(ligaments)),
         limits={**(ANYWHERE if seen else {}), **(limits or {})},
         bodies={knee.part(body): body_label(body) for body in (knee.femur, knee.tibia, knee.patella)},
         tensions=told.tensions,
         over_time=over_time,
-        pulling=_free_name([label for label, _, _ in _labelled(strands)]),
-        muscles=[(body, [m for m in muscles if m.body == body]) for body in dict.fromkeys(m.body for m in muscles)],
-        ligaments=_labelled(strands),
+        muscles=_pulling(muscles, _free_name(list(ligaments))),
+        ligaments=ligaments,
         contact=contact,
         fine=bool(meshes) and len(meshes[0].mesh.faces) > _FINE,
         sides=list(zip(("femur", "button"), meshes, layers, strict=False)),  # none without a contact
@@ -129,14 +158,20 @@ def _free_name(labels: Sequence[str]) -> str:
     return name
 
 
-def _labelled(strands: dict[tuple[str, str], list[OsimStrand]]) -> list[tuple[str, str, list[OsimStrand]]]:
-    """Name in the scene, other body and strands of each group; names are made different by the body."""
-    found: dict[str, tuple[str, str, list[OsimStrand]]] = {}
-    for (name, body), group in strands.items():
-        label = plain_name(name)
-        label = f"{label}_{body}" if label in found else label
-        found[label] = label, body, group
-    return list(found.values())
+def _pulling(muscles: Sequence[tuple[PatellarMuscle, OsimWrap | None]], name: str) -> dict[str, MuscleGroup]:
+    """Groups of muscles from one body and over like obstacles, by names that begin alike."""
+    found: dict[str, MuscleGroup] = {}
+    for body, like in dict.fromkeys((m.body, w and w.like) for m, w in muscles):
+        group = [(m, w) for m, w in muscles if (m.body, w and w.like) == (body, like)]
+        wraps = [w for _, w in group if w is not None]
+        found[_unlike(name, body, found)] = MuscleGroup(body, of_group(wraps) if wraps else None, [m for m, _ in group])
+    return found
+
+
+def _unlike(name: str, body: str, taken: Collection[str]) -> str:
+    """A name that is not taken: by the body, and a number."""
+    tried = (name, f"{name}_{body}", *(f"{name}_{body}_{k}" for k in range(2, len(taken) + 3)))
+    return next(label for label in tried if label not in taken)
 
 
 def body_label(body: str) -> str:

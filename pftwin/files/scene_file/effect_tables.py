@@ -18,9 +18,18 @@ from pftwin.base.errors import InputError
 from pftwin.base.leaves import number, vector
 from pftwin.base.quantities import Quantity, declared_field
 from pftwin.files.scene_file.document import Document, Place
-from pftwin.files.scene_file.section import Name, NotNegative, Point, Points, Section, one_number_or_many, problem
+from pftwin.files.scene_file.section import (
+    Name,
+    NotNegative,
+    Point,
+    Points,
+    Section,
+    group_size,
+    member_values,
+    one_number_or_many,
+)
 from pftwin.files.scene_file.side import HostPose, Side
-from pftwin.files.scene_file.wrap_table import WRAP, Wrap
+from pftwin.files.scene_file.wrap_table import WRAP, Wrap, obstacle
 from pftwin.model.effects.base import Effect
 from pftwin.model.effects.damping import LinearDamping
 from pftwin.model.effects.gravity import Gravity
@@ -114,23 +123,6 @@ class DampingSection(EffectSection):
         return LinearDamping(*rates, body=self.body, name=self.label)
 
 
-def group_size(section: Any, *names: str) -> int:
-    """How many members a group has: every field has one value for all, or one for each."""
-    sizes = {name: len(value) for name in names if (value := getattr(section, name)) is not None}
-    n = max(sizes.values())
-    if odd := [f"{name} has {k}" for name, k in sizes.items() if k not in (1, n)]:
-        longest = max(sizes, key=lambda name: sizes[name])
-        raise problem(
-            f"{', '.join(odd)} values and {longest} has {n}", expected="one value for all members, or one for each"
-        )
-    return n
-
-
-def member_values(values: np.ndarray, n: int) -> np.ndarray:
-    """Values of each of n members along the first axis; without that axis where there is only one."""
-    return values[0] if n == 1 else np.broadcast_to(values, (n, *values.shape[1:]))
-
-
 class Layout(NamedTuple):
     """How the fields of a table become those of an effect."""
 
@@ -164,7 +156,7 @@ class DeclaredSection(EffectSection):
             placed = setting.world_direction(written) if body == "world" else setting.points(body, written)
             values[name] = vector(member_values(placed, n))
         for name in obstacles:
-            values[name] = None if (given := getattr(self, name)) is None else given.build(setting)
+            values[name] = obstacle(getattr(self, name), n, setting, at)
         return effect(**values, name=self.label)
 
 

@@ -25,10 +25,9 @@ from pftwin.files.scene_file.effect_tables import (
     Layout,
     Setting,
     declared_table,
-    group_size,
 )
-from pftwin.files.scene_file.section import FileName, NotNegatives, Points, Positives, problem
-from pftwin.files.scene_file.wrap_table import WRAP, Wrap
+from pftwin.files.scene_file.section import FileName, NotNegatives, Points, Positives, group_size, problem
+from pftwin.files.scene_file.wrap_table import WRAP, Wrap, obstacle
 from pftwin.model.effects.base import Effect
 from pftwin.model.effects.tendon import TOE_STRAIN, StrandGroup, Tendon, ToeTendon
 
@@ -149,7 +148,7 @@ class StrandsSection(EffectSection):
         ends = setting.points("patella", strands.insertion), setting.points(self.body, strands.origin)
         k, slack, toe, damping = (leaf(np.broadcast_to(v, (n,))) for v in one)
         insertion, origin = (vector(e) for e in ends)
-        wrap = None if self.wrap is None else self.wrap.build(setting)
+        wrap = obstacle(self.wrap, n, setting, at)
         return StrandGroup(k, slack, toe, damping, insertion, origin, self.body, wrap, name=self.label)
 
     def _listed(self) -> Strands:

@@ -119,6 +119,7 @@ NotNegative = Annotated[float, Field(ge=0)]
 Point = Annotated[list[float], Field(min_length=3, max_length=3)]
 Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
 PositivePair = Annotated[list[Positive], Field(min_length=2, max_length=2)]
+PositiveTriple = Annotated[list[Positive], Field(min_length=3, max_length=3)]
 Direction = Annotated[Point, AfterValidator(_direction)]
 UnitQuaternion = Annotated[list[float], Field(min_length=4, max_length=4), AfterValidator(_unit_quaternion)]
 Polynomial = Annotated[str, AfterValidator(_polynomial)]
@@ -129,4 +130,24 @@ Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
 Positives = Annotated[list[Positive], Field(min_length=1), BeforeValidator(one_number_or_many)]
 NotNegatives = Annotated[list[NotNegative], Field(min_length=1), BeforeValidator(one_number_or_many)]
 Points = Annotated[list[Point], Field(min_length=1), BeforeValidator(_point_or_points)]
+Directions = Annotated[list[Direction], Field(min_length=1), BeforeValidator(_point_or_points)]
+PositiveTriples = Annotated[list[PositiveTriple], Field(min_length=1), BeforeValidator(_point_or_points)]
+UnitQuaternions = Annotated[list[UnitQuaternion], Field(min_length=1), BeforeValidator(_point_or_points)]
 ONE_OR_MANY = BeforeValidator(_one_or_many)  # [table] or [[table]]
+
+
+def group_size(section: Any, *names: str) -> int:
+    """How many members a group has: every field has one value for all, or one for each."""
+    sizes = {name: len(value) for name in names if (value := getattr(section, name)) is not None}
+    n = max(sizes.values())
+    if odd := [f"{name} has {k}" for name, k in sizes.items() if k not in (1, n)]:
+        longest = max(sizes, key=lambda name: sizes[name])
+        raise problem(
+            f"{', '.join(odd)} values and {longest} has {n}", expected="one value for all members, or one for each"
+        )
+    return n
+
+
+def member_values(values: np.ndarray, n: int) -> np.ndarray:
+    """Values of each of n members along the first axis; without that axis where there is only one."""
+    return values[0] if n == 1 else np.broadcast_to(values, (n, *values.shape[1:]))

@@ -47,12 +47,15 @@ class HostPose:
         """X_BA."""
         return HostPose(-self.position @ self.matrix, self.matrix.T)
 
-    def pose(self) -> Pose:
-        """The pose as a scene holds it, in JAX's default float type."""
+    def quaternion(self) -> Array:
+        """Its orientation (w, x, y, z)."""
         from scipy.spatial.transform import Rotation
 
-        quaternion = Rotation.from_matrix(self.matrix).as_quat(scalar_first=True, canonical=True)
-        return Pose(vector(self.position), Quaternion(*(number(c) for c in quaternion)))
+        return Rotation.from_matrix(self.matrix).as_quat(scalar_first=True, canonical=True)
+
+    def pose(self) -> Pose:
+        """The pose as a scene holds it, in JAX's default float type."""
+        return Pose(vector(self.position), Quaternion(*(number(c) for c in self.quaternion())))
 
 
 Array = NDArray[np.float64]

@@ -14,7 +14,7 @@ from pftwin.files.mocap.tables import uniform_times
 from pftwin.files.scene_file.document import Place
 from pftwin.files.scene_file.effect_tables import Body, EffectSection, Setting
 from pftwin.files.scene_file.section import FileName, NotNegative, Points, problem
-from pftwin.files.scene_file.wrap_table import WRAP, Wrap
+from pftwin.files.scene_file.wrap_table import WRAP, Wrap, obstacle
 from pftwin.model.effects.tension import PrescribedTension
 
 
@@ -53,7 +53,6 @@ class PrescribedTensionSection(EffectSection):
 
     def build(self, setting: Setting, at: Place) -> PrescribedTension:
         """The effect."""
-        wrap = None if self.wrap is None else self.wrap.build(setting)
         if self.tension_N is not None:
             return PrescribedTension(
                 number([self.tension_N]),
@@ -62,7 +61,7 @@ class PrescribedTensionSection(EffectSection):
                 start_time=0.0,
                 interval=1.0,
                 body=self.body,
-                wrap=wrap,
+                wrap=obstacle(self.wrap, len(self.tension_N), setting, at),
                 name=self.label,
             )
         assert self.file is not None
@@ -100,7 +99,7 @@ class PrescribedTensionSection(EffectSection):
             start_time=float(times[0]),
             interval=float(f"{(times[-1] - times[0]) / max(n - 1, 1):.12g}") or 1.0,
             body=self.body,
-            wrap=wrap,
+            wrap=obstacle(self.wrap, len(lines), setting, at),
             name=self.label,
         )
 

@@ -1,16 +1,30 @@
-"""wrap = { ... } in the tables of lines of force: the obstacle that they run over."""
+"""wrap = { ... } in the tables of lines of force: the obstacle that they run over, one for all or one for each."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Literal, Self
 
 import numpy as np
 from pydantic import Field, model_validator
 
+from pftwin.base.errors import InputError
 from pftwin.base.leaves import number, vector
-from pftwin.files.scene_file.section import Direction, Point, Positive, Section, problem
+from pftwin.base.spatial import Quaternion
+from pftwin.files.scene_file.section import (
+    Directions,
+    Points,
+    Positives,
+    PositiveTriples,
+    Section,
+    UnitQuaternions,
+    group_size,
+    member_values,
+    problem,
+)
+from pftwin.files.scene_file.side import HostPose
 
 if TYPE_CHECKING:
+    from pftwin.files.scene_file.document import Place
     from pftwin.files.scene_file.effect_tables import Setting
     from pftwin.geometry.wrapping.obstacle import Obstacle
 
@@ -18,33 +32,93 @@ _ALONG = 1e-3  # sine of an angle below which a side is no side
 
 
 class CylinderWrapSection(Section):
-    """An endless cylinder that lines of force run over where they touch it."""
+    """An endless cylinder that lines of force run over where they touch it; lists give each line its own."""
 
     type: Literal["cylinder"] = Field(description="what the obstacle is")
     body: Literal["femur", "tibia", "patella"] = Field(description="bone that carries it")
-    center_m: Point = Field(description="a point of its axis, the bone's frame [m]")
-    axis: Direction = Field(description="direction of its axis, the bone's frame")
-    radius_m: Positive = Field(description="radius [m]")
-    side: Direction | None = Field(
+    center_m: Points = Field(description="a point of its axis, the bone's frame [m]")
+    axis: Directions = Field(description="direction of its axis, the bone's frame")
+    radius_m: Positives = Field(description="radius [m]")
+    side: Directions | None = Field(
         default=None, description="side of the axis on which the lines pass, the bone's frame; the nearer by default"
     )
 
+    @property
+    def count(self) -> int:
+        """How many obstacles there are."""
+        return group_size(self, "center_m", "axis", "radius_m", "side")
+
     @model_validator(mode="after")
     def _aside(self) -> Self:
-        if self.side is not None:
-            sine = np.linalg.norm(np.cross(self.axis, self.side))
-            if sine < _ALONG * np.linalg.norm(self.axis) * np.linalg.norm(self.side):
-                raise problem(f"the side {self.side} is along the axis", expected="a direction across it")
+        axis, side = (np.broadcast_to(d, (self.count, 3)) for d in (self.axis, self.side or [[0.0, 0.0, 0.0]]))
+        sine = np.linalg.norm(np.cross(axis, side), axis=1)
+        along = sine <= _ALONG * np.linalg.norm(axis, axis=1) * np.linalg.norm(side, axis=1)
+        if self.side is not None and along.any():
+            raise problem(f"the side {side[along][0].tolist()} is along the axis", expected="a direction across it")
         return self
 
     def build(self, setting: Setting) -> Obstacle:
         """The obstacle."""
         from pftwin.geometry.wrapping.cylinder import Cylinder
 
-        center = vector(setting.points(self.body, self.center_m))
-        axis, side = (None if d is None else vector(setting.points(self.body, d)) for d in (self.axis, self.side))
-        return Cylinder(center, self.body, number(self.radius_m), axis, side)
+        given = [self.center_m, self.axis, *([] if self.side is None else [self.side])]
+        center, axis, *side = (
+            vector(member_values(setting.points(self.body, np.asarray(points)), self.count)) for points in given
+        )
+        radius = number(member_values(np.asarray(self.radius_m), self.count))
+        return Cylinder(center, self.body, radius, axis, *side)
 
 
-Wrap = CylinderWrapSection | None
-WRAP = Field(default=None, description="table: an obstacle that the lines run over; straight by default")
+class EllipsoidWrapSection(Section):
+    """An ellipsoid that lines of force run over where they touch it; lists give each line its own."""
+
+    type: Literal["ellipsoid"] = Field(description="what the obstacle is")
+    body: Literal["femur", "tibia", "patella"] = Field(description="bone that carries it")
+    center_m: Points = Field(description="centre, the bone's frame [m]")
+    radii_m: PositiveTriples = Field(description="radii along its axes [m]")
+    quaternion_wxyz: UnitQuaternions = Field(
+        default=[[1.0, 0.0, 0.0, 0.0]], description="orientation of its axes in the bone's frame (w, x, y, z)"
+    )
+
+    @property
+    def count(self) -> int:
+        """How many obstacles there are."""
+        return group_size(self, "center_m", "radii_m", "quaternion_wxyz")
+
+    def build(self, setting: Setting) -> Obstacle:
+        """The obstacle. A mirrored one keeps a right-handed frame: its own z is turned round, which is the same."""
+        from pftwin.geometry.wrapping.ellipsoid import Ellipsoid
+
+        n, sign = self.count, -1.0 if setting.side.left else 1.0
+        turns = []
+        for quaternion in self.quaternion_wxyz:
+            matrix = HostPose.of(np.zeros(3), quaternion).matrix
+            axes = setting.side.matrices[self.body] @ matrix * np.array([1.0, 1.0, sign])
+            turns.append(HostPose(np.zeros(3), axes).quaternion())
+        center = vector(member_values(setting.points(self.body, np.asarray(self.center_m)), n))
+        orientation = member_values(np.asarray(turns), n)
+        turn = Quaternion(*(number(orientation[..., k]) for k in range(4)))
+        return Ellipsoid(center, self.body, vector(member_values(np.asarray(self.radii_m), n)), turn)
+
+
+Wrap = Annotated[CylinderWrapSection | EllipsoidWrapSection, Field(discriminator="type")] | None
+WRAP = Field(
+    default=None,
+    description='table: an obstacle that the lines run over, type = "cylinder" or "ellipsoid"; straight by default',
+)
+
+
+def obstacle(wrap: Wrap, lines: int, setting: Setting, at: Place) -> Obstacle | None:
+    """What so many lines run over; `at` is their table's place in the file.
+
+    Raises:
+        InputError: so many obstacles that each line could not have one.
+    """
+    if wrap is None:
+        return None
+    if wrap.count not in (1, lines):
+        expected = f"1 or {lines}" if lines > 1 else "1"
+        raise InputError(
+            f"{wrap.count} obstacles for {lines} lines", where=setting.document.where(*at, "wrap"), expected=expected
+        )
+    return wrap.build(setting)

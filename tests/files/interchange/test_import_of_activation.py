@@ -230,7 +230,7 @@ def test_the_command_takes_a_number_or_a_file(tmp_path):
     assert done.returncode == 0, done.stderr
     said = " ".join(f"{done.stdout} {done.stderr}".split())
     assert "tensions by activations of 0.2" in said
-    assert "wrapping over cylinders is in the lengths of vas int" in said
+    assert "wrapping is in the lengths of vas int" in said
     done = CliRunner().invoke(app, [*command, "--activation", "strong"])
     assert done.exit_code == 2
     assert "strong" in done.output

@@ -16,6 +16,7 @@ from pftwin.files.interchange.osim_document import read_osim
 from pftwin.files.interchange.osim_knee import find_knee
 from pftwin.files.interchange.osim_model import read_model
 from pftwin.files.interchange.osim_muscle_wraps import wraps_of
+from pftwin.files.interchange.osim_wraps import Wraps
 
 RADIUS = 0.03
 ROWS = [{"knee_flex_r": 0.2, "pf_tx_r": x, "pf_ty_r": y} for x, y in ((0.06, 0.05), (0.05, 0.0), (0.03, -0.03))]
@@ -46,7 +47,8 @@ def written(folder: Path, wrap: str, over: str = "roll", more: str = "") -> Path
 def wraps(folder: Path, *given: str, **more: str):
     root = read_osim(written(folder, *given, **more))
     found = read_model(root)
-    return wraps_of(next(root.all("Millard2012EquilibriumMuscle")), root, found, find_knee(found))
+    objects = Wraps(root, found, find_knee(found))
+    return wraps_of(next(root.all("Millard2012EquilibriumMuscle")), objects)
 
 
 def test_half_a_turn_around_a_cylinder_is_its_half_circumference(tmp_path):
@@ -82,20 +84,28 @@ def test_what_counts_between_which_points(tmp_path):
     ranged = wraps(tmp_path, cylinder(), more="<range>2 3</range>")[0]
     assert [(w.first, w.last) for w in ranged] == [(1, 2)]
     assert wraps(tmp_path, cylinder(active="false")) == ([], [])
-    ellipsoid = '<WrapEllipsoid name="roll"><dimensions>0.1 0.1 0.1</dimensions></WrapEllipsoid>'
-    assert wraps(tmp_path, ellipsoid) == ([], ["roll"])
+    (said,) = wraps(tmp_path, cylinder(), "rolls")[1]
+    assert "rolls" in said
+    (said,) = wraps(tmp_path, cylinder(quadrant="z"))[1]
+    assert "roll" in said
 
 
-WRONG = {
-    "no such object": ((cylinder(), "rolls"), "no wrap object 'rolls'; expected: one of: roll"),
-    "no radius": ((cylinder(radius=0),), "a radius of 0 m; expected: a positive one"),
-    "along the axis": ((cylinder(quadrant="z"),), "a quadrant 'z'; expected: all, or x, -x, y or -y"),
-}
+def test_a_line_over_a_ball_is_two_tangents_and_an_arc(tmp_path):
+    """As an ellipsoid of three like radii, both ends as far from its centre, at right angles; at 50 mm it misses."""
+    ball = (
+        '<WrapEllipsoid name="roll"><translation>0.01 0.03 0.005</translation>'
+        f"<dimensions>{RADIUS} {RADIUS} {RADIUS}</dimensions></WrapEllipsoid>"
+    )
+    ((wrap,), left) = wraps(tmp_path, ball)
+    assert not left
+    at = np.array([[0.01, 0.03, 0.005]])
+    for far in (0.05, 0.04, 0.032):
+        over = 2 * np.sqrt(far**2 - RADIUS**2) + RADIUS * (np.pi / 2 - 2 * np.arccos(RADIUS / far))
+        expected = over - far * np.sqrt(2) if far < RADIUS * np.sqrt(2) else 0.0
+        found = wrap.adds(at + np.array([far, 0.0, 0.0]), at + np.array([0.0, 0.0, far]))
+        assert found == pytest.approx(expected, abs=1e-6)
 
 
-@pytest.mark.parametrize("case", WRONG)
-def test_objects_that_cannot_be_are_refused_with_their_line(tmp_path, case):
-    given, words = WRONG[case]
-    with pytest.raises(InputError, match=words) as caught:
-        wraps(tmp_path, *given)
-    assert "wraps.osim, line" in str(caught.value)
+def test_objects_that_cannot_be_are_refused_with_their_line(tmp_path):
+    with pytest.raises(InputError, match=r"wraps.osim, line \d+: <radius> is"):
+        wraps(tmp_path, cylinder(radius=0))

@@ -12,6 +12,7 @@ from pftwin.files.interchange.osim_motion import Motion, poses
 from pftwin.files.interchange.osim_muscle_force import MILLARD, read_force
 from pftwin.files.interchange.osim_muscle_path import MovingBodies, path_over_motion
 from pftwin.files.interchange.osim_muscle_wraps import wraps_of
+from pftwin.files.interchange.osim_wraps import Wraps
 
 MUSCLES = ("recfem_r", "vasint_r", "vaslat_r", "vasmed_r")
 TIBIA, PATELLA = (("flex", "add", "rot", "tx", "ty", "tz"), ("flex", "rot", "tilt", "tx", "ty", "tz"))
@@ -70,7 +71,7 @@ def knee(dm_knee):
     placed = poses(found.tree, [bones.femur, bones.tibia, bones.patella], times, values)
     bodies = MovingBodies(found, bones, Motion(times, placed, "", values=values))
     elements = {m.name: m for m in root.all(MILLARD) if m.name in MUSCLES}
-    wraps = {name: wraps_of(elements[name], root, found, bones)[0] for name in MUSCLES}
+    wraps = {name: wraps_of(elements[name], Wraps(root, found, bones))[0] for name in MUSCLES}
     straight, wrapped = (
         {name: path_over_motion(elements[name], Frames(root), bodies, wraps[name] if over else ()) for name in MUSCLES}
         for over in (False, True)

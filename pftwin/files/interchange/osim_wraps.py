@@ -1,0 +1,118 @@
+"""Objects that paths of an OpenSim model wrap over, as a scene has them: cylinders and ellipsoids on the bones."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from pftwin.base.arrays import Floats
+from pftwin.base.errors import InputError
+from pftwin.files.interchange.osim_document import Element, Frames, placed
+from pftwin.files.interchange.osim_knee import OsimKnee, part_and_pose
+from pftwin.files.interchange.osim_model import OsimModel
+
+_BONES = ("femur", "tibia", "patella")
+_HOLDERS = ("Body", "Ground", "PhysicalOffsetFrame")
+_ALL = ("all", "unassigned", "")
+_SIDES = {f"{sign}{axis}": k * unit for axis, unit in zip("xy", np.eye(3)[:2], strict=True)
+          for sign, k in (("", 1.0), ("+", 1.0), ("-", -1.0))}  # fmt: skip
+
+
+class OsimWrap(NamedTuple):
+    """An obstacle on a bone."""
+
+    name: str  # the model's
+    kind: str  # "cylinder" or "ellipsoid"
+    body: str
+    numbers: dict[str, Floats]  # the other fields of a scene's table `wrap`
+
+    @property
+    def like(self) -> tuple[str, ...]:
+        """The same for obstacles that lines of one group can have."""
+        return self.kind, self.body, *self.numbers
+
+
+def of_group(wraps: Sequence[OsimWrap]) -> OsimWrap:
+    """The obstacles of a group's lines, which are alike, as one: that of all, or arrays with one for each line."""
+    names = dict.fromkeys(w.name for w in wraps)
+    if len(names) == 1:
+        return wraps[0]
+    numbers = {field: np.stack([w.numbers[field] for w in wraps]) for field in wraps[0].numbers}
+    return wraps[0]._replace(name=", ".join(names), numbers=numbers)
+
+
+class Wraps:
+    """The objects of a model."""
+
+    def __init__(self, root: Element, model: OsimModel, knee: OsimKnee) -> None:
+        self.model, self.knee, self.frames = model, knee, Frames(root)
+        self.objects: dict[str, Element] = {}
+        for holder in root.all("WrapObjectSet"):
+            inner = holder.child("objects")
+            for element in [] if inner is None else inner.children:
+                self.objects.setdefault(element.name, element)
+
+    def over(self, names: Sequence[str]) -> tuple[OsimWrap | None, list[str]]:
+        """What lines run over in a scene, and which of the objects are left out, with the reasons.
+
+        A line runs over one obstacle: the first that a scene can have. Objects that are switched off are none.
+        """
+        taken: OsimWrap | None = None
+        left = []
+        for name in names:
+            element = self.objects.get(name)
+            if element is None:
+                left.append(f"{name} (the model has no such object)")
+            elif element.words("active") != "false":
+                why = self._why_not(element)
+                if not why and taken is not None:
+                    why = f"a line runs over one obstacle, here {taken.name}"
+                if why:
+                    left.append(f"{name} ({why})")
+                else:
+                    taken = self._obstacle(element)
+        return taken, left
+
+    def _why_not(self, element: Element) -> str:
+        """Why a scene cannot have the obstacle; empty where it can."""
+        side, part = element.words("quadrant").lower(), self._place(element)[0]
+        if element.tag not in ("WrapCylinder", "WrapEllipsoid"):
+            return f"a <{element.tag}>"
+        if part not in _BONES:
+            return f"on the {part}"
+        if side not in _ALL and (element.tag == "WrapEllipsoid" or side not in _SIDES):
+            return f"of its sides only {side}"
+        return ""
+
+    def _obstacle(self, element: Element) -> OsimWrap:
+        part, pose = self._place(element)
+        place = pose @ placed(element, "translation", "xyz_body_rotation")
+        at = {"center_m": place[:3, 3]}
+        if element.tag == "WrapEllipsoid":
+            turn = Rotation.from_matrix(place[:3, :3]).as_quat(scalar_first=True, canonical=True)
+            radii = _sizes(element, "dimensions", 3)
+            return OsimWrap(element.name, "ellipsoid", part, at | {"radii_m": radii, "quaternion_wxyz": turn})
+        numbers = at | {"axis": place[:3, 2], "radius_m": _sizes(element, "radius", 1)[0]}
+        side = element.words("quadrant").lower()
+        if side not in _ALL:
+            numbers["side"] = place[:3, :3] @ _SIDES[side]
+        return OsimWrap(element.name, "cylinder", part, numbers)
+
+    def _place(self, element: Element) -> tuple[str, Floats]:
+        """The part of the knee that carries it, and its frame's pose (4, 4) there; other bodies keep their name."""
+        holder = element
+        while holder.owner is not None and holder.tag not in _HOLDERS:
+            holder = holder.owner
+        inside = Element("", "", element.file, element.line, owner=holder)
+        return part_and_pose(self.model, self.knee, self.frames.find("..", inside, element.where))
+
+
+def _sizes(element: Element, tag: str, count: int) -> Floats:
+    """Radii of an object [m]."""
+    radii = element.needed(tag).numbers(count)
+    if not (radii > 0).all():
+        raise InputError(f"<{tag}> is {radii.tolist()}", where=element.where, expected="positive numbers")
+    return radii

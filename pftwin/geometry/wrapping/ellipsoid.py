@@ -1,0 +1,190 @@
+"""The taut line around an ellipsoid: the shortest of those that lie in a plane.
+
+An ellipsoid stretched to the unit sphere has circles for sections, and tangents in closed form. All below is in that
+sphere but for lengths, which are those of the stretched-back vectors.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from pftwin.base.quantities import quantity
+from pftwin.base.spatial import Quaternion, Scalar, Vec3
+from pftwin.geometry.wrapping.obstacle import Obstacle, TautLine, straight, where
+
+NODES = 5  # of Gauss and Legendre's, along each half of the arc
+LEAST_STEP, LONGEST_STEP, MOST_STEPS = 1e-5, 0.4, 12  # of Newton's method for the plane's turn; [rad], [rad]
+FLAT = 1e-14  # curvature by the turn that is rounding: a line that hardly touches is as long in any plane [m]
+
+
+class Ellipsoid(Obstacle):
+    r"""An ellipsoid.
+
+    In each plane through both ends the line is two tangents and an arc between them. With t the plane's turn about the
+    straight line, L is the least L(t) on the side on which that passes the centre. At each end the direction is what
+    the length says, minus dL/dp, so that pull and energy belong together.
+    """
+
+    radii: Vec3 = eqx.field(metadata=quantity("m", positive=True))
+    orientation: Quaternion  # of its axes in the body's frame
+
+    def around(self, start: Vec3, end: Vec3) -> TautLine:
+        """See `Obstacle`."""
+        touches, chord = self._chord(start, end)
+        turn = _shortest(chord)
+        length, backwards = jax.vjp(lambda s, e: self._chord(s, e)[1].length(turn), start, end)
+        at_start, at_end = backwards(jnp.ones_like(length))
+        return where(touches, TautLine(length, -at_start, -at_end), straight(start, end))
+
+    def _chord(self, start: Vec3, end: Vec3) -> tuple[Scalar, _Chord]:
+        """Whether the straight line passes through, and that line in the sphere; one that does, where it does not."""
+        axes, r = self.orientation.rotation(), self.radii
+
+        def stretched(point: Vec3) -> Vec3:
+            p = axes.unapply(point - self.center)
+            return Vec3(p.x / r.x, p.y / r.y, p.z / r.z)
+
+        p, q = stretched(start), stretched(end)
+        line = q - p
+        squared, ahead = line.squared_norm(), -p.dot(line)
+        nearest = p.squared_norm() * squared - jnp.square(ahead)
+        touches = (ahead > 0) & (ahead < squared) & (nearest < squared) & (p.squared_norm() > 1)
+        touches = touches & (q.squared_norm() > 1)
+
+        def instead(point: Vec3, x: float) -> Vec3:
+            pairs = zip((point.x, point.y, point.z), (x, 0.3, 0.1), strict=True)
+            return Vec3(*(jnp.where(touches, own, other) for own, other in pairs))
+
+        return touches, _Chord.of(instead(p, -2.0), instead(q, 2.0), r)
+
+
+class _Chord(NamedTuple):
+    """A line through the sphere, along x, from outside to outside; y and z lie across it.
+
+    Its planes hold x and t = y cos(turn) + z sin(turn), the way from the line to the arc.
+    """
+
+    start: Scalar  # coordinates along x
+    end: Scalar
+    aside: tuple[Scalar, Scalar]  # and along y and z
+    tangents: tuple[Scalar, Scalar]  # lengths of the tangents from the ends
+    along: Scalar  # squares and products of x, y and z stretched back: xx [m^2]
+    mixed: tuple[Scalar, Scalar]  # xy, xz
+    across: tuple[Scalar, Scalar, Scalar]  # yy, yz, zz
+    outward: tuple[Scalar, Scalar, Scalar]  # of y and z divided by the squared radii: yy, yz, zz [1/m^2]
+
+    @staticmethod
+    def of(p: Vec3, q: Vec3, radii: Vec3) -> _Chord:
+        """Between two points."""
+        line = q - p
+        x = line * (1 / line.norm())
+        # Two directions across it, after Duff et al. 2017, J Comput Graph Tech 6:1.
+        sign = jnp.where(x.z < 0, -1.0, 1.0)
+        a = -1 / (sign + x.z)
+        b = x.x * x.y * a
+        y = Vec3(1 + sign * x.x * x.x * a, sign * b, -sign * x.x)
+        z = Vec3(b, sign + x.y * x.y * a, -x.y)
+        dx, dy, dz = (Vec3(radii.x * v.x, radii.y * v.y, radii.z * v.z) for v in (x, y, z))
+        ny, nz = (Vec3(v.x / radii.x, v.y / radii.y, v.z / radii.z) for v in (y, z))
+        return _Chord(
+            p.dot(x),
+            q.dot(x),
+            (p.dot(y), p.dot(z)),
+            (jnp.sqrt(p.squared_norm() - 1), jnp.sqrt(q.squared_norm() - 1)),
+            dx.squared_norm(),
+            (dx.dot(dy), dx.dot(dz)),
+            (dy.squared_norm(), dy.dot(dz), dz.squared_norm()),
+            (ny.squared_norm(), ny.dot(nz), nz.squared_norm()),
+        )
+
+    def section(self, turn: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+        """The circle in which a plane cuts the sphere: the line's coordinate along t, its own off the plane, radius."""
+        c, s = jnp.cos(turn), jnp.sin(turn)
+        off = self.aside[1] * c - self.aside[0] * s
+        return self.aside[0] * c + self.aside[1] * s, off, jnp.sqrt(1 - jnp.square(off))
+
+    def length(self, turn: Scalar) -> Scalar:
+        """Length of the taut line in the plane with that turn [m]."""
+        level, _, radius = self.section(turn)
+        c, s = jnp.cos(turn), jnp.sin(turn)
+        mixed = self.mixed[0] * c + self.mixed[1] * s
+        across = self.across[0] * c * c + 2 * self.across[1] * s * c + self.across[2] * s * s
+
+        def stretch(c: Scalar, s: Scalar) -> Scalar:
+            """Length of x c - t s, stretched back: along the circle where that is at t c + x s."""
+            return jnp.sqrt(self.along * c * c - 2 * mixed * s * c + across * s * s)
+
+        def touch(end: Scalar, tangent: Scalar) -> tuple[Scalar, Scalar]:
+            """Where the tangent from an end touches the circle: along t and x, from its centre, in radii."""
+            squared = jnp.square(level) + jnp.square(end)
+            return (level * radius - end * tangent) / squared, (end * radius + level * tangent) / squared
+
+        first, last = touch(self.start, self.tangents[0]), touch(self.end, -self.tangents[1])
+        middle = first[0] + last[0], first[1] + last[1]
+        size = jnp.sqrt(jnp.square(middle[0]) + jnp.square(middle[1]))
+        middle = middle[0] / size, middle[1] / size
+        half = first[0] * middle[1] - first[1] * middle[0]  # sine of half the arc
+
+        def inner(u: float, end: tuple[Scalar, Scalar]) -> Scalar:
+            """The arc's length over that of the chord from its middle to an end, at a share of that."""
+            c, s = (m + u * (e - m) for m, e in zip(middle, end, strict=True))
+            squared = c * c + s * s
+            return stretch(c, s) / (squared * jnp.sqrt(squared))
+
+        nodes = [
+            (0.5 + 0.5 * float(x), 0.5 * float(w)) for x, w in zip(*np.polynomial.legendre.leggauss(NODES), strict=True)
+        ]
+        arc = sum(w * (inner(u, first) + inner(u, last)) for u, w in nodes)
+        return self.tangents[0] * stretch(*first) + radius * half * arc + self.tangents[1] * stretch(*last)
+
+    def outward_turn(self, y: Scalar, z: Scalar) -> Scalar:
+        """The turn of the plane that holds the ellipsoid's normal at a point, by its coordinates across the line."""
+        yy, yz, zz = self.outward
+        return jnp.arctan2(yz * y + zz * z, yy * y + yz * z)
+
+
+@jax.custom_jvp
+def _shortest(chord: _Chord) -> Scalar:
+    """The turn of the plane in which the line is shortest [rad].
+
+    That plane holds the normal about the middle of the arc: from where a straight line would emerge first, this is
+    found by repetition, then by Newton's method, down to where the slope is zero.
+    """
+    turn = chord.outward_turn(*chord.aside)
+    for _ in range(2):
+        _, off, radius = chord.section(turn)
+        c, s = jnp.cos(turn), jnp.sin(turn)
+        turn = chord.outward_turn(radius * c - off * s, radius * s + off * c)
+
+    def going_on(at: tuple[Scalar, Scalar, int]) -> Scalar:
+        return (jnp.max(jnp.abs(at[1])) > LEAST_STEP) & (at[2] < MOST_STEPS)
+
+    def go_on(at: tuple[Scalar, Scalar, int]) -> tuple[Scalar, Scalar, int]:
+        turn, _, count = at
+        slope, curvature = _slopes(chord, turn)
+        step = jnp.clip(-slope / (jnp.abs(curvature) + FLAT), -LONGEST_STEP, LONGEST_STEP)
+        return turn + step, step, count + 1
+
+    return jax.lax.while_loop(going_on, go_on, (turn, jnp.ones_like(turn), 0))[0]
+
+
+@_shortest.defjvp
+def _follow(chords: tuple[_Chord], changes: tuple[_Chord]) -> tuple[Scalar, Scalar]:
+    """The slope stays zero."""
+    turn = _shortest(*chords)
+    (_, curvature), (change, _) = jax.jvp(lambda chord: _slopes(chord, turn), chords, changes)
+    return turn, -change / (jnp.abs(curvature) + FLAT)
+
+
+def _slopes(chord: _Chord, turn: Scalar) -> tuple[Scalar, Scalar]:
+    """First and second derivative of the length by the turn [m]."""
+
+    def slope(turn: Scalar) -> Scalar:
+        return jax.jvp(chord.length, (turn,), (jnp.ones_like(turn),))[1]
+
+    return jax.jvp(slope, (turn,), (jnp.ones_like(turn),))

@@ -1,0 +1,194 @@
+"""The taut line around an ellipsoid: great circles, geodesics, touch and lift-off, and what its directions say."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
+
+from pftwin.base.leaves import number, vector
+from pftwin.base.spatial import Quaternion
+from pftwin.geometry.wrapping.ellipsoid import Ellipsoid
+
+RADII = np.array([0.02, 0.035, 0.013])
+CENTER, TURN = np.array([0.004, -0.003, 0.002]), Rotation.from_rotvec([0.3, -0.5, 0.8])
+
+
+def ellipsoid(radii=RADII, center=(0, 0, 0), turn: Rotation | None = None) -> Ellipsoid:
+    q = (turn or Rotation.identity()).as_quat(scalar_first=True)
+    return Ellipsoid(vector(center), "femur", vector(radii), Quaternion(*(number(c) for c in q)))
+
+
+@jax.jit
+def _around(obstacle, start, end):
+    return obstacle.around(start, end)
+
+
+def around(obstacle, start, end) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Lengths, directions at the starts and at the ends, of many lines."""
+    line = _around(obstacle, *(vector(np.atleast_2d(p)) for p in (start, end)))
+    return np.asarray(line.length), np.asarray(line.at_start.array()), np.asarray(line.at_end.array())
+
+
+def test_on_a_sphere_it_is_two_tangents_and_a_great_circle():
+    rng, r = np.random.default_rng(2), 0.025
+    starts, ends = rng.uniform(0.02, 0.05, (2, 20, 3)) * [1, 1, 0.2]
+    ends[:, :2] *= -1
+    lengths, out, _ = around(ellipsoid((r, r, r), CENTER, TURN), CENTER + starts, CENTER + ends)
+    far = [np.linalg.norm(p, axis=1) for p in (starts, ends)]
+    angle = np.arccos(np.einsum("ij,ij->i", starts, ends) / (far[0] * far[1]))
+    tangents = [np.sqrt(f**2 - r**2) for f in far]
+    arcs = angle - sum(np.arccos(r / f) for f in far)
+    assert (arcs > 0.3).all()
+    np.testing.assert_allclose(lengths, sum(tangents) + r * arcs, atol=1e-8)
+    inward = np.einsum("ij,ij->i", out, -starts) / far[0]
+    np.testing.assert_allclose(inward, tangents[0] / far[0], atol=1e-7)
+
+
+def geodesic(radii, start, end, guess) -> tuple[float, np.ndarray]:
+    """Length and direction at the start of the line whose arc is a geodesic: by its equation, and shooting."""
+    a = 1 / np.asarray(radii) ** 2
+
+    def equation(_, y):
+        x, v = y[:3], y[3:]
+        normal = a * x
+        return np.concatenate([v, -(a * v * v).sum() / (normal @ normal) * normal])
+
+    def path(unknown):
+        way = unknown[:3] / np.linalg.norm(unknown[:3])
+        tangent, arc, rest = unknown[3:]
+        touching = start + tangent * way
+        solved = solve_ivp(equation, (0, arc), [*touching, *way], rtol=1e-10, atol=1e-13).y[:, -1]
+        return way, touching, solved[:3] + rest * solved[3:]
+
+    def residuals(unknown):
+        way, touching, reached = path(unknown)
+        on_it = [1e-2 * ((a * touching**2).sum() - 1), 1e-2 * way @ (a * touching) / np.linalg.norm(a * touching)]
+        return np.array([*(reached - end), *on_it, 1e-2 * (np.linalg.norm(unknown[:3]) - 1)])
+
+    found = least_squares(residuals, guess, x_scale=[1, 1, 1, 0.01, 0.01, 0.01], xtol=1e-15, ftol=1e-15, gtol=1e-15)
+    assert np.abs(found.fun).max() < 1e-8
+    return float(found.x[3:].sum()), path(found.x)[0]
+
+
+PAIRS = [  # the line is 0.8 to 2 mm longer than straight
+    ([0.031, 0.031, 0.002], [-0.021, -0.045, -0.012]),
+    ([-0.026, -0.018, 0.030], [0.001, 0.001, -0.026]),
+    ([0.032, -0.034, -0.009], [-0.043, 0.036, 0.033]),
+    ([-0.046, 0.003, -0.002], [0.033, -0.048, 0.006]),
+]
+
+
+@pytest.mark.parametrize(("start", "end"), PAIRS)
+def test_it_is_nearly_the_geodesic(start, end):
+    start, end = np.array(start), np.array(end)
+    (length,), (out,), _ = around(ellipsoid(), start, end)
+    straight = np.linalg.norm(end - start)
+    assert length > straight + 8e-4
+    guess = [*out, 0.4 * length, 0.2 * length, 0.4 * length]
+    exact, way = geodesic(RADII, start, end, guess)
+    assert -1e-9 < length - exact < 1e-6
+    assert np.degrees(np.arccos(np.clip(out @ way / np.linalg.norm(out), -1, 1))) < 0.02
+    assert np.linalg.norm(out) == pytest.approx(1, abs=2e-6)
+
+
+PLACE = st.integers(-60_000, 60_000).map(lambda k: 1e-6 * k)
+POINT = st.tuples(PLACE, PLACE, PLACE)
+
+
+def depth(point) -> float:
+    """In the sphere, from the centre."""
+    return float(np.linalg.norm(TURN.inv().apply(np.subtract(point, CENTER)) / RADII))
+
+
+@settings(deadline=None, max_examples=150)
+@given(start=POINT, end=POINT)
+def test_what_holds_of_every_taut_line(start, end):
+    obstacle = ellipsoid(center=CENTER, turn=TURN)
+    straight = np.linalg.norm(np.subtract(end, start))
+    (length,), (out,), (back,) = around(obstacle, start, end)
+    assert length >= straight * (1 - 1e-12)
+    assume(straight > 1e-3)
+    assert 0.9 < np.linalg.norm(out) < 1.1
+    reverse = around(obstacle, end, start)
+    assert reverse[0][0] == pytest.approx(length, rel=1e-9)
+    if min(depth(start), depth(end)) > 1.02:
+        check_slopes(obstacle, start, end, out, back)
+
+
+def check_slopes(obstacle, start, end, out, back, h=1e-7):
+    """Its length shortens as either end goes along the line, whatever the line touches."""
+    moves = h * np.concatenate([np.eye(3), -np.eye(3)])
+    for which, way in enumerate((out, back)):
+        ends = [np.broadcast_to(p, (6, 3)) + (moves if k == which else 0) for k, p in enumerate((start, end))]
+        lengths = around(obstacle, *ends)[0]
+        if np.ptp(lengths) < 3 * h:  # else it jumps from one side of the centre to the other
+            np.testing.assert_allclose((lengths[3:] - lengths[:3]) / (2 * h), way, atol=1e-4)
+
+
+def test_a_line_that_clears_it_is_straight():
+    start, end = np.array([0.03, -0.04, 0.01]), np.array([0.03, 0.05, 0.012])
+    (length,), (out,), (back,) = around(ellipsoid(), start, end)
+    assert length == pytest.approx(np.linalg.norm(end - start), rel=1e-15)
+    np.testing.assert_allclose([out, -back], np.broadcast_to((end - start) / length, (2, 3)), atol=1e-15)
+
+
+def test_it_is_smooth_where_it_touches_and_lifts_off():
+    top = np.array([0.006, 0.012, RADII[2] * np.sqrt(1 - 0.09 - (0.012 / 0.035) ** 2)])
+    normal = top / RADII**2
+    normal /= np.linalg.norm(normal)
+    along = np.cross(normal, [0.2, 1.0, 0.3])
+    along /= np.linalg.norm(along)
+    sunk = np.array([-1e-5, -1e-7, -1e-9, 1e-9, 1e-7, 1e-5])[:, None] * normal
+    lengths, out, back = around(ellipsoid(), top + sunk - 0.04 * along, top + sunk + 0.05 * along)
+    assert np.ptp(lengths) < 1e-8
+    assert np.ptp(out, axis=0).max() < 5e-4
+    for directions in (out, back):
+        assert np.ptp(directions[1:5], axis=0).max() < 5e-6
+        assert np.ptp(directions[2:4], axis=0).max() < 1e-7
+
+
+def everything(start, end, obstacle):
+    line = obstacle.around(start, end)
+    return jnp.stack([line.length, *line.at_start.array(), *line.at_end.array()])
+
+
+_slopes = jax.jit(jax.jacfwd(everything, (0, 1, 2)))
+
+
+def test_from_inside_it_is_straight_and_all_derivatives_are_finite():
+    end = np.array([0.05, 0.02, 0.1])
+    inside, touching = np.array([0.001, 0.002, 0.0]), np.array([0.02, 0.0, 0.0])
+    assert around(ellipsoid(), inside, end)[0][0] == pytest.approx(np.linalg.norm(end - inside))
+    pairs = [(inside, end), (end, inside), (inside, inside), (end, end), (touching, end), (0 * end, end)]
+    pairs += [(np.array([0.02, -0.03, 0.0]), np.array([0.02, 0.03, 0.0]))]  # it just touches
+    pairs += [(np.array([0.0, 0.0, -0.05]), np.array([0.0, 0.0, 0.05]))]  # through the centre: a tie
+    for start, stop in pairs:
+        slopes = _slopes(vector(start), vector(stop), ellipsoid())
+        assert all(np.isfinite(s).all() for s in jax.tree.leaves(slopes)), (start, stop)
+
+
+def test_derivatives_follow_the_plane_as_it_turns():
+    """Of length and directions by an end and by a radius, as differences have them: the plane of the line turns."""
+    start, end = (np.array(p) for p in PAIRS[0])
+    by_start, _, by_obstacle = _slopes(vector(start), vector(end), ellipsoid())
+    h = 1e-6
+
+    def value(start, radii):
+        return np.asarray(everything_of(vector(start), vector(end), ellipsoid(radii)))
+
+    for k, axis in enumerate("xyz"):
+        step = h * np.eye(3)[k]
+        found = (value(start + step, RADII) - value(start - step, RADII)) / (2 * h)
+        np.testing.assert_allclose(getattr(by_start, axis), found, rtol=1e-4, atol=1e-3)
+        found = (value(start, RADII + step) - value(start, RADII - step)) / (2 * h)
+        np.testing.assert_allclose(getattr(by_obstacle.radii, axis), found, rtol=1e-4, atol=1e-3)
+
+
+everything_of = jax.jit(everything)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
@@ -20,7 +21,7 @@ RADII = np.array([0.02, 0.035, 0.013])
 CENTER, TURN = np.array([0.004, -0.003, 0.002]), Rotation.from_rotvec([0.3, -0.5, 0.8])
 
 
-def ellipsoid(radii=RADII, center=(0, 0, 0), turn: Rotation | None = None) -> Ellipsoid:
+def ellipsoid(radii: Any = RADII, center=(0, 0, 0), turn: Rotation | None = None) -> Ellipsoid:
     q = (turn or Rotation.identity()).as_quat(scalar_first=True)
     return Ellipsoid(vector(center), "femur", vector(radii), Quaternion(*(number(c) for c in q)))
 
@@ -154,41 +155,6 @@ def test_it_is_smooth_where_it_touches_and_lifts_off():
         assert np.ptp(directions[2:4], axis=0).max() < 1e-7
 
 
-def everything(start, end, obstacle):
-    line = obstacle.around(start, end)
-    return jnp.stack([line.length, *line.at_start.array(), *line.at_end.array()])
-
-
-_slopes = jax.jit(jax.jacfwd(everything, (0, 1, 2)))
-
-
-def test_from_inside_it_is_straight_and_all_derivatives_are_finite():
-    end = np.array([0.05, 0.02, 0.1])
-    inside, touching = np.array([0.001, 0.002, 0.0]), np.array([0.02, 0.0, 0.0])
+def test_from_inside_it_is_straight():
+    end, inside = np.array([0.05, 0.02, 0.1]), np.array([0.001, 0.002, 0.0])
     assert around(ellipsoid(), inside, end)[0][0] == pytest.approx(np.linalg.norm(end - inside))
-    pairs = [(inside, end), (end, inside), (inside, inside), (end, end), (touching, end), (0 * end, end)]
-    pairs += [(np.array([0.02, -0.03, 0.0]), np.array([0.02, 0.03, 0.0]))]  # it just touches
-    pairs += [(np.array([0.0, 0.0, -0.05]), np.array([0.0, 0.0, 0.05]))]  # through the centre: a tie
-    for start, stop in pairs:
-        slopes = _slopes(vector(start), vector(stop), ellipsoid())
-        assert all(np.isfinite(s).all() for s in jax.tree.leaves(slopes)), (start, stop)
-
-
-def test_derivatives_follow_the_plane_as_it_turns():
-    """Of length and directions by an end and by a radius, as differences have them: the plane of the line turns."""
-    start, end = (np.array(p) for p in PAIRS[0])
-    by_start, _, by_obstacle = _slopes(vector(start), vector(end), ellipsoid())
-    h = 1e-6
-
-    def value(start, radii):
-        return np.asarray(everything_of(vector(start), vector(end), ellipsoid(radii)))
-
-    for k, axis in enumerate("xyz"):
-        step = h * np.eye(3)[k]
-        found = (value(start + step, RADII) - value(start - step, RADII)) / (2 * h)
-        np.testing.assert_allclose(getattr(by_start, axis), found, rtol=1e-4, atol=1e-3)
-        found = (value(start, RADII + step) - value(start, RADII - step)) / (2 * h)
-        np.testing.assert_allclose(getattr(by_obstacle.radii, axis), found, rtol=1e-4, atol=1e-3)
-
-
-everything_of = jax.jit(everything)

@@ -177,14 +177,16 @@ def _shortest(chord: _Chord) -> Scalar:
 def _follow(chords: tuple[_Chord], changes: tuple[_Chord]) -> tuple[Scalar, Scalar]:
     """The slope stays zero."""
     turn = _shortest(*chords)
-    (_, curvature), (change, _) = jax.jvp(lambda chord: _slopes(chord, turn), chords, changes)
+    _, curvature = _slopes(*chords, turn)
+    _, change = jax.jvp(lambda chord: _slope(chord, turn), chords, changes)
     return turn, -change / (jnp.abs(curvature) + FLAT)
+
+
+def _slope(chord: _Chord, turn: Scalar) -> Scalar:
+    """Derivative of the length by the turn [m]."""
+    return jax.jvp(chord.length, (turn,), (jnp.ones_like(turn),))[1]
 
 
 def _slopes(chord: _Chord, turn: Scalar) -> tuple[Scalar, Scalar]:
     """First and second derivative of the length by the turn [m]."""
-
-    def slope(turn: Scalar) -> Scalar:
-        return jax.jvp(chord.length, (turn,), (jnp.ones_like(turn),))[1]
-
-    return jax.jvp(slope, (turn,), (jnp.ones_like(turn),))
+    return jax.jvp(lambda t: _slope(chord, t), (turn,), (jnp.ones_like(turn),))

@@ -146,7 +146,7 @@ def test_the_case_of_a_files_name_does_not_matter(tmp_path):
     assert "no mesh 'Femur.STL'" in why["pf_contact"]
 
 
-def test_strands_that_wrap_are_told_in_one_line(tmp_path):
+def test_strands_that_cannot_wrap_are_told_in_one_line(tmp_path):
     wrap = "<PathWrap><wrap_object>{}</wrap_object></PathWrap>"
     numbered = [("PT1", "PatTen_r"), ("PT2", "PatTen_r"), ("PT3", "PatTen_r"), ("MPFL", "condyle")]
     forces = "".join(
@@ -154,9 +154,9 @@ def test_strands_that_wrap_are_told_in_one_line(tmp_path):
         for name, over in numbered
     )
     told = bare(tmp_path, model(forces=forces, meshes=False))
-    assert [n for n in told.notes if "straight" in n] == [
-        "PT1 to PT3 (3 strands): straight lines, though they wrap over PatTen_r",
-        "MPFL: a straight line, though it wraps over condyle",
+    assert [n for n in told.notes if "wrapped" in n] == [
+        "PT1 to PT3 (3 strands): not wrapped over PatTen_r (the model has no such object)",
+        "MPFL: not wrapped over condyle (the model has no such object)",
     ]
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -44,9 +45,15 @@ def test_every_line_of_force_may_wrap(toy: Path, kind: str) -> None:
     np.testing.assert_allclose(wrap.axis.array(), [0, 1, 0.2])
 
 
+def strands_over(toy: Path, wrap: str, scene: str = LIGHT) -> Any:
+    """What strands run over in a scene."""
+    band: Any = load(toy, scene + "\n[[strands]]\n" + TABLES["strands"] + wrap).effect("band")
+    return band.wrap
+
+
 def test_each_line_may_have_its_own(toy: Path) -> None:
     own = CYLINDER.replace("radius_mm = 20", "radius_mm = [20, 25]").replace("}", ", side = [[0, 0, 1], [0, 0.1, 1]] }")
-    wrap = load(toy, LIGHT + "\n[[strands]]\n" + TABLES["strands"] + own).effect("band").wrap
+    wrap = strands_over(toy, own)
     np.testing.assert_allclose(wrap.radius, [0.02, 0.025])
     np.testing.assert_allclose(wrap.center.array(), [[0.1, 0, 0.015]] * 2)
     np.testing.assert_allclose(wrap.side.array(), [[0, 0, 1], [0, 0.1, 1]])
@@ -58,14 +65,14 @@ LEFT = 'side = "left"\n'
 def test_in_a_left_knee_it_is_the_mirror_image(toy: Path) -> None:
     """Left data in their own axes, y to the left: what has y mirrored is the right knee's."""
     turn = np.array([0.8, 0.36, 0.48, 0.0])
-    right = load(toy, LIGHT + "\n[[strands]]\n" + TABLES["strands"] + ELLIPSOID).effect("band").wrap
+    right = strands_over(toy, ELLIPSOID)
     both = LIGHT.replace("schema = 1", "schema = 1\n" + LEFT).replace(
         'name = "toy"', 'name = "toy"\naxes = { world_medial_lateral = "y" }'
     )
     mirrored = ELLIPSOID.replace("[10, 2, -3]", "[10, -2, -3]")
     # A mirrored turn: its axis, a pseudovector, has x and z turned round where y is mirrored.
     mirrored = mirrored.replace("[0.8, 0.36, 0.48, 0.0]", str([0.8, -0.36, 0.48, -0.0]))
-    left = load(toy, both + "\n[[strands]]\n" + TABLES["strands"] + mirrored).effect("band").wrap
+    left = strands_over(toy, mirrored, both)
     assert isinstance(left, Ellipsoid)
     np.testing.assert_allclose(left.center.array(), right.center.array(), atol=1e-15)
     shapes = []
@@ -82,10 +89,10 @@ MISTAKES = [
     ('type = "cylinder", ', "", "wrap: type is missing"),
     ("radius_mm = 20", "radius_mm = 0", "wrap.radius_mm: found 0; expected: a positive number"),
     ("radius_mm = 20", "radius_mm = [20, 20, 20]", "wrap: 3 obstacles for 2 lines; expected: 1 or 2"),
-    ("radius_mm = 20", "radius_mm = [20, 20], side = [[0, 0, 1], [0, 0, 1], [0, 0, 1]]", "radius_m has 2 values and side"),
+    ("radius_mm = 20", "radius_mm = [20, 20], side = [[0, 0, 1], [0, 0, 1], [0, 0, 1]]", "radius_m has 2 values"),
     ("axis = [0, 1, 0.2]", "axis = [0, 0, 0]", "wrap.axis: found the zero vector"),
     ("radius_mm = 20", "radius_mm = 20, side = [0, 2, 0.4]", "the side [0.0, 2.0, 0.4] is along the axis"),
-    ('body = "femur", center', 'body = "ground", center', "wrap.body: found 'ground'; expected: one of 'femur', 'tibia'"),
+    ('body = "femur", center', 'body = "ground", center', "wrap.body: found 'ground'; expected: one of"),
     ("center_mm = [100, 0, 15], ", "", "wrap.center_m: is missing"),
 ]  # fmt: skip
 

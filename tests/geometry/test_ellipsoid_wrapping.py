@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
@@ -158,3 +159,57 @@ def test_it_is_smooth_where_it_touches_and_lifts_off():
 def test_from_inside_it_is_straight():
     end, inside = np.array([0.05, 0.02, 0.1]), np.array([0.001, 0.002, 0.0])
     assert around(ellipsoid(), inside, end)[0][0] == pytest.approx(np.linalg.norm(end - inside))
+
+
+@jax.jit
+def _told(obstacle, start, end):
+    """Length and both directions of one line, as one vector."""
+    line = obstacle.around(start, end)
+    return jnp.concatenate([line.length[None], line.at_start.array(), line.at_end.array()])
+
+
+@jax.jit
+def _slopes_of(obstacle, start, end):
+    return jax.jacfwd(_told, argnums=(0, 1, 2))(obstacle, start, end)
+
+
+@pytest.mark.parametrize(("start", "end"), [*PAIRS[:2], ([0.031, 0.031, 0.02], [-0.021, 0.045, 0.03])])
+def test_derivatives_by_ends_and_obstacle_agree_with_finite_differences(start, end):
+    """Around it, and, the last pair, clear of it."""
+    given = ellipsoid(center=CENTER, turn=TURN), vector(np.add(start, CENTER)), vector(np.add(end, CENTER))
+    slopes, (leaves, tree) = jax.tree.leaves(_slopes_of(*given)), jax.tree.flatten(given)
+    h = 1e-6
+    for k, leaf in enumerate(leaves):
+        moved = (jax.tree.unflatten(tree, [*leaves[:k], leaf + d, *leaves[k + 1 :]]) for d in (h, -h))
+        up, down = (np.asarray(_told(*m)) for m in moved)
+        np.testing.assert_allclose(slopes[k], (up - down) / (2 * h), rtol=1e-5, atol=2e-5)
+
+
+@jax.jit
+def _sums(obstacle, start, end):
+    return jax.value_and_grad(lambda *a: (_told(*a) * jnp.arange(1.0, 8.0)).sum(), argnums=(0, 1, 2))(
+        obstacle, start, end
+    )
+
+
+TOP = (0.0, 0.0, RADII[2])
+
+
+@pytest.mark.parametrize(
+    ("start", "end"),
+    [
+        PAIRS[0],
+        ([-0.04, 0.0, RADII[2]], [0.05, 0.0, RADII[2]]),  # it touches in one point
+        (TOP, [0.05, 0.0, RADII[2]]),  # from that point
+        ([0.001, 0.002, 0.0], [0.05, 0.02, 0.1]),  # from inside
+        ([0.0, 0.0, 0.0], [0.05, 0.02, 0.1]),  # from the centre
+        ([-0.04, 0.0, 0.0], [0.05, 0.0, 0.0]),  # through the centre: either side is as good
+        (TOP, TOP),
+    ],
+)
+def test_reverse_derivatives_are_finite_and_those_forwards(start, end):
+    given = ellipsoid(), vector(start), vector(end)
+    backwards = jax.tree.leaves(_sums(*given)[1])
+    forwards = [np.arange(1.0, 8.0) @ np.asarray(s) for s in jax.tree.leaves(_slopes_of(*given))]
+    assert np.isfinite(backwards).all()
+    np.testing.assert_allclose(backwards, forwards, rtol=1e-9, atol=1e-9)

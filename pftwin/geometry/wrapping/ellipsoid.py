@@ -130,22 +130,29 @@ class _Chord(NamedTuple):
         middle = middle[0] / size, middle[1] / size
         half = first[0] * middle[1] - first[1] * middle[0]  # sine of half the arc
 
-        def inner(u: float, end: tuple[Scalar, Scalar]) -> Scalar:
-            """The arc's length over that of the chord from its middle to an end, at a share of that."""
-            c, s = (m + u * (e - m) for m, e in zip(middle, end, strict=True))
-            squared = c * c + s * s
-            return stretch(c, s) / (squared * jnp.sqrt(squared))
+        # The nodes are an axis in front: unrolled, the program of second derivatives takes minutes to compile.
+        share, weight = (a.reshape(-1, *[1] * jnp.ndim(half)) for a in _quadrature())
 
-        nodes = [
-            (0.5 + 0.5 * float(x), 0.5 * float(w)) for x, w in zip(*np.polynomial.legendre.leggauss(NODES), strict=True)
-        ]
-        arc = sum(w * (inner(u, first) + inner(u, last)) for u, w in nodes)
+        def inner(end: tuple[Scalar, Scalar]) -> Scalar:
+            """The arc's length over that of the chord from its middle to an end, at shares of that."""
+            c, s = (m[None] + share * (e - m)[None] for m, e in zip(middle, end, strict=True))
+            squared = c * c + s * s
+            stretched = jnp.sqrt(self.along[None] * c * c - 2 * mixed[None] * s * c + across[None] * s * s)
+            return jnp.sum(weight * stretched / (squared * jnp.sqrt(squared)), axis=0)
+
+        arc = inner(first) + inner(last)
         return self.tangents[0] * stretch(*first) + radius * half * arc + self.tangents[1] * stretch(*last)
 
     def outward_turn(self, y: Scalar, z: Scalar) -> Scalar:
         """The turn of the plane that holds the ellipsoid's normal at a point, by its coordinates across the line."""
         yy, yz, zz = self.outward
         return jnp.arctan2(yz * y + zz * z, yy * y + yz * z)
+
+
+def _quadrature() -> tuple[np.ndarray, np.ndarray]:
+    """Nodes and weights from 0 to 1."""
+    nodes, weights = np.polynomial.legendre.leggauss(NODES)
+    return 0.5 + 0.5 * nodes, 0.5 * weights
 
 
 @jax.custom_jvp

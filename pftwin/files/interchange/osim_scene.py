@@ -13,6 +13,7 @@ from pftwin.base.text_files import write_text
 from pftwin.files.interchange import osim_motion
 from pftwin.files.interchange.osim_document import Element, read_osim
 from pftwin.files.interchange.osim_knee import FOLDER, OsimKnee, Written, bones, find_knee, load_mesh, part_and_pose
+from pftwin.files.interchange.osim_lines import ligament_groups, pulls
 from pftwin.files.interchange.osim_model import (
     CONTACT,
     LIGAMENT,
@@ -22,18 +23,12 @@ from pftwin.files.interchange.osim_model import (
     OsimModel,
     read_model,
 )
-from pftwin.files.interchange.osim_muscles import (
-    PatellarMuscle,
-    muscles_of,
-    shared_tensions,
-)
-from pftwin.files.interchange.osim_wraps import OsimWrap, Wraps
+from pftwin.files.interchange.osim_muscles import PatellarMuscle
+from pftwin.files.interchange.osim_wraps import Wraps
 from pftwin.model.limits import Limits
 
 if TYPE_CHECKING:
-    from pftwin.files.interchange.osim_activation import Activated
     from pftwin.files.interchange.osim_clusters import Recording
-    from pftwin.files.interchange.osim_toml import OsimStrand
 
 REPORT = "not_imported.md"
 RECORDING = "markers.trc"
@@ -148,18 +143,16 @@ def import_osim(
     if found.bodies[knee.patella].mass <= 0:
         raise InputError("a patella without mass", where=found.bodies[knee.patella].where, expected="a positive mass")
     wraps = Wraps(root, found, knee)
-    strands = _ligament_groups(found, knee, wraps, told)
+    strands = ligament_groups(found, knee, wraps, told)
     contact, pressing = _contact_meshes(found, knee, places, told)
     taken = {m.file for m in pressing}
     drawn = list(bones(found, knee, places, taken, told.left_out))
     if drawn:
         told.notes.append(f"bones: {len(drawn)} meshes lie in {FOLDER}/; a scene file has no table for them")
-    pulling, pulled = _pulls(root, found, knee, moved, told, quadriceps, activation, wraps)
+    pulling, pulled = pulls(root, found, knee, moved, told, quadriceps, activation, wraps)
     told.left_out += _unused_elements(root, told, recorded=seen is not None)
-    if any(
-        w is not None and w.kind == "cylinder"
-        for w in (*(s.wrap for g in strands for s in g), *(w for _, w in pulling))
-    ):
+    over = [*(strand.wrap for group in strands for strand in group), *(wrap for _, wrap in pulling)]
+    if any(wrap is not None and wrap.kind == "cylinder" for wrap in over):
         told.notes.append("wrapping: cylinders are taken as endless")
     text = scene_text(
         found,
@@ -180,35 +173,6 @@ def import_osim(
         tables[FILE] = pulled.table(moved.times)
     _write(Path(folder), text, tables, [*pressing, *drawn], told)
     return told
-
-
-def _pulls(
-    root: Element,
-    model: OsimModel,
-    knee: OsimKnee,
-    moved: osim_motion.Motion | None,
-    told: Imported,
-    quadriceps: float | None,
-    activation: float | str | os.PathLike[str] | None,
-    wraps: Wraps,
-) -> tuple[list[tuple[PatellarMuscle, OsimWrap | None]], Activated | None]:
-    """The muscles that pull at the patella with their obstacles: a tension of all, or over time by activation."""
-    muscles = told.muscles = list(muscles_of(root, model, knee))
-    pulled = None
-    if quadriceps is not None:
-        told.tensions = shared_tensions(muscles, quadriceps)
-        each = ", ".join(f"{name} {newtons:.3g} N" for name, newtons in told.tensions.items())
-        told.notes.append(f"tensions, constant, by maximum isometric force: {each}")
-    elif activation is not None and moved is not None:
-        from pftwin.files.interchange.osim_activation import activated
-
-        pulled = activated(root, model, knee, moved, muscles, activation, wraps)
-        told.tensions = {m.name: float(t) for m, t in zip(pulled.muscles, pulled.tensions[0], strict=True)}
-        told.notes += pulled.notes
-    if told.tensions and (without := [m.name for m in muscles if m.name not in told.tensions]):
-        told.notes.append(f"without a tension: {', '.join(without)}")
-    pulling = [m for m in muscles if m.name in told.tensions] if pulled is None else pulled.muscles
-    return list(_wrapped(pulling, wraps, told)), pulled
 
 
 def _recording(
@@ -240,52 +204,6 @@ def _refuse_others(found: str, **options: Any) -> None:
     """Refuses options that have no meaning for a motion."""
     if given := [name for name, value in options.items() if value]:
         raise InputError(f"{given[0]} given, and {found}", where=given[0], expected="one or the other")
-
-
-def _ligament_groups(model: OsimModel, knee: OsimKnee, wraps: Wraps, told: Imported) -> list[list[OsimStrand]]:
-    """Ligaments of the patella; those of one name without its number, other body and obstacle are one group."""
-    from pftwin.files.interchange.osim_toml import OsimStrand
-
-    groups: dict[tuple[str, str, tuple[str, ...] | None], list[OsimStrand]] = {}
-    straight: dict[tuple[str, tuple[str, ...]], list[str]] = {}
-    for ligament in model.ligaments:
-        ends = [(part_and_pose(model, knee, frame), point) for frame, point in ligament.ends]
-        places = [(part, pose[:3, :3] @ point + pose[:3, 3]) for (part, pose), point in ends]
-        parts = [part for part, _ in places]
-        if parts.count("patella") != 1 or not {*parts} - {"patella"} <= {"femur", "tibia", "ground"}:
-            told.left_out.append(LeftOut(LIGAMENT, ligament.name, _why_not(parts)))
-            continue
-        k = parts.index("patella")
-        over, left = wraps.over(ligament.wraps)
-        strand = OsimStrand(ligament, places[k][1], *places[1 - k], over)
-        straight.setdefault((strand.name, tuple(left)), []).append(ligament.name)
-        groups.setdefault((strand.name, strand.body, over and over.like), []).append(strand)
-    told.notes += _straight(straight)
-    return list(groups.values())
-
-
-def _wrapped(
-    muscles: Sequence[PatellarMuscle], wraps: Wraps, told: Imported
-) -> Iterator[tuple[PatellarMuscle, OsimWrap | None]]:
-    """Muscles with their obstacles."""
-    for muscle in muscles:
-        over, left = wraps.over(muscle.wraps)
-        told.notes += _straight({(muscle.name, tuple(left)): [muscle.name]})
-        yield muscle, over
-
-
-def _straight(lines: dict[tuple[str, tuple[str, ...]], list[str]]) -> Iterator[str]:
-    """What is said of lines by their common name and the objects over which they do not wrap."""
-    for (_, objects), names in lines.items():
-        if objects:
-            which = names[0] if len(names) == 1 else f"{names[0]} to {names[-1]} ({len(names)} strands)"
-            yield f"{which}: not wrapped over {', '.join(objects)}"
-
-
-def _why_not(parts: list[str]) -> str:
-    if "patella" not in parts:
-        return f"it joins {' and '.join(parts)}, whose motion is prescribed"
-    return f"it joins {' and '.join(parts)}: pftwin knows femur, tibia and ground beside the patella"
 
 
 def _contact(model: OsimModel, knee: OsimKnee, told: Imported) -> OsimContact | None:

@@ -250,8 +250,11 @@ def test_marker_files_that_are_none_are_refused(tmp_path: Path, text: str, said:
 
 
 def test_options_that_do_not_go_together_are_refused(tmp_path: Path) -> None:
-    for options in ({"rate": 30.0}, {"bend": "knee_flex_r"}):
-        with pytest.raises(InputError, match="given, and a recording of markers"):
+    for options, words in (
+        ({"rate": 30.0}, "rate given, and a recording of markers"),
+        ({"bend": "knee_flex_r"}, "bend given, and a motion"),
+    ):
+        with pytest.raises(InputError, match=words):
             imported(tmp_path, seen(), **options)
     for options in ({"markers": "own.xml"}, {"units": "mm"}, {"without": ["a"]}, {"joint_centers": True}):
         with pytest.raises(InputError, match="a motion that is no recording of markers"):

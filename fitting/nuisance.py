@@ -173,7 +173,8 @@ class Nuisance:
         kinds: dict[str, str] = {}
         declared = {name: number.quantity for name, number in arrays.items() if number.quantity is not None}
         for whole, quantity in declared.items():
-            attached = bool(quantity.frame) and quantity.unit == "m" and arrays[whole].owner in lines
+            # An obstacle's centre has a frame too, and is not where a line is attached.
+            attached = quantity.frame in ("patella", "body") and quantity.unit == "m" and arrays[whole].owner in lines
             for place in find(scene, whole) if len(arrays[whole].shape) < 2 else []:
                 places[place.name] = place
                 if self.attachments and attached:

@@ -230,7 +230,8 @@ def _import_problem(found: Imported) -> str | None:
     if scene.contact is None:
         return f"{found.scene}: a scene without contact"
     if not found.muscles or found.tensions:
-        return None if upward_lines(scene) else f"{found.scene}: nothing in it pulls the patella upward"
+        least = 0 if scene.limits is None else scene.limits.least_upward_lines
+        return None if upward_lines(scene) >= least else f"{found.scene}: nothing in it pulls the patella upward"
     can = any(muscle.takes_tension for muscle in found.muscles)
     remedy = "--quadriceps NEWTONS or --activation A" if can else "tables [[prescribed_tension]] of your own"
     names = ", ".join(muscle.name for muscle in found.muscles)

@@ -200,6 +200,10 @@ def _of_line(scene: Scene, line: LineElement) -> Iterator[Found]:
     )
     if not line.elastic:
         return
+    if line.wrap is not None:  # along the line, around what it runs over
+        from pftwin.model.number_place import start_length
+
+        length = np.atleast_1d(np.asarray(start_length(scene, line), dtype=float))
     slack, stiffness = (np.asarray(getattr(line, n), dtype=float) for n in ("slack_length", "stiffness"))
     share = np.ravel(slack / np.maximum(length, 1e-9))
     what = f"the slack length of {line.name}"

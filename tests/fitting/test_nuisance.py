@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, replace
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -16,7 +17,8 @@ from fitting.estimate import Estimate
 from fitting.nuisance import SLIP_SPEED, Nuisance
 from fitting.parameters import Applied, free_parameters
 from pftwin.base.errors import InputError
-from pftwin.base.leaves import number
+from pftwin.base.leaves import number, vector
+from pftwin.geometry.wrapping.cylinder import Cylinder
 from pftwin.model.effects.damping import LinearDamping
 from pftwin.model.effects.friction import Friction
 from pftwin.model.measured import Measured
@@ -40,6 +42,14 @@ def test_attachments_are_the_ends_of_all_tendons_within_four_deviations():
     assert sorted(found.names) == sorted(ENDS)
     assert found.priors["quadriceps.origin.y"] == (pytest.approx(0.006), 5e-4)
     assert found.bounds["quadriceps.origin.y"] == pytest.approx((0.004, 0.008))
+
+
+def test_what_a_line_runs_over_is_no_attachment():
+    scene = small_scene()
+    (band,) = (e for e in scene.effects if e.name == "quadriceps")
+    cylinder = Cylinder(vector([0.05, 0.0, 0.01]), "femur", number(0.02), vector([0.0, 1.0, 0.0]))
+    wrapped = scene.with_effect(eqx.tree_at(lambda t: t.wrap, band, cylinder, is_leaf=lambda x: x is None))
+    assert sorted(Nuisance(attachments=5e-4).numbers(wrapped).names) == sorted(ENDS)
 
 
 def test_damping_is_relative_and_what_is_not_damped_stays_so():

@@ -21,6 +21,7 @@ from pftwin.files.mocap import (
     PoseSeries,
     butterworth_lowpass,
     fill_gaps,
+    mended_cluster,
     read_markers,
     segment_poses,
 )
@@ -76,13 +77,13 @@ def read_recording(
     names = recorded_names(own, raw.names, str(path))
     left = _left_out(without, names, str(path))
     notes = _renamed(names)
-    filled, gaps = fill_gaps(
-        raw.select([n for n in names.values() if n not in left]), max_gap_s=MAX_GAP, keep_long=True
-    )
-    notes += [f"{g.marker}: filled frames {g.first_frame} to {g.last_frame}" for g in gaps if g.filled]
+    chosen = raw.select([n for n in names.values() if n not in left])
     places = {
-        p: {names[m.name]: m.place for m in own if m.part == p and names.get(m.name) in filled.names} for p in relevant
+        p: {names[m.name]: m.place for m in own if m.part == p and names.get(m.name) in chosen.names} for p in relevant
     }
+    chosen = _mended(chosen, places, notes)
+    filled, gaps = fill_gaps(chosen, max_gap_s=MAX_GAP, keep_long=True)
+    notes += [f"{g.marker}: filled frames {g.first_frame} to {g.last_frame}" for g in gaps if g.filled]
     kept, clusters = _known(filled, places, centers, own, knee)
     notes.append(
         f"stretch: {kept.times[0]:g} to {kept.times[-1]:g} s of {raw.times[0]:g} to {raw.times[-1]:g} s, the longest "
@@ -104,6 +105,18 @@ def read_recording(
     start, said = resting_patella(model.tree, knee, fits["tibia"].relative_to(fits["femur"]))
     said += "; limits of how far from there it comes to rest are wide"
     return Recording(kept, clusters, used, cutoff, start, [*notes, said])
+
+
+def _mended(
+    markers: MarkerTrajectories, places: Mapping[str, Mapping[str, Floats]], notes: list[str]
+) -> MarkerTrajectories:
+    """The markers, those put right that leave their segment's cluster for some frames."""
+    positions, column = markers.positions.copy(), {name: k for k, name in enumerate(markers.names)}
+    for held in (h for part, h in places.items() if part != "patella" and len(h) >= LEAST):
+        mended, strays = mended_cluster(markers, held)
+        positions[:, [column[n] for n in mended.names]] = mended.positions
+        notes += [s.in_words() for s in strays]
+    return markers.with_positions(positions)
 
 
 def _known(

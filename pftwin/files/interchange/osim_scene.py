@@ -127,7 +127,7 @@ def import_osim(
     told = Imported(left_out=list(found.left_out))
     places = [Path(p) for p in geometry]
     seen = moved = None
-    how: dict[str, Any] = {"units": units, "without": without, "joint_centers": joint_centers}
+    how: dict[str, Any] = {"units": units, "without": tuple(without), "joint_centers": joint_centers}
     if motion is not None:
         _refuse_others("a motion", bend=bend)
     if motion is not None and Path(motion).suffix.lower() in MARKER_FILES:
@@ -137,7 +137,7 @@ def import_osim(
             raise InputError("an activation, and a recording of markers", where="activation", expected=expected)
         seen = _recording(root, found, knee, motion, markers, told, how)
     else:
-        _refuse_others("a motion that is no recording of markers", markers=markers, **how)
+        _refuse_others("no recording of markers as motion", markers=markers, **how)
         moved = osim_motion.motion_of(found.tree, knee, motion, rate, bend)
         told.notes.append(f"motion: {moved.said}")
     if found.bodies[knee.patella].mass <= 0:
@@ -202,7 +202,8 @@ def _recording(
 
 def _refuse_others(found: str, **options: Any) -> None:
     """Refuses options that have no meaning for a motion."""
-    if given := [name for name, value in options.items() if value]:
+    given = [name for name, value in options.items() if value is not None and value is not False and value != ()]
+    if given:
         raise InputError(f"{given[0]} given, and {found}", where=given[0], expected="one or the other")
 
 

@@ -89,7 +89,7 @@ def _rid_of_wrong_offsets(samples: np.ndarray, parameters: Any) -> np.ndarray:
     """Channels (n, k) as (integer - offset) * scale; ezc3d takes offsets without their sign, and integers as signed."""
 
     def of(key: str, default: float) -> np.ndarray:
-        values = [float(v) for v in parameters["ANALOG"].get(key, {}).get("value", [])]
+        values = [float(v) for each in _parts(key) for v in parameters["ANALOG"].get(each, {}).get("value", [])]
         return np.array((values + [default] * samples.shape[1])[: samples.shape[1]])
 
     step, offset = of("SCALE", 1.0) * of("GEN_SCALE", 1.0)[0], of("OFFSET", 0.0)
@@ -122,11 +122,14 @@ def _text(parameters: Any, key: str) -> str | None:
     return str(values[0]).strip() or None if len(values) else None
 
 
+def _parts(key: str) -> tuple[str, ...]:
+    """The parameters that hold a list: 255 values fit in one."""
+    return key, *(f"{key}{i}" for i in range(2, 10))
+
+
 def _texts(parameters: Any, key: str, count: int) -> tuple[str, ...]:
     """One text for each of `count` points or channels; empty where there is none."""
-    texts: list[str] = []
-    for name in (key, *(f"{key}{i}" for i in range(2, 10))):  # 255 texts fit in one parameter
-        texts += [str(v).strip() for v in parameters.get(name, {}).get("value", [])]
+    texts = [str(v).strip() for name in _parts(key) for v in parameters.get(name, {}).get("value", [])]
     return tuple((texts + [""] * count)[:count])
 
 

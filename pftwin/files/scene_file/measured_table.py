@@ -195,8 +195,8 @@ class MeasuredSection(Section):
         if self.weights is not None:
             with document.naming("measured", "weights"):
                 weights = _column(table, self.weights, "1")
-                whole = np.interp(motion.times, table.times, (weights > 0).astype(float)) == 1
-                out["weights"] = np.where(whole, np.interp(motion.times, table.times, weights), 0.0)
+                whole = frame_means(motion.times, table.times, (weights > 0).astype(float)) > 1 - 1e-9
+                out["weights"] = np.where(whole, frame_means(motion.times, table.times, weights), 0.0)
         return out
 
 

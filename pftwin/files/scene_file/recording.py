@@ -96,6 +96,7 @@ class SegmentRecording:
         thigh = None if femur.fixed is not None else self.poses(femur, "femur")
         if tibia.body is None or (thigh is not None and femur.body is None):
             return thigh, shin
+        # A bone is out of line from half the speed at which a knee's motion is refused.
         speed, spin = self.limits.most_knee_speed_m_per_s, self.limits.most_angular_speed_rad_per_s / 2
         with self.document.naming("motion"):
             thigh, shin, words = mended_bones(thigh, shin, max_gap_s=self.motion.max_gap_s, speed=speed, spin=spin)
@@ -110,7 +111,7 @@ class SegmentRecording:
         """Single markers in the time range of the scene; NaN where a gap in one is too long to be filled."""
         with self.document.naming(*at):
             markers = self._filtered(names, keep_long=True)
-        return self._in_time(markers)
+        return self._in_time(markers.select(names))
 
     def _in_time(self, seen: Recorded) -> Recorded:
         """What was recorded in the time range of the scene."""
@@ -167,10 +168,17 @@ class SegmentRecording:
         positions = np.concatenate([markers.positions, whole.select([*more]).positions], axis=1)
         return MarkerTrajectories(markers.times, (*seen, *more), positions, markers.source)
 
+    def _shaped(self, names: list[str]) -> MarkerTrajectories:
+        """Markers of one segment without places of their own, mended by their mean shape where they have one."""
+        recorded = self._recorded()
+        whole = len(names) >= 3 and (~recorded.select(names).missing).all(axis=1).any()
+        shape = {n: [*map(float, p)] for n, p in mean_cluster(recorded, names).items()} if whole else None
+        return self._filtered(names, shape)
+
     def _recorded(self) -> MarkerTrajectories:
         """All markers as their file has them."""
         if self.motion.markers is None:
-            raise InputError("a cluster needs a file of markers", remedy='markers = "FILE.trc" in [motion]')
+            raise InputError("markers are named, and no file of them", remedy='markers = "FILE.trc" in [motion]')
         if self._markers is None:
             with self.document.naming("motion", "markers"):
                 self._markers = read_markers(str(self.document.file(self.motion.markers)), units=self.motion.units)
@@ -187,7 +195,7 @@ class SegmentRecording:
             self._centers[name] = None
             section = self.motion.joint_centers[name]
             frame = self._frame(section)
-            turning = None if section.of is None else self._filtered(section.of)
+            turning = None if section.of is None else self._shaped(section.of)
             self._centers[name] = path = section.path(name, frame, turning, self.limits, self.notes)
         return path
 
@@ -196,7 +204,7 @@ class SegmentRecording:
         times = self._recorded().times
         world = PoseSeries(times, np.zeros((times.size, 3)), np.tile([1.0, 0, 0, 0], (times.size, 1)), source="world")
         if center.about_markers is not None:
-            markers = self._filtered(center.about_markers)
+            markers = self._shaped(center.about_markers)
             return segment_poses(markers, mean_cluster(markers, center.about_markers))
         if center.about == "world":
             return world

@@ -29,6 +29,12 @@ if TYPE_CHECKING:
     from pftwin.geometry.wrapping.obstacle import Obstacle
 
 _ALONG = 1e-3  # sine of an angle below which a side is no side
+_LARGEST = 0.2  # radius of anything on a knee [m]: in a larger one all ends of lines would lie, and they run straight
+
+
+def _check_sizes(name: str, sizes: np.ndarray) -> None:
+    if sizes.max() > _LARGEST:
+        raise problem(f"{name} is {sizes.max():g} m", expected=f"at most {_LARGEST:g} m, as of something on a bone")
 
 
 class CylinderWrapSection(Section):
@@ -50,6 +56,7 @@ class CylinderWrapSection(Section):
 
     @model_validator(mode="after")
     def _aside(self) -> Self:
+        _check_sizes("radius_m", np.asarray(self.radius_m))
         axis, side = (np.broadcast_to(d, (self.count, 3)) for d in (self.axis, self.side or [[0.0, 0.0, 0.0]]))
         sine = np.linalg.norm(np.cross(axis, side), axis=1)
         along = sine <= _ALONG * np.linalg.norm(axis, axis=1) * np.linalg.norm(side, axis=1)
@@ -84,6 +91,12 @@ class EllipsoidWrapSection(Section):
     def count(self) -> int:
         """How many obstacles there are."""
         return group_size(self, "center_m", "radii_m", "quaternion_wxyz")
+
+    @model_validator(mode="after")
+    def _sized(self) -> Self:
+        _check_sizes("radii_m", np.asarray(self.radii_m))
+        assert self.count
+        return self
 
     def build(self, setting: Setting) -> Obstacle:
         """The obstacle. A mirrored one keeps a right-handed frame: its own z is turned round, which is the same."""

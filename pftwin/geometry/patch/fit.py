@@ -195,9 +195,9 @@ def _over_better_chart(
 ) -> tuple[FittedSpline, str]:
     """The spline over the plane where that holds it, else over the chart that it comes nearer on, and why."""
     plane = over("plane")
-    if (share := plane.folded()) > 0:
+    if (share := plane.folded()) > 0 and (cylinder := over("cylinder")).folded() < share:
         why = f"over the cylinder, as on the plane the surface folds over at {100 * share:.2g} % of the vertices"
-        return refined_spline(over("cylinder"), tolerance, smoothing), why
+        return refined_spline(cylinder, tolerance, smoothing), why
     first = refined_spline(plane, tolerance, smoothing)
     if first.rms <= tolerance or (cylinder := over("cylinder")).folded() > 0:
         return first, ""

@@ -77,6 +77,21 @@ def test_readings_and_weights_are_at_the_frames_in_the_effects_units(toy: Path) 
     assert "[measured] weights: a column of no file" in refused(toy, bare)
 
 
+def test_readings_that_do_not_count_keep_their_frames_from_counting(toy: Path) -> None:
+    """At 1 kHz, zero from 52 to 54 ms and weighted so: the frame at 50 ms holds them, as its mean is over 10 ms."""
+    t = np.arange(401) * 0.001
+    bad = (t > 0.0515) & (t < 0.0545)
+    rows = [f"{x:.4f},{30 + 100 * x},{0.0 if out else 0.01},{float(not out)}" for x, out in zip(t, bad, strict=True)]
+    (toy / "forces.csv").write_text("\n".join(["time_s,out_mm,medial_kN,counts", *rows]) + "\n")
+    measured = '\n[measured]\npatella = { body = "patella" }\nforces = "forces.csv"\nweights = "counts"\n'
+    seen = load(toy, LIGHT + READINGS + measured + 'readings = { "contact.force_medial" = "medial" }\n').measured
+    assert seen is not None
+    assert seen.weights is not None
+    assert seen.readings["contact.force_medial"][5] < 9
+    np.testing.assert_array_equal(np.flatnonzero(seen.weights < 1), [5])
+    assert seen.weights[5] == 0
+
+
 def test_forces_may_be_channels_of_a_c3d_file(toy: Path) -> None:
     pytest.importorskip("ezc3d", reason="the extra c3d is not installed")
     t = np.arange(410) / 1000
@@ -186,6 +201,15 @@ def test_markers_on_the_skin_are_measured_without_a_pose(toy: Path) -> None:
     np.testing.assert_allclose(found, turned.inv().apply(world), atol=1e-8)
 
 
+def test_a_fixed_point_among_markers_on_the_skin_does_not_exchange_them(toy: Path) -> None:
+    path = skin_file(toy, more="fixed_points_m = { still = [0.3, 0.2, 0.1] }")
+    text = changed('markers = { skin = "P 1" }', 'markers = { still = "still", skin = "P 1" }', path.read_text())
+    path.write_text(text + '\n[[marker]]\nname = "still"\npoint_m = [0.02, 0.01, 0.03]\n')
+    measured = load_scene_file(path).measured
+    assert measured is not None
+    np.testing.assert_allclose([measured.readings[f"still.{axis}"][20] for axis in "xyz"], [0.3, 0.2, 0.1])
+
+
 def test_runs_too_short_for_the_filter_are_left_out_and_named(toy: Path) -> None:
     """Frames 9 to 14 and 30 to 40 are seen; the filter of 12 Hz needs 18, that of 40 Hz ten."""
     loaded = load_scene_file(skin_file(toy, more="cutoff_Hz = 40"))
@@ -210,7 +234,7 @@ def test_mistakes_in_markers_on_the_skin_are_named(toy: Path) -> None:
             'markers = { skin = "P 1" }\nreadings = { "skin.x" = "a" }',
             "a column of no file",
         ),
-        ('markers = "skin.trc"', 'poses = "poses.csv"', "a cluster needs a file of markers"),
+        ('markers = "skin.trc"', 'poses = "poses.csv"', "markers are named, and no file of them"),
     ):
         found = refused(toy, changed(old, new, text))
         assert said in found, found

@@ -94,6 +94,7 @@ MISTAKES = [
     ("radius_mm = 20", "radius_mm = 20, side = [0, 2, 0.4]", "the side [0.0, 2.0, 0.4] is along the axis"),
     ('body = "femur", center', 'body = "ground", center', "wrap.body: found 'ground'; expected: one of"),
     ("center_mm = [100, 0, 15], ", "", "wrap.center_m: is missing"),
+    ("radius_mm = 20", "radius_m = 28", "radius_m is 28 m; expected: at most 0.2 m"),
 ]  # fmt: skip
 
 
@@ -103,3 +104,11 @@ def test_mistakes_are_told_with_their_place(toy: Path, old: str, new: str, said:
     message = refused(toy, LIGHT + "\n[[strands]]\n" + TABLES["strands"] + CYLINDER.replace(old, new))
     assert "[[strands]]" in message
     assert said in message, message
+
+
+def test_lists_of_an_ellipsoid_that_do_not_match_are_told(toy: Path) -> None:
+    two = ELLIPSOID.replace("[10, 2, -3]", "[[10, 2, -3], [11, 2, -3]]").replace(
+        "radii_mm = [", "radii_mm = [[9, 9, 9], [8, 8, 8], ["
+    )
+    message = refused(toy, LIGHT + "\n[[strands]]\n" + TABLES["strands"] + two.replace("], quat", "]], quat"))
+    assert "center_m has 2 values and radii_m has 3" in message

@@ -128,11 +128,8 @@ def patient(knee: Knee, found: dict[str, Course], *, bands: bool = True) -> Scen
             vec3(c.origin),
             body,
         )
-        widths = {
-            "insertion_half_width": array(c.insertion_half_width),
-            "origin_half_width": array(c.origin_half_width),
-        }
-        tendons.append(Band(*line, name=name, **widths) if bands else Tendon(*line, name=name))
+        widths = array(c.insertion_half_width), array(c.origin_half_width)
+        tendons.append(Band(*line, *widths, name=name) if bands else Tendon(*line, name=name))
     kept = (knee.scene.effect("gravity"), knee.scene.effect("contact"))
     return Scene(knee.scene.patella, (*tendons, *kept), knee.scene.motion, knee.scene.start, name="DM patient")
 

@@ -98,7 +98,7 @@ class StiffeningTendon(DampedLine):
     length_variance: Scalar = eqx.field(metadata=quantity("m^2"))
     length_skew: Scalar = eqx.field(metadata=quantity("m"))
     body: str = eqx.field(static=True)
-    wrap: Obstacle | None = None
+    wrap: Obstacle | None = eqx.field(default=None, kw_only=True)
 
     def _bent(self) -> tuple[StiffeningSpring, Scalar]:
         working = Working(self.mean_length, self.length_variance, self.length_skew)
@@ -147,7 +147,8 @@ def stiffened(scene: Scene, working: Mapping[str, Working], shares: Mapping[str,
             e: Any = scene.effect(name)
             own = e.stiffness, e.slack_length, e.damping, e.insertion, e.origin
             share, mean, variance, skew = (jnp.asarray(x, float) for x in (shares[name], *working[name]))
-            scene = scene.with_effect(StiffeningTendon(*own, share, mean, variance, skew, e.body, e.wrap, name=name))
+            bent = StiffeningTendon(*own, share, mean, variance, skew, e.body, wrap=e.wrap, name=name)
+            scene = scene.with_effect(bent)
     return scene
 
 

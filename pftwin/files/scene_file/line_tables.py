@@ -149,7 +149,7 @@ class StrandsSection(EffectSection):
         k, slack, toe, damping = (leaf(np.broadcast_to(v, (n,))) for v in one)
         insertion, origin = (vector(e) for e in ends)
         wrap = obstacle(self.wrap, n, setting, at)
-        return StrandGroup(k, slack, toe, damping, insertion, origin, self.body, wrap, name=self.label)
+        return StrandGroup(k, slack, toe, damping, insertion, origin, self.body, wrap=wrap, name=self.label)
 
     def _listed(self) -> Strands:
         """The strands in the table itself."""

@@ -132,7 +132,7 @@ class Tendon(DampedLine):
     insertion: Vec3 = eqx.field(metadata=quantity("m", frame="patella"))
     origin: Vec3 = eqx.field(metadata=quantity("m", frame="body"))
     body: str = eqx.field(static=True)
-    wrap: Obstacle | None = None
+    wrap: Obstacle | None = eqx.field(default=None, kw_only=True)
 
     @property
     def law(self) -> LinearSpring:
@@ -146,8 +146,8 @@ class Tendon(DampedLine):
     def elaborations(self) -> Iterable[Change]:
         """With a toe region, the linear region as it is."""
         slack, toe = self.slack_length / (1 + 0.5 * TOE_STRAIN), TOE_STRAIN + 0 * self.slack_length
-        ends = self.insertion, self.origin, self.body, self.wrap
-        stiffening = ToeTendon(self.stiffness, slack, toe, self.damping, *ends, name=self.name)
+        ends = self.insertion, self.origin, self.body
+        stiffening = ToeTendon(self.stiffness, slack, toe, self.damping, *ends, wrap=self.wrap, name=self.name)
         return (Change(TOE, stiffening, f"toe strain {TOE_STRAIN:g}, the linear region as it is"),)
 
 
@@ -165,7 +165,7 @@ class ToeTendon(DampedLine):
     insertion: Vec3 = eqx.field(metadata=quantity("m", frame="patella"))
     origin: Vec3 = eqx.field(metadata=quantity("m", frame="body"))
     body: str = eqx.field(static=True)
-    wrap: Obstacle | None = None
+    wrap: Obstacle | None = eqx.field(default=None, kw_only=True)
 
     @property
     def law(self) -> ToeSpring:
@@ -182,8 +182,8 @@ class ToeTendon(DampedLine):
     def simplifications(self) -> Iterable[Change]:
         """Without its toe region: linear from half a toe later, where its linear region's line meets zero; undamped."""
         slack = self.slack_length * (1 + 0.5 * self.toe_strain)
-        ends = self.insertion, self.origin, self.body, self.wrap
-        linear = Tendon(self.stiffness, slack, self.damping, *ends, name=self.name)
+        ends = self.insertion, self.origin, self.body
+        linear = Tendon(self.stiffness, slack, self.damping, *ends, wrap=self.wrap, name=self.name)
         return Change(f"{TOE} of tendons", linear, _LINEAR), *super().simplifications()
 
 
@@ -202,7 +202,7 @@ class StrandGroup(DampedLine):
     insertion: Vec3 = eqx.field(metadata=quantity("m", frame="patella"))
     origin: Vec3 = eqx.field(metadata=quantity("m", frame="body"))
     body: str = eqx.field(static=True)
-    wrap: Obstacle | None = None
+    wrap: Obstacle | None = eqx.field(default=None, kw_only=True)
     observables: ClassVar[dict[str, Observable]] = {"tension": Observable("N", "sum of the strands' tensions")}
 
     @property

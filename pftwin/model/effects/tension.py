@@ -30,7 +30,7 @@ class PrescribedTension(LineElement):
     start_time: float = eqx.field(static=True)
     interval: float = eqx.field(static=True)  # [s]
     body: str = eqx.field(static=True)
-    wrap: Obstacle | None = None
+    wrap: Obstacle | None = eqx.field(default=None, kw_only=True)
     observables: ClassVar[dict[str, Observable]] = {"tension": Observable("N", "sum of the prescribed tensions")}
 
     def at(self, time: Scalar | float) -> tuple[Scalar, Vec3]:

@@ -115,7 +115,7 @@ class ViscoelasticTendon(ElasticLine):
     insertion: Vec3 = eqx.field(metadata=quantity("m", frame="patella"))
     origin: Vec3 = eqx.field(metadata=quantity("m", frame="body"))
     body: str = eqx.field(static=True)
-    wrap: Obstacle | None = None
+    wrap: Obstacle | None = eqx.field(default=None, kw_only=True)
     observables: ClassVar[dict[str, Observable]] = {
         "tension": Observable("N", "tension"),
         "length": Observable("m", "length"),

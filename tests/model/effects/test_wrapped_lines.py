@@ -95,7 +95,7 @@ def test_strands_share_an_obstacle_and_each_runs_over_it_by_itself():
     one = jnp.ones(3)
     origin = vector(np.broadcast_to(ORIGIN, (3, 3)))
     group = StrandGroup(900 * one, 0.07 * one, 0.06 * one, 0.003 * one, vector(insertions), origin, "femur",
-                        OBSTACLES["femur"], name="strands")  # fmt: skip
+                        wrap=OBSTACLES["femur"], name="strands")  # fmt: skip
     together = group.line(look())
     straight = np.linalg.norm(np.subtract(ORIGIN, insertions), axis=1)
     np.testing.assert_array_equal(np.asarray(together.length) > straight + 1e-12, [True, False, True])

@@ -114,6 +114,16 @@ def test_the_longest_stretch_in_which_both_bones_are_known_is_taken(tmp_path: Pa
     np.testing.assert_array_equal(np.flatnonzero(missing), np.arange(40, 65))
 
 
+def test_markers_that_were_exchanged_are_put_back_before_anything_else(tmp_path: Path) -> None:
+    more = {**PLACES, "femur_r": {**PLACES["femur_r"], "R.Thigh.D": (0.04, 0.05, 0.03)}}
+    markers = seen(more)
+    a, b = markers["R_Thigh_A"].copy(), markers["R_Thigh_B"].copy()
+    markers["R_Thigh_A"][60:63], markers["R_Thigh_B"][60:63] = b[60:63], a[60:63]
+    told = imported(tmp_path, markers, osim(marker_set(more)))
+    assert any("R_Thigh_A, R_Thigh_B exchanged in frames 61 to 63" in n for n in told.notes), told.notes
+    check_bone(load(told).motion.femur, motion()["femur_r"])
+
+
 def test_hip_and_knee_count_as_markers_of_the_femur(tmp_path: Path) -> None:
     """One marker of the femur and both centres are enough; where the knee's differs from the model's is told."""
     everything = {**PLACES, "pelvis": PELVIS}

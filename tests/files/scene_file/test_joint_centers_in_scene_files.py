@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from toy_scene_files import CLUSTERS, changed, markers_of, refused, same
 
-from pftwin.files.mocap import MarkerTrajectories, PoseSeries, write_trc
+from pftwin.files.mocap import MarkerTrajectories, PoseSeries, read_markers, write_trc
 from pftwin.files.scene_file import load_scene_file
 from pftwin.files.scene_file.loading import LoadedScene
 from pftwin.model.motion import SegmentMotion
@@ -94,6 +94,20 @@ def test_noise_and_a_little_motion(toy: Path) -> None:
     said = refused(toy, scene(toy, center, noise=1e-3, turn=0.1))
     assert "[motion] joint_centers.knee: T1, T2 turn about it by up to" in said
     assert "(most_center_deviation_mm)" in said
+
+
+def test_the_segment_in_which_a_centre_is_fixed_is_mended_too(toy: Path) -> None:
+    """Two of four further markers on the thigh, exchanged in three frames, would turn it round there."""
+    text = scene(toy, '{ about_markers = ["G1", "G2", "G3", "G4"], of = ["T1", "T2"] }')
+    seen, thigh = read_markers(toy / "knee.trc"), femur()
+    places = [(0.20, 0.05, 0.03), (0.25, -0.04, 0.05), (0.15, 0.01, 0.08), (0.22, 0.03, -0.04)]
+    more = thigh.positions[:, None] + np.einsum("nij,mj->nmi", thigh.matrices(), places)
+    more[40:43, [0, 1]] = more[40:43, [1, 0]]
+    names, positions = (*seen.names, "G1", "G2", "G3", "G4"), np.concatenate([seen.positions, more], axis=1)
+    write_trc(toy / "knee.trc", MarkerTrajectories(seen.times, names, positions))
+    got = loaded(toy, text)
+    assert any("G1, G2 exchanged in frames 41 to 43" in n for n in got.notes), got.notes
+    check(got.scene.motion.tibia, tibia(), 1e-6)
 
 
 def test_a_centre_in_the_world(toy: Path) -> None:

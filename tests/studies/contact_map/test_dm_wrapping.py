@@ -31,7 +31,7 @@ def lpfl(pulls: Recording) -> StrandGroup:
     stiffness, slack = (number([getattr(s, k) for s in strands]) for k in ("stiffness", "slack"))
     toe, damping = number(np.full(len(strands), TOE_STRAIN)), number(np.zeros(len(strands)))
     insertion, origin = vector(insertions), vector([s.other_end[0] for s in strands])
-    return StrandGroup(stiffness, slack, toe, damping, insertion, origin, "femur", wrap, name="lpfl")
+    return StrandGroup(stiffness, slack, toe, damping, insertion, origin, "femur", wrap=wrap, name="lpfl")
 
 
 def test_over_its_ellipsoid_the_lpfl_pulls_as_recorded(dm_knee):

@@ -53,9 +53,7 @@ class Limits:
     most_adduction_deg: float = 45.0  # to either side
     most_rotation_deg: float = 75.0  # to either side
     most_angular_speed_rad_per_s: float = 50.0  # of the tibia in the femur between frames; a fast kick has 30
-    most_knee_speed_m_per_s: float = (
-        0.25  # of the tibia along the femur, at the knee: poses that go faster are mistaken
-    )
+    most_knee_speed_m_per_s: float = 0.25  # of the tibia along the femur, at the knee: faster poses are mistaken
     most_marker_residual_mm: float = 5.0  # root mean square over a cluster in one frame
     most_marker_residual_ratio: float = 10.0  # to the median of the other clusters, where it exceeds 1 mm
     most_center_deviation_mm: float = 5.0  # standard deviation of a joint's centre that is found from the motion

@@ -5,6 +5,7 @@ What a file does not say is filled in as OpenSim does.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -65,7 +66,7 @@ def ligaments(
             (frames.find(p.needed("socket_parent_frame").text, p, p.where), p.needed("location").numbers(3))
             for p in points
         ]
-        wraps = path_wraps(element)
+        wraps = tuple(w.name for w in path_wraps(element) if w.covers(0, 1))
         k, slack, toe, damping = (
             value(element, tag, defaults)
             for tag in ("linear_stiffness", "slack_length", "transition_strain", "damping_coefficient")
@@ -79,14 +80,27 @@ def ligaments(
         yield OsimLigament(element.name, (ends[0], ends[1]), k, slack, toe, damping, wraps, element.where)
 
 
-def path_wraps(force: Element, first: int = 0, last: int = 1) -> tuple[str, ...]:
-    """Names of the objects over which a force's path may wrap between two of its points, which count from 0."""
+class PathWrap(NamedTuple):
+    """An object over which a path may wrap, and between which of its points, which count from 0."""
 
-    def covers(wrap: Element) -> bool:
+    name: str
+    first: int
+    last: float  # infinite to the path's end
+
+    def covers(self, start: int, end: int) -> bool:
+        """Whether the path may wrap over it between two of its points."""
+        return self.first <= start and end <= self.last
+
+
+def path_wraps(force: Element) -> Iterator[PathWrap]:
+    """The objects of a force's path.
+
+    Raises:
+        InputError: a range that is not two numbers.
+    """
+    for wrap in force.all("PathWrap"):
         start, end = wrap.numbers_of("range", (-1.0, -1.0))  # these count from 1; less than that is an end of the path
-        return first >= start - 1 and (end < 1 or last <= end - 1)
-
-    return tuple(w.words("wrap_object") for w in force.all("PathWrap") if covers(w))
+        yield PathWrap(wrap.words("wrap_object"), max(int(start), 1) - 1, int(end) - 1 if end >= 1 else math.inf)
 
 
 def value(element: Element, tag: str, defaults: dict[str, Element]) -> float:

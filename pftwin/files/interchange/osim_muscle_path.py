@@ -141,7 +141,7 @@ def path_over_motion(
         for a, b in pairs:
             start, end = points[a].place[at], points[b].place[at]
             lengths[at] += np.linalg.norm(end - start, axis=-1)
-            for wrap in (w for w in wraps if w.first <= a and b <= w.last):
+            for wrap in (w for w in wraps if w.between.covers(int(a), int(b))):
                 inverse = np.linalg.inv(bodies.of_part(wrap.part))[at]
                 lengths[at] += wrap.adds(_moved(inverse, start), _moved(inverse, end))
     if not (lengths > _LEAST).all():

@@ -8,6 +8,7 @@ import numpy as np
 
 from pftwin.base.arrays import Floats
 from pftwin.files.interchange.osim_document import Element
+from pftwin.files.interchange.osim_model import PathWrap, path_wraps
 from pftwin.files.interchange.osim_wraps import OsimWrap, Wraps
 
 if TYPE_CHECKING:
@@ -19,8 +20,7 @@ class Wrap(NamedTuple):
 
     part: str  # of the knee that carries it
     obstacle: Obstacle  # in that part's frame
-    first: int
-    last: int
+    between: PathWrap
 
     def adds(self, start: Floats, end: Floats) -> Floats:
         """How much longer than straight the line between points (n, 3) of the part's frame is (n,) [m]."""
@@ -36,14 +36,12 @@ def wraps_of(muscle: Element, objects: Wraps) -> tuple[list[Wrap], list[str]]:
     Raises:
         InputError: an object or a range that cannot be.
     """
-    count = len(list(muscle.all("PathPoint", "ConditionalPathPoint", "MovingPathPoint")))
     found, left = [], []
-    for wrap in muscle.all("PathWrap"):
-        over, why = objects.over([wrap.words("wrap_object")])
+    for wrap in path_wraps(muscle):
+        over, why = objects.over([wrap.name])
         left += why
         if over is not None:
-            first, last = (int(n) for n in wrap.numbers_of("range", (-1.0, -1.0)))  # these count from 1, or are none
-            found.append(Wrap(over.body, _obstacle(over), max(first, 1) - 1, (last if last > 0 else count) - 1))
+            found.append(Wrap(over.body, _obstacle(over), wrap))
     return found, left
 
 

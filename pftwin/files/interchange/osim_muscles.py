@@ -78,7 +78,7 @@ def _at_patella(force: Element, model: OsimModel, knee: OsimKnee, frames: Frames
     strength = force.child(_STRENGTH)
     newtons = None if strength is None else float(strength.numbers(1)[0])
     plain = len(pairs) == 1 and at[i][2] and at[j][2]
-    wraps = path_wraps(force, min(i, j), max(i, j))
+    wraps = tuple(w.name for w in path_wraps(force) if w.covers(min(i, j), max(i, j)))
     return PatellarMuscle(force.tag, force.name, at[i][1], at[j][1], at[j][0], newtons, plain, wraps)
 
 

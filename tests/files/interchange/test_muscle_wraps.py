@@ -80,9 +80,15 @@ def test_a_turned_cylinder_is_as_opensim_has_it(tmp_path):
 
 
 def test_what_counts_between_which_points(tmp_path):
-    assert [(w.first, w.last) for w in wraps(tmp_path, cylinder())[0]] == [(0, 2)]
-    ranged = wraps(tmp_path, cylinder(), more="<range>2 3</range>")[0]
-    assert [(w.first, w.last) for w in ranged] == [(1, 2)]
+    def covered(said: str = "") -> list[bool]:
+        """Of each piece of a path of four points."""
+        ((wrap,), _) = wraps(tmp_path, cylinder(), more=said)
+        return [wrap.between.covers(k, k + 1) for k in range(3)]
+
+    assert covered() == [True, True, True]
+    assert covered("<range>2 3</range>") == [False, True, False]
+    assert covered("<range>-1 2</range>") == [True, False, False]
+    assert covered("<range>3 -1</range>") == [False, False, True]
     assert wraps(tmp_path, cylinder(active="false")) == ([], [])
     (said,) = wraps(tmp_path, cylinder(), "rolls")[1]
     assert "rolls" in said

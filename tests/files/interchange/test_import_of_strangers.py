@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import re
-import time
 from pathlib import Path
 
 import pytest
+from at_once import at_once
 from knee_models import PATELLA, PT, TIBIA, ligament, ligaments, model, write_knee
 
 from pftwin.base.errors import InputError
@@ -108,9 +108,8 @@ def test_text_that_elements_interrupt_is_joined_once(tmp_path):
     long, pieces = "x" * 4_000_000, 60_000
     text = model(forces=ligaments(), meshes=False).replace("</Model>", long + "<a/>x" * pieces + "</Model>")
     (tmp_path / "bare.osim").write_text(text)
-    begin = time.process_time()
-    found = read_osim(tmp_path / "bare.osim")
-    assert time.process_time() - begin < 2
+    with at_once():
+        found = read_osim(tmp_path / "bare.osim")
     assert found.text.count("x") == len(long) + pieces
 
 

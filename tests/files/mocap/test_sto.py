@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 import pytest
+from at_once import at_once
 
 from pftwin.base.errors import InputError, PftwinWarning
 from pftwin.files.mocap import read_sto
@@ -63,10 +62,10 @@ def test_translations_and_forces_with_a_side_are_no_angles(tmp_path):
 @pytest.mark.parametrize(
     ("name", "angle"),
     [
-        (20_000 * "_t", True),
-        (4_000 * "force" + "/x", True),
-        (4_000 * "force", False),
-        (4_000 * "length" + "s", True),
+        (200_000 * "_t", True),
+        (40_000 * "force" + "/x", True),
+        (40_000 * "force", False),
+        (40_000 * "length" + "s", True),
         ("tibialis_fiber_length_r", False),
         ("LENGTH", False),
         ("/forceset/quad/activation", False),
@@ -76,10 +75,8 @@ def test_translations_and_forces_with_a_side_are_no_angles(tmp_path):
 )
 def test_names_of_any_length_are_judged_at_once(tmp_path, name, angle):
     path = sto(tmp_path, f"Coordinates\ninDegrees=yes\nendheader\ntime\t{name}\n0\t180\n")
-    begin = time.process_time()
-    with pytest.warns(PftwinWarning, match="converted to radians"):
+    with at_once(), pytest.warns(PftwinWarning, match="converted to radians"):
         value = read_sto(path).values[0, 0]
-    assert time.process_time() - begin < 0.5
     assert value == pytest.approx(np.pi if angle else 180)
 
 

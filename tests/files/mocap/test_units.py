@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 import pytest
+from at_once import at_once
 
 from pftwin.base.errors import InputError
 from pftwin.files.mocap import read_csv, read_markers, read_sto
@@ -88,11 +87,13 @@ def test_a_columns_label_holds_its_unit(label, name, unit):
     assert split_unit(label) == (name, unit)
 
 
-@pytest.mark.parametrize("label", [20_000 * "(", 20_000 * "(" + ")", "a (" + 20_000 * " " + "x", 20_000 * "[ " + "])"])
+M = 200_000
+
+
+@pytest.mark.parametrize("label", [M * "(", M * "(" + ")", "a (" + M * " " + "x", M * "[ " + "])"])
 def test_a_long_label_takes_no_time(label):
-    begin = time.process_time()
-    split_unit(label)
-    assert time.process_time() - begin < 0.5
+    with at_once():
+        split_unit(label)
 
 
 def test_a_files_length_is_the_arguments_before_the_headers():

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 
 import pytest
+from at_once import at_once
 
 from pftwin.base.errors import InputError
 from pftwin.files.scene_file.document import DEEPEST, Document
@@ -39,10 +39,8 @@ def read(folder: Path, text: str) -> Document:
     ],
 )
 def test_tables_in_tables_without_end(tmp_path, text):
-    begin = time.process_time()
-    with pytest.raises(InputError, match=r"a\.toml: tables within tables deeper than 32; expected: a few"):
+    with at_once(), pytest.raises(InputError, match=r"a\.toml: tables within tables deeper than 32; expected: a few"):
         read(tmp_path, text)
-    assert time.process_time() - begin < 1
 
 
 @pytest.mark.parametrize(
@@ -67,9 +65,7 @@ def test_the_deepest_that_is_read(tmp_path):
     assert inner == 1
 
 
-@pytest.mark.parametrize("text", ['x = "' + 20_000 * '\\"', 'x = """' + 20_000 * '" ', "x = " + 20_000 * "\"'"])
+@pytest.mark.parametrize("text", ['x = "' + N * '\\"', 'x = """' + N * '" ', "x = " + N * "\"'"])
 def test_quotes_that_are_never_closed(tmp_path, text):
-    begin = time.process_time()
-    with pytest.raises(InputError, match="not valid TOML"):
+    with at_once(), pytest.raises(InputError, match="not valid TOML"):
         read(tmp_path, text)
-    assert time.process_time() - begin < 1

@@ -46,6 +46,7 @@ class Limits:
     most_line_mm: float = 1000.0  # distance from insertion to origin at the start
     least_slack_share: float = 0.05  # slack length by that distance
     most_slack_share: float = 1.5
+    most_depth_in_wrap_mm: float = 0.0  # of a line's end within what the line wraps over
     most_force_N: float = 20_000.0  # of a line at the start, and of any force that is given  # noqa: N815
     most_acceleration_m_per_s2: float = 100.0  # of gravity
     least_flexion_deg: float = -40.0  # of the knee, in any frame
@@ -196,11 +197,15 @@ def _of_line(scene: Scene, line: LineElement) -> Iterator[Found]:
     yield Found(
         f"the distance of {line.name} from insertion to origin at the start", 1e3 * length.max(), most="most_line_mm"
     )
+    if line.wrap is not None:
+        from pftwin.model.number_place import start_length, starting_instant
+
+        depth = 1e3 * float(np.max(np.asarray(line.depth_in_wrap(starting_instant(scene)), dtype=float)))
+        what = f"the depth of an end of {line.name} within what it wraps over at the start, where it runs straight,"
+        yield Found(what, depth, most="most_depth_in_wrap_mm")
     if not line.elastic:
         return
     if line.wrap is not None:  # along the line, around what it runs over
-        from pftwin.model.number_place import start_length
-
         length = np.atleast_1d(np.asarray(start_length(scene, line), dtype=float))
     slack, stiffness = (np.asarray(getattr(line, n), dtype=float) for n in ("slack_length", "stiffness"))
     share = np.ravel(slack / np.maximum(length, 1e-9))

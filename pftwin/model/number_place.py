@@ -134,10 +134,15 @@ def named_arrays(scene: Scene) -> dict[str, Field]:
 
 def start_length(scene: Scene, element: LineElement) -> Scalar:
     """A line element's length at the scene's start pose in the first frame [m]; one for each line of a group."""
+    return element.line(starting_instant(scene)).length
+
+
+def starting_instant(scene: Scene) -> Instant:
+    """The scene at its start pose in the first frame, at rest."""
     start = jnp.asarray(scene.motion.start_time, dtype=float)
     femur, tibia = scene.motion.frames(start)
     patella = Patella.at_rest(scene.start.position, scene.start.orientation)
-    return element.line(Instant(patella, Ground() if femur is None else femur, tibia, start, 0.0)).length
+    return Instant(patella, Ground() if femur is None else femur, tibia, start, 0.0)
 
 
 def owner_of(scene: Scene, name: str) -> Any:

@@ -148,3 +148,12 @@ def test_many_lines_at_once_and_derivatives_by_the_radius():
     for k in range(2):
         by_difference = (length(number(R + 1e-6), k) - length(number(R - 1e-6), k)) / 2e-6
         assert float(jax.grad(length)(number(R), k)) == pytest.approx(float(by_difference), rel=1e-6)
+
+
+def test_depth_is_the_radius_less_the_distance_from_the_axis():
+    """Of points whose distances are known, by triangles with sides 3, 4 and 5 across an axis."""
+    c = cylinder(axis=(2, 0, 0), center=(0.01, -0.02, 0.04))
+    for along in (-0.5, 0.02):
+        inside, outside = (vector((along, -0.02 + 3 * a, 0.04 - 4 * a)) for a in (0.005, 0.01))
+        assert float(c.depth(inside)) == pytest.approx(0.005, abs=1e-15)
+        assert float(c.depth(outside)) == pytest.approx(-0.02, abs=1e-15)

@@ -213,3 +213,18 @@ def test_reverse_derivatives_are_finite_and_those_forwards(start, end):
     forwards = [np.arange(1.0, 8.0) @ np.asarray(s) for s in jax.tree.leaves(_slopes_of(*given))]
     assert np.isfinite(backwards).all()
     np.testing.assert_allclose(backwards, forwards, rtol=1e-9, atol=1e-9)
+
+
+def test_depth_has_the_sign_of_the_equation_and_is_no_more_than_the_distance():
+    """Against the distance from many points of the surface; in the middle it is the least radius."""
+    rng, e = np.random.default_rng(5), ellipsoid(RADII, CENTER, TURN)
+    surface = rng.normal(size=(100_000, 3))
+    surface = TURN.apply(surface / np.linalg.norm(surface, axis=1, keepdims=True) * RADII)
+    signs = []
+    for p in rng.normal(size=(40, 3)) * 0.012:
+        depth = float(e.depth(vector(CENTER + p)))
+        signs.append(depth > 0)
+        assert signs[-1] == (np.sum((TURN.inv().apply(p) / RADII) ** 2) < 1)
+        assert depth < np.linalg.norm(surface - p, axis=1).min()
+    assert set(signs) == {True, False}
+    assert float(e.depth(e.center)) == pytest.approx(RADII.min())

@@ -83,7 +83,7 @@ def read_recording(
     }
     chosen = _mended(chosen, places, notes)
     filled, gaps = fill_gaps(chosen, max_gap_s=MAX_GAP, keep_long=True)
-    notes += [f"{g.marker}: filled frames {g.first_frame} to {g.last_frame}" for g in gaps if g.filled]
+    notes += [f"{g.marker}: filled {g.in_words()}" for g in gaps if g.filled]
     kept, clusters = _known(filled, places, centers, own, knee)
     notes.append(
         f"stretch: {kept.times[0]:g} to {kept.times[-1]:g} s of {raw.times[0]:g} to {raw.times[-1]:g} s, the longest "

@@ -129,7 +129,7 @@ def _checked(signal: ArrayLike) -> NDArray[np.float64]:
     if not np.isfinite(x).all():
         row = int(np.argwhere(~np.isfinite(x))[0][0])
         raise InputError(
-            f"sample {row} (counted from 0) is missing or not finite",
+            f"sample {row + 1} (counted from 1) is missing or not finite",
             where="signal",
             expected="a signal without gaps",
             remedy="fill_gaps first",
@@ -139,7 +139,7 @@ def _checked(signal: ArrayLike) -> NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class Gap:
-    """A run of frames, counted from 0 and both included, in which a marker was not seen."""
+    """A run of frames (indices, both included) in which a marker was not seen."""
 
     marker: str
     first_frame: int
@@ -150,6 +150,10 @@ class Gap:
     def frames(self) -> int:
         """Length of the gap."""
         return self.last_frame - self.first_frame + 1
+
+    def in_words(self) -> str:
+        """The frames, counted from 1: "frames 3 to 5"."""
+        return f"frames {self.first_frame + 1} to {self.last_frame + 1}"
 
 
 def find_gaps(markers: MarkerTrajectories) -> list[Gap]:
@@ -215,11 +219,11 @@ def _refusal(gaps: list[Gap], limit: int, last: int, max_gap_s: float, markers: 
         at_end = " at the start" if g.first_frame == 0 else " at the end" if g.last_frame == last else ""
         if g.frames > last:
             return f"{g.marker!r} is never seen"
-        return f"{g.marker!r} frames {g.first_frame} to {g.last_frame}{at_end}"
+        return f"{g.marker!r} {g.in_words()}{at_end}"
 
     listed = "; ".join(text(g) for g in gaps[:6]) + (f"; and {len(gaps) - 6} more" if len(gaps) > 6 else "")
     return InputError(
-        f"gaps that cannot be filled: {listed} (frames counted from 0)",
+        f"gaps that cannot be filled: {listed} (frames counted from 1)",
         where=markers.source,
         expected=f"gaps of at most {max_gap_s:g} s ({limit} frames), not at the ends",
         remedy="fewer markers (select), a part of the recording (between), or a larger max_gap_s",

@@ -31,7 +31,7 @@ def three_point_frames(
         source: for messages.
 
     Raises:
-        InputError: missing points, points that coincide or lie on a line (naming the frames, from 0), unknown axes.
+        InputError: missing points, points that coincide or lie on a line (naming the frames, from 1), unknown axes.
     """
     if len(axes) != 2 or len(set(axes)) != 2 or not set(axes) <= set("xyz"):
         raise InputError(f"axes {axes!r}", where="axes", expected="two different letters of xyz, as in 'xy'")
@@ -42,13 +42,13 @@ def three_point_frames(
                 f"point {name} has the shape {p.shape}", where=source, expected="(n, 3), alike for a, b, c"
             )
         if (bad := np.flatnonzero(~np.isfinite(p).all(axis=1))).size:
-            raise InputError(f"point {name} is missing in frames {quoted_list(bad)} (from 0)", where=source)
+            raise InputError(f"point {name} is missing in frames {quoted_list(bad + 1)} (from 1)", where=source)
     along, side = b - a, c - a
     normal = np.cross(along, side)
     length = np.linalg.norm(along, axis=1) * np.linalg.norm(side, axis=1)
     if (bad := np.flatnonzero(~(np.linalg.norm(normal, axis=1) > _COLLINEAR * length))).size:
         raise InputError(
-            f"the three points lie on a line in frames {quoted_list(bad)} (from 0)",
+            f"the three points lie on a line in frames {quoted_list(bad + 1)} (from 1)",
             where=source,
             expected="three points that span a plane",
         )
@@ -87,7 +87,7 @@ def cluster_poses(
 
     Raises:
         InputError: wrong shapes, a reference marker that is missing, frames with fewer than three markers or with
-            collinear ones (naming frames, from 0, and markers).
+            collinear ones (naming frames, from 1, and markers).
     """
     p, r = np.asarray(measured, dtype=np.float64), np.asarray(reference, dtype=np.float64)
     if p.ndim != 3 or r.shape != p.shape[1:] or r.shape[1:] != (3,):
@@ -106,8 +106,8 @@ def cluster_poses(
     if (few := np.flatnonzero(seen.sum(axis=1) < 3)).size:
         absent = [labels[i] for i in np.flatnonzero(~seen[few[0]])]
         raise InputError(
-            f"fewer than three markers of {quoted_list(labels)} in frames {quoted_list(few)} (from 0)"
-            + (f"; frame {few[0]} lacks {quoted_list(absent)}" if absent else ""),
+            f"fewer than three markers of {quoted_list(labels)} in frames {quoted_list(few + 1)} (from 1)"
+            + (f"; frame {few[0] + 1} lacks {quoted_list(absent)}" if absent else ""),
             where=source,
             expected="at least three markers seen",
             remedy="fill the gaps, or use a part of the recording",
@@ -176,7 +176,7 @@ def _refuse_lines(
     if (bad := np.flatnonzero(~spans_plane(centred, seen))).size:
         used = [label for label, there in zip(labels, seen[bad[0]], strict=True) if there]
         raise InputError(
-            f"{what} {quoted_list(used)} lie on a line in frames {quoted_list(bad)} (from 0)",
+            f"{what} {quoted_list(used)} lie on a line in frames {quoted_list(bad + 1)} (from 1)",
             where=source,
             expected="at least three markers that span a plane",
         )

@@ -47,9 +47,8 @@ class ClusterFits:
         frame = int(np.argmax(poses.residual_rms))
         worst = float(poses.residual_rms[frame])
         if 1e3 * worst > (most := self.limits.most_marker_residual_mm):
-            found = (
-                f"markers fit a rigid body within {1e3 * worst:.1f} mm rms in frame {frame} (from 0): names swapped?"
-            )
+            where = f"frame {frame + 1} (from 1)"
+            found = f"markers fit a rigid body within {1e3 * worst:.1f} mm rms in {where}: names swapped?"
             raise beyond("most_marker_residual_mm", most, found, 1e3 * worst)
         fitted = poses.positions[:, None] + np.einsum("nij,mj->nmi", poses.matrices(), place)
         each = 1e3 * np.sqrt(np.nanmean(np.sum((seen - fitted) ** 2, axis=2), axis=0))

@@ -160,9 +160,7 @@ class SegmentRecording:
             whole, strays = mended_cluster(whole, cluster)
             self.notes.extend(w for s in strays if (w := s.in_words()) not in self.notes)  # a patella is read twice
         markers, gaps = fill_gaps(whole.select(seen), max_gap_s=motion.max_gap_s, keep_long=keep_long)
-        self.notes.extend(
-            f"{g.marker}: {'filled' if g.filled else 'no'} frames {g.first_frame} to {g.last_frame}" for g in gaps
-        )
+        self.notes.extend(f"{g.marker}: {'filled' if g.filled else 'no'} {g.in_words()}" for g in gaps)
         if motion.cutoff_Hz is not None:
             markers = self._low_passed(markers, motion.cutoff_Hz)
         positions = np.concatenate([markers.positions, whole.select([*more]).positions], axis=1)
@@ -223,7 +221,7 @@ class SegmentRecording:
             for first, last, columns in _seen_together(markers.missing):
                 if last - first < shortest:
                     name = markers.names[columns[0]]
-                    self.notes.append(f"{name}: frames {first} to {last - 1} left out, too few for the filter")
+                    self.notes.append(f"{name}: frames {first + 1} to {last} left out, too few for the filter")
                     continue
                 run = markers.positions[first:last, columns]
                 filtered[first:last, columns] = butterworth_lowpass(

@@ -45,6 +45,10 @@ class Cylinder(Obstacle):
         wrapped = TautLine(length, way(one, turn, rise), way(two, -turn, -rise))
         return where(touches, wrapped, straight(start, end))
 
+    def depth(self, point: Vec3) -> Scalar:
+        """See `Obstacle`."""
+        return self.radius - (point - self.center).cross(self.axis).norm() / self.axis.norm()
+
     def _end(self, point: Vec3, axis: Vec3) -> _End:
         height = point.dot(axis)
         across = point - axis * height

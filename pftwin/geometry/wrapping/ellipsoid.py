@@ -41,15 +41,19 @@ class Ellipsoid(Obstacle):
         at_start, at_end = backwards(jnp.ones_like(length))
         return where(touches, TautLine(length, -at_start, -at_end), straight(start, end))
 
+    def depth(self, point: Vec3) -> Scalar:
+        """See `Obstacle`."""
+        r = self.radii
+        return (1 - self._stretched(point).norm()) * jnp.minimum(jnp.minimum(r.x, r.y), r.z)
+
+    def _stretched(self, point: Vec3) -> Vec3:
+        """The point seen from the centre, where the ellipsoid is the unit sphere."""
+        p, r = self.orientation.rotation().unapply(point - self.center), self.radii
+        return Vec3(p.x / r.x, p.y / r.y, p.z / r.z)
+
     def _chord(self, start: Vec3, end: Vec3) -> tuple[Scalar, _Chord]:
         """Whether the straight line passes through, and that line in the sphere; one that does, where it does not."""
-        axes, r = self.orientation.rotation(), self.radii
-
-        def stretched(point: Vec3) -> Vec3:
-            p = axes.unapply(point - self.center)
-            return Vec3(p.x / r.x, p.y / r.y, p.z / r.z)
-
-        p, q = stretched(start), stretched(end)
+        p, q = self._stretched(start), self._stretched(end)
         line = q - p
         squared, ahead = line.squared_norm(), -p.dot(line)
         nearest = p.squared_norm() * squared - jnp.square(ahead)
@@ -60,7 +64,7 @@ class Ellipsoid(Obstacle):
             pairs = zip((point.x, point.y, point.z), (x, 0.3, 0.1), strict=True)
             return Vec3(*(jnp.where(touches, own, other) for own, other in pairs))
 
-        return touches, _Chord.of(instead(p, -2.0), instead(q, 2.0), r)
+        return touches, _Chord.of(instead(p, -2.0), instead(q, 2.0), self.radii)
 
 
 class _Chord(NamedTuple):

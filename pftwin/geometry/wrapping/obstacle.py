@@ -34,6 +34,10 @@ class Obstacle(eqx.Module):
     def around(self, start: Vec3, end: Vec3) -> TautLine:
         """The taut line between points of the body's frame [m], or between many; straight from a point inside."""
 
+    @abstractmethod
+    def depth(self, point: Vec3) -> Scalar:
+        """How deep a point of the body's frame lies within, at least [m]; not positive for one outside."""
+
 
 def straight(start: Vec3, end: Vec3) -> TautLine:
     """The line past an obstacle; where the points coincide its directions are zero, with finite derivatives."""

@@ -138,6 +138,18 @@ class LineElement(Effect):
         x = self.insertion.x
         return None if jnp.ndim(x) == 0 else jnp.shape(x)[0]
 
+    def depth_in_wrap(self, now: Instant) -> Scalar:
+        """How deep the ends lie within what the lines run over [m], which then run straight; not positive outside."""
+        if self.wrap is None:
+            return jnp.zeros(())
+        patella, anchor = now.patella, now.segment(self.body).point(self.origin_at(now.time))
+        if self.wrap.body == "patella":
+            ends = self.insertion, patella.rotation.unapply(anchor - patella.position)
+        else:
+            bone = now.segment(self.wrap.body)
+            ends = bone.to_local(patella.position + patella.arm(self.insertion)), bone.to_local(anchor)
+        return jnp.maximum(*(self.wrap.depth(end) for end in ends))
+
     def line(self, now: Instant) -> Line:
         """The lines at this instant."""
         ends = self.insertion, self.body, self.origin_at(now.time)

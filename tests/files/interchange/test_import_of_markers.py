@@ -106,7 +106,7 @@ def test_the_longest_stretch_in_which_both_bones_are_known_is_taken(tmp_path: Pa
     assert f"{TIMES[50]:g} to {TIMES[149]:g} s of {TIMES[0]:g} to {TIMES[-1]:g} s" in stretch
     why = {part.name: part.why for part in told.left_out}
     assert why["R.Thigh.D"] == "it is not in the recording, or not seen throughout, or was left out"
-    assert "R_Shank_A: filled frames 80 to 84" in told.notes
+    assert "R_Shank_A: filled frames 81 to 85" in told.notes
     places, _ = poses(scene.motion.femur, TIMES[60:140:20])
     np.testing.assert_allclose(places, motion()["femur_r"][60:140:20, :3, 3], rtol=0, atol=3e-6)
     assert scene.measured is not None

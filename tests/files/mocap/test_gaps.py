@@ -48,9 +48,9 @@ def test_without_gaps_nothing_happens():
 @pytest.mark.parametrize(
     ("hole", "message"),
     [
-        ((0, 10, 20), "'A' frames 10 to 20 .*at most 0.1 s .10 frames"),
-        ((1, 0, 2), "'B' frames 0 to 2 at the start"),
-        ((1, N - 1, N - 1), "'B' frames 99 to 99 at the end"),
+        ((0, 10, 20), "'A' frames 11 to 21 .*at most 0.1 s .10 frames"),
+        ((1, 0, 2), "'B' frames 1 to 3 at the start"),
+        ((1, N - 1, N - 1), "'B' frames 100 to 100 at the end"),
         ((0, 0, N - 1), "'A' is never seen"),
     ],
 )

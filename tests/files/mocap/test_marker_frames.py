@@ -39,12 +39,12 @@ def test_three_points_that_cannot_be_used():
     a, b, c = p[:, 0].copy(), p[:, 1].copy(), p[:, 2].copy()
     line = c.copy()
     line[[2, 4]] = (2 * b - a)[[2, 4]]
-    with pytest.raises(InputError, match="lie on a line in frames 2, 4"):
+    with pytest.raises(InputError, match="lie on a line in frames 3, 5"):
         three_point_frames(a, b, line, times)
     with pytest.raises(InputError, match="lie on a line"):
         three_point_frames(a, a, c, times)
     b[3] = np.nan
-    with pytest.raises(InputError, match="point b is missing in frames 3"):
+    with pytest.raises(InputError, match="point b is missing in frames 4"):
         three_point_frames(a, b, c, times)
     with pytest.raises(InputError, match="axes 'xx'"):
         three_point_frames(a, b, c, times, axes="xx")
@@ -91,20 +91,20 @@ def test_clusters_that_cannot_be_used():
     names = ["A", "B", "C", "D"]
     few = points.copy()
     few[3, :2] = np.nan
-    with pytest.raises(InputError, match=r"fewer than three markers of A, B, C, D in frames 3 .*frame 3 lacks A, B"):
+    with pytest.raises(InputError, match=r"fewer than three markers of A, B, C, D in frames 4 .*frame 4 lacks A, B"):
         cluster_poses(few, REFERENCE, times, names=names)
     straight = np.outer(np.arange(4), [0.05, 0.01, 0])
-    with pytest.raises(InputError, match="the reference markers A, B, C, D lie on a line in frames 0, 1"):
+    with pytest.raises(InputError, match="the reference markers A, B, C, D lie on a line in frames 1, 2"):
         cluster_poses(points, straight, times, names=names)
     flat = points.copy()
     flat[2] = straight
-    with pytest.raises(InputError, match="the measured markers A, B, C, D lie on a line in frames 2 "):
+    with pytest.raises(InputError, match="the measured markers A, B, C, D lie on a line in frames 3 "):
         cluster_poses(flat, REFERENCE, times, names=names)
     line = REFERENCE.copy()
     line[2] = [0.05, 0, 0]  # three in a row: without D nothing is left that spans a plane
     lost = moved(2, reference=line)[3]
     lost[5, 3] = np.nan
-    with pytest.raises(InputError, match="markers A, B, C lie on a line in frames 5 "):
+    with pytest.raises(InputError, match="markers A, B, C lie on a line in frames 6 "):
         cluster_poses(lost, line, times, names=names)
     with pytest.raises(InputError, match="the reference lacks B"):
         cluster_poses(points, np.where(np.arange(4)[:, None] == 1, np.nan, REFERENCE), times, names=names)

@@ -215,8 +215,8 @@ def test_runs_too_short_for_the_filter_are_left_out_and_named(toy: Path) -> None
     loaded = load_scene_file(skin_file(toy, more="cutoff_Hz = 40"))
     assert loaded.measured is not None
     np.testing.assert_array_equal(np.flatnonzero(np.isfinite(loaded.measured.readings["skin.x"])), np.arange(30, 41))
-    assert "P 1: no frames 15 to 29" in loaded.notes
-    assert "P 1: frames 9 to 14 left out, too few for the filter" in loaded.notes
+    assert "P 1: no frames 16 to 30" in loaded.notes
+    assert "P 1: frames 10 to 15 left out, too few for the filter" in loaded.notes
     loaded = load_scene_file(skin_file(toy, more="cutoff_Hz = 40\nstart_time_s = 0.1\nend_time_s = 0.35"))
     assert loaded.measured is not None
     np.testing.assert_allclose(loaded.measured.times[[0, -1]], [0.1, 0.35])

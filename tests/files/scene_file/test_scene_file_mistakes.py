@@ -131,7 +131,7 @@ MARKER_MISTAKES = [
     ("cutoff_Hz = 12", "cutoff_Hz = 60", "[motion] cutoff_Hz: cutoff: a cut-off of 60 Hz cannot be had at 100 Hz"),
     ("cutoff_Hz = 12", "cutoff_Hz = 12\nend_time_s = 0.02", "shorter than its interpolation needs"),
     ("cutoff_Hz = 12", "cutoff_Hz = 2", "samples are too few for a filter of 2 Hz"),
-    ("walk.trc", "gap.trc", "gaps that cannot be filled: 'T2' frames 5 to 24"),
+    ("walk.trc", "gap.trc", "gaps that cannot be filled: 'T2' frames 6 to 25"),
     ("walk.trc", "poses.csv", "[motion] markers: poses.csv"),
     ("walk.trc", "walk.xyz", "the suffix '.xyz' is not known"),
     ("walk.trc", "binary.trc", "binary.trc: the content is binary, not text"),

@@ -112,3 +112,19 @@ def test_lists_of_an_ellipsoid_that_do_not_match_are_told(toy: Path) -> None:
     )
     message = refused(toy, LIGHT + "\n[[strands]]\n" + TABLES["strands"] + two.replace("], quat", "]], quat"))
     assert "center_m has 2 values and radii_m has 3" in message
+
+
+DEEP = {  # by hand: two lines end 5 mm from an axis; one ends in an ellipsoid's middle
+    "15 mm": 'type = "cylinder", body = "femur", center_mm = [220, -7, 30], axis = [0, 3, 0], radius_mm = 20',
+    "5 mm": 'type = "ellipsoid", body = "patella", center_mm = [20, 5, -8], radii_mm = [5, 8, 12]',
+}
+
+
+@pytest.mark.parametrize("depth", DEEP)
+def test_an_end_within_what_its_line_runs_over_is_told(toy: Path, depth: str) -> None:
+    """The line would run straight through it."""
+    text = LIGHT + "\n[[strands]]\n" + TABLES["strands"] + f"wrap = {{ {DEEP[depth]} }}\n"
+    message = refused(toy, text)
+    assert f"an end of band within what it wraps over at the start, where it runs straight, is {depth}" in message
+    assert "--allow most_depth_in_wrap_mm=" in message
+    load(toy, text.replace("limits = {", "limits = { most_depth_in_wrap_mm = 16,"))

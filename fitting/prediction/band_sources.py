@@ -53,7 +53,7 @@ class BandSources(NamedTuple):
         """Bars by source, a panel for each outcome."""
         from matplotlib.figure import Figure
 
-        from pftwin.results.plots.style import COLOURS, PAGE, SMALL, house_style, title
+        from pftwin.results.plots.style import COLOURS, PAGE, SMALL, footer, house_style, title
 
         with house_style():
             figure = Figure(figsize=(PAGE, 1.1 + 0.3 * len(self.sources)))
@@ -63,8 +63,9 @@ class BandSources(NamedTuple):
                 ax.set_title(name.replace("_", " "), fontsize=SMALL)
                 ax.set_xlim(0, 100)
             panels[0].invert_yaxis()
-            figure.supxlabel("bands narrower, if it were known [%]", fontsize="medium")
-            title(figure, f"sources of the bands of {self.title}" if self.title else "sources of the bands", self.note)
+            title(figure, f"sources of the bands of {self.title}" if self.title else "sources of the bands")
+            below = footer(figure, self.note)
+            figure.supxlabel("bands narrower, if it were known [%]", y=below, va="bottom", fontsize="medium")
         return figure
 
 

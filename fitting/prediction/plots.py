@@ -90,9 +90,16 @@ def outcome_figure(data: Dataset, title: str | None = None, *, axes: Any = None)
     Raises:
         InputError: a prediction in which no amount varies; another number of axes.
     """
-    from matplotlib.figure import Figure
-
-    from pftwin.results.plots.style import PAGE, SMALL, TINY, figure_of, given_axes, house_style, legend_below
+    from pftwin.results.plots.style import (
+        SMALL,
+        TINY,
+        figure_of,
+        footer,
+        given_axes,
+        house_style,
+        legend_below,
+        panels_in_rows,
+    )
     from pftwin.results.plots.style import title as name_figure
 
     names = amount_names(data)
@@ -102,16 +109,14 @@ def outcome_figure(data: Dataset, title: str | None = None, *, axes: Any = None)
     axis = f"{names[0].replace('_', ' ')} [{in_shown_unit(data, names[0])[1]}]"
     with house_style():
         if own is None:
-            figure = Figure(figsize=(PAGE, 5.8))
-            own = list(figure.subplots(2, 2, sharex=True).ravel())
-            figure.supxlabel(axis, fontsize="medium")
-            name_figure(figure, title or data.attrs["title"], _note(data))
+            figure, own = panels_in_rows(len(PANELS), 2, height=2.45)
+            name_figure(figure, title or data.attrs["title"])
+            footer(figure, _note(data))
         for ax, (outcome, scale, label) in zip(own, PANELS, strict=True):
             for i, (name, rows) in enumerate(_lines(data, names)):
                 _draw(ax, data, names[0], outcome, scale, rows, name, i)
             ax.set_ylabel(label, fontsize=SMALL)
-            if axes is not None:
-                ax.set_xlabel(axis)
+            ax.set_xlabel(axis)
         threshold = 1e3 * data.attrs["threshold"]
         own[0].axhline(threshold, color="black", linewidth=0.8, linestyle=":")
         own[0].annotate(

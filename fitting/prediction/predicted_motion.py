@@ -128,13 +128,14 @@ class PredictedMotion:
     def figure(self) -> Figure:
         """Six panels over time: the band, the estimate's motion, and what was measured; frames that are not compared
         stand on grey."""
-        from pftwin.results.plots.style import MEASURED, SMALL, house_style, legend_below, line, panels_in_rows
+        from pftwin.results.plots.style import MEASURED, SMALL, footer, house_style, legend_below, line, panels_in_rows
         from pftwin.results.plots.style import title as name_figure
 
         with house_style():
             figure, panels = panels_in_rows(len(COORDINATES), 3, height=2.1)
             title = f"{self.scene_name}, predicted, with bands of {100 * LEVEL:.0f} %"
-            name_figure(figure, title, "; ".join(self.notes) or None)
+            name_figure(figure, title)
+            footer(figure, "; ".join(self.notes))
             for k, (ax, (unit, meaning)) in enumerate(zip(panels, COORDINATES.values(), strict=True)):
                 look = line(0)
                 ends = self.low[:, k], self.high[:, k]

@@ -91,6 +91,6 @@ def _write(found: Audit, folder: Path) -> list[Path]:
         save_dataset(dataset(found), netcdf)
         if found.interrupted:
             return [csv, netcdf]
-        title = f"{found.scene}{' (synthetic motion)' if found.synthetic else ''}: what each effect is worth"
+        title = f"{found.scene}: what each effect is worth"
         save_figure(audit_figure(found, title), figures[0].with_suffix(""))
     return files

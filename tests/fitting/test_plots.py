@@ -6,6 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from figure_parts import footers
 from made_estimates import made_estimate, of_trial
 from scipy.stats import norm
 from small_scene import small_scene
@@ -162,8 +163,10 @@ def test_response_curves_are_the_outcomes_and_bands_their_quantiles(prediction):
             there = corners[np.isclose(corners[:, 0], x), 1]
             ends = np.quantile(drawn, (0.025, 0.975))
             np.testing.assert_allclose([there.min(), there.max()], ends, rtol=1e-9)
-    assert figure.get_supxlabel() == "tibial tuberosity transfer medialisation [mm]"
-    said = figure.get_suptitle().replace("\n", " ")
+    assert {ax.get_xlabel() for ax in figure.axes} == {"tibial tuberosity transfer medialisation [mm]"}
+    assert figure.get_suptitle() == "predicted outcomes: rig case 2"
+    (below,) = footers(figure)
+    said = below.get_text().replace("\n", " ")
     assert "95 % of 40 draws from the estimate" in said
     assert "synthetic measurements" in said
     assert all("[" in ax.get_ylabel() for ax in figure.axes)
@@ -241,3 +244,6 @@ def test_legends_and_titles_lie_beside_the_panels(estimate, posterior, predictio
         assert title.x0 >= 0
         assert title.x1 <= figure.bbox.x1
         assert all(legend.get_window_extent().y1 <= min(b.y0 for b in boxes) for legend in figure.legends)
+        for text in footers(figure):
+            below = text.get_window_extent()
+            assert 0 <= below.y0 < below.y1 <= min(ax.get_tightbbox().y0 for ax in figure.axes if ax.axison)

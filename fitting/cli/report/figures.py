@@ -48,12 +48,9 @@ class Picture:
 def case(material: Material) -> Picture:
     """Path, tilt and contact force of all runs."""
     from pftwin.results.plots import case_figure
-    from pftwin.results.plots.quantities import provenance
 
     measured = None if material.demo is not None else material.measured
-    said = provenance(*(r.result for r in material.runs))
-    title = material.names if said is None else f"{material.names}\n{said}"
-    figure = case_figure({r.name: r.result for r in material.runs}, measured, title)
+    figure = case_figure({r.name: r.result for r in material.runs}, measured, material.names)
     what = material.names if measured is None else f"{material.names}, with {measured.label}"
     becomes = " ".join(f"{r.name}: {r.tracking}." for r in material.runs)
     alternative = (

@@ -17,6 +17,7 @@ from pftwin.results.plots.style import (
     START,
     WIDE,
     figure_of,
+    footer,
     given_axes,
     house_style,
     legend_above,
@@ -43,7 +44,7 @@ def case_figure(results: Mapping[str, Result], measured: Measured | None, title:
     Args:
         results: by the name in the legend ("P2", "P4", "P5").
         measured: drawn as a wide grey line; labelled synthetic where it is.
-        title: of the figure.
+        title: of the figure. That a motion is synthetic is said in any case.
 
     Raises:
         InputError: neither results nor measurements.
@@ -54,6 +55,8 @@ def case_figure(results: Mapping[str, Result], measured: Measured | None, title:
         raise InputError("nothing to draw", where="case_figure", expected="at least one result")
     with house_style():
         figure = Figure(figsize=(WIDE, 6.0))
+        name_figure(figure, title)
+        footer(figure, provenance(*results.values()))
         panels = figure.subplot_mosaic([["y", "z", "tilt"], ["y", "z", "force"]], width_ratios=[1.0, 1.0, 2.2])
         across, sagittal, tilt, force = (panels[name] for name in ("y", "z", "tilt", "force"))
         if measured is not None:
@@ -71,7 +74,6 @@ def case_figure(results: Mapping[str, Result], measured: Measured | None, title:
         _name_axes(across, sagittal, tilt, force)
         handles, labels = across.get_legend_handles_labels()
         legend_below(figure, handles, labels, most=6)
-        figure.suptitle(title)
     return figure
 
 
@@ -138,7 +140,8 @@ def compared(
         if own is None:
             figure, own = panels_in_rows(len(panels), 3, height=1.85 + 0.14 * len(named))
             names = dict.fromkeys(r.scene_name for r in named.values())
-            name_figure(figure, title or "; ".join(names), provenance(*named.values()))
+            name_figure(figure, title or "; ".join(names))
+            footer(figure, provenance(*named.values()))
         for ax, quantity in zip(own, panels, strict=True):
             _panel(ax, quantity, named, measured, errors, against)
         if axes is None:

@@ -33,6 +33,8 @@ MARKERS = "osD^vP*X"
 TEXT, SMALL, TINY = 9.0, 8.0, 7.0  # sizes of letters [pt]: everywhere, in legends of panels, of notes inside panels
 COLUMN, PAGE, WIDE = 3.5, 7.2, 11.0  # widths of figures [in]: a journal's column, its page, a screen
 DPI = 160  # of PNG files
+FAINT = "0.35"  # of footers
+_SPACING, _MARGIN = 1.25, 3.0  # of lines in a footer, as a share of the letters' size; around it [pt]
 STYLE: Any = {
     "font.family": "DejaVu Sans",  # comes with matplotlib: figures look alike on every machine
     "font.size": TEXT,
@@ -144,16 +146,45 @@ def line(i: int) -> dict[str, Any]:
 
 
 def title(figure: Any, *lines: str | None) -> None:
-    """What it shows, and what has to be said of it, in lines that fit the figure's width; None: nothing to say."""
-    characters = int(figure.get_figwidth() * 72 / (0.56 * TEXT))  # a letter is about 0.56 of its height wide
-    wrapped = [part for line in lines if line for part in textwrap.wrap(line, characters)]
-    figure.suptitle("\n".join(wrapped), fontsize=TEXT)
+    """What it shows, in lines that fit the figure's width; None: nothing to say."""
+    figure.suptitle("\n".join(_wrapped(figure, lines, TEXT)), fontsize=TEXT)
+
+
+def footer(figure: Any, *lines: str | None) -> float:
+    """What has to be said of it, small, below everything else: how to read it, and where its data come from.
+
+    Before the legend, which stands on it; None: nothing to say. Returns its share of the figure's height.
+    """
+    wrapped = _wrapped(figure, lines, TINY)
+    if not wrapped:
+        return 0.0
+    height = (TINY * _SPACING * len(wrapped) + _MARGIN) / (72 * figure.get_figheight())
+    left, bottom = (_MARGIN / (72 * size) for size in (figure.get_figwidth(), figure.get_figheight()))
+    look: dict[str, Any] = {"fontsize": TINY, "color": FAINT, "linespacing": _SPACING, "va": "bottom"}
+    figure.text(left, bottom, "\n".join(wrapped), gid="footer", **look)
+    figure.get_layout_engine().set(rect=(0, height, 1, 1 - height))
+    return height
+
+
+def _wrapped(figure: Any, lines: Sequence[str | None], size: float) -> list[str]:
+    """In lines that fit the figure's width at a size of letters [pt]: a letter is about 0.56 of its height wide."""
+    characters = int(figure.get_figwidth() * 72 / (0.56 * size))
+    return [part for line in lines if line for part in textwrap.wrap(line, characters)]
 
 
 def legend_below(figure: Any, handles: list[Any], labels: list[str], most: int = 4) -> None:
-    """A legend under all panels, where it covers no data; in rows of at most `most`."""
-    if labels:
-        figure.legend(handles, labels, loc="outside lower center", ncols=min(most, len(labels)), fontsize=SMALL)
+    """A legend under all panels, on top of the footer; in rows of at most `most`, fewer where the figure is narrow."""
+    if not labels:
+        return
+    above_footer = 72 * figure.get_figheight() * figure.get_layout_engine().get()["rect"][1]
+    for columns in range(min(most, len(labels)), 0, -1):
+        legend = figure.legend(
+            handles, labels, loc="outside lower center", ncols=columns, fontsize=SMALL,
+            borderaxespad=(above_footer + _MARGIN) / SMALL,
+        )  # fmt: skip
+        if columns == 1 or legend.get_window_extent().width <= figure.bbox.width:
+            return
+        legend.remove()
 
 
 def legend_above(axes: Any, **more: Any) -> None:

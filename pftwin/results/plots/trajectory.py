@@ -14,7 +14,7 @@ from pftwin.base.errors import InputError
 from pftwin.base.spatial import Rotation, Vec3
 from pftwin.geometry.patch.charts import CylindricalChart, PlaneChart
 from pftwin.results.plots.quantities import provenance
-from pftwin.results.plots.style import COLOURS, DASHES, MEASURED, START, figure_of, house_style, legend_below
+from pftwin.results.plots.style import COLOURS, DASHES, MEASURED, START, figure_of, footer, house_style, legend_below
 from pftwin.results.plots.style import title as name_figure
 from pftwin.results.scene_geometry import has_rectangle, indexed
 
@@ -199,7 +199,8 @@ def trajectory(
         if own is None:
             figure = Figure(figsize=_size(drawn))
             own = figure.subplots()
-            name_figure(figure, title or result.scene_name, provenance(result))
+            name_figure(figure, title or result.scene_name)
+            footer(figure, provenance(result))
         _map(own, drawn)
         if measured is not None:
             _line(own, drawn, measured.center, f"centre, {measured.label}", MEASURED)

@@ -9,7 +9,8 @@ import numpy as np
 
 from pftwin.base.sheet import Sheet
 from pftwin.model.measured import SYNTHETIC
-from pftwin.results.plots.style import COLOURS, SMALL, WIDE, house_style
+from pftwin.results.plots.style import COLOURS, SMALL, WIDE, footer, house_style, legend_below
+from pftwin.results.plots.style import title as name_figure
 from pftwin.studies.audit.audit import Audit, Worth
 from pftwin.studies.audit.explain import Explanation, PartCost
 from pftwin.studies.tables import Column, short_number, to_dataset
@@ -209,8 +210,9 @@ def audit_figure(found: Audit, title: str) -> Figure:
         time.set(title="Time that it takes", xlabel="share of the scene's run [%]")
         shown = [k for k in _COLOUR if any(r.kind == k for r in rows)]
         patches = [Patch(color=_COLOUR[k], label=k) for k in shown]
-        figure.legend(handles=patches, loc="outside lower center", ncols=len(patches))
-        figure.suptitle(title)
+        name_figure(figure, title)
+        footer(figure, SYNTHETIC if found.synthetic else None)
+        legend_below(figure, patches, shown)
     return figure
 
 

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import equinox as eqx
 import numpy as np
 import pytest
+from figure_parts import footers
 from small_scene import small_result, small_scene
 
 import pftwin
 from pftwin.base.errors import InputError
-from pftwin.model.measured import Measured
+from pftwin.model.measured import SYNTHETIC, Measured
 from pftwin.results.plots import COLOURS, against_flexion
 from pftwin.results.plots.quantities import QUANTITIES
 
@@ -30,6 +33,10 @@ def own_numbers(result, name):
     if name == "shift":
         return 1e3 * result.center[:, 1]
     return np.degrees(getattr(result.angles, name))
+
+
+def footer_of(figure):
+    return " ".join(text.get_text() for text in footers(figure)).replace("\n", " ")
 
 
 def lines(ax):
@@ -125,7 +132,67 @@ def test_texts_lie_within_the_figure_and_the_legend_below_the_panels(variants):
     box = figure.legends[0].get_window_extent()
     assert box.x0 >= 0
     assert box.x1 <= figure.bbox.x1
-    assert all(box.y1 <= ax.get_window_extent().y0 for ax in figure.axes)
+    assert all(box.y1 <= ax.get_tightbbox().y0 for ax in figure.axes)
+    (below,) = (text.get_window_extent() for text in footers(figure))
+    assert 0 <= below.y0 < below.y1 <= box.y0
+    assert 0 <= below.x0 < below.x1 <= figure.bbox.x1
+
+
+def displaced(result, frames, by):
+    """The result with its patella out of the groove in some frames: its centre moved laterally [m]."""
+    center = result.center.copy()
+    center[frames, 1] += by
+    return dataclasses.replace(result, center=center)
+
+
+def test_a_stroke_that_dislocates_stands_alone_dotted_from_a_cross_on(variants):
+    one = variants[0]
+    knee = np.degrees(one.knee.flexion)
+    top, low = int(np.argmax(knee)), knee.size - 1  # it straightens to the last frame
+    leaves = (top + low) // 2
+    dislocating = displaced(one, slice(leaves, low + 1), 0.030)
+    assert dislocating.dislocations().dislocated[leaves : low + 1].all()
+    figure = against_flexion([one, variants[1], dislocating], show=("shift",), strokes="straightening")
+    (ax,) = figure.axes
+    mean, before, out = ax.get_lines()
+    shift, other = (1e3 * r.center[:, 1] for r in (one, variants[1]))
+    assert mean.get_label() == "simulated, straightening (n = 2)"
+    down = slice(top, low + 1)
+    expected = np.mean([np.interp(mean.get_xdata(), knee[down][::-1], s[down][::-1]) for s in (shift, other)], axis=0)
+    known = np.isfinite(mean.get_ydata())
+    assert known.sum() > 100
+    np.testing.assert_allclose(mean.get_ydata()[known], expected[known], rtol=1e-12)
+    assert out.get_label() == "simulated, straightening, dislocates (n = 1)"
+    assert (out.get_linestyle(), out.get_marker()) == (":", "x")
+    (cross,) = out.get_markevery()
+    assert out.get_xdata()[cross] == knee[leaves]
+    assert out.get_ydata()[cross] == pytest.approx(shift[leaves] + 30)
+    assert np.nanmin(out.get_ydata()) > 20
+    assert np.nanmax(before.get_xdata()[np.isfinite(before.get_ydata())]) == knee[top]
+    assert before.get_linewidth() < mean.get_linewidth()
+    said = footer_of(figure)
+    assert "each by itself" in said
+    assert "each by itself" not in footer_of(against_flexion(variants, show=("shift",)))
+
+
+def test_measured_strokes_are_apart_by_their_own_outcome(variants):
+    one = variants[0]
+    knee = one.knee.flexion
+    frames = slice(int(np.argmax(knee)) + 3, None)
+    measured = Measured(one.times, displaced(one, frames, 0.030).center)
+    labels = list(lines(one.plot.against_flexion(measured=measured, show=("shift",), strokes="straightening").axes[0]))
+    assert "measured, straightening, dislocates (n = 1)" in labels
+    assert "simulated, straightening (n = 1)" in labels
+    assert not [label for label in labels if label.startswith("measured, straightening (n")]
+
+
+def test_the_footer_says_how_to_read_it_and_the_title_what_it_is(variants):
+    synthetic = dataclasses.replace(variants[0], scene=dataclasses.replace(variants[0].scene, synthetic=True))
+    figure = synthetic.plot.against_flexion(show=("tilt",))
+    assert figure.get_suptitle() == "small knee"
+    assert SYNTHETIC in footer_of(figure)
+    assert "one standard deviation" in footer_of(figure)
+    assert SYNTHETIC not in footer_of(variants[0].plot.against_flexion(show=("tilt",)))
 
 
 @pytest.mark.parametrize(

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from pftwin.base.errors import InputError
-from pftwin.results.plots.against_flexion import band, common_grid, strokes_of
+from pftwin.results.plots.strokes import Course, band, by_outcome, common_grid, strokes_of
 
 
 def test_three_cycles_have_three_strokes_each_way():
@@ -83,3 +83,29 @@ def test_missing_values_leave_the_others():
     np.testing.assert_allclose(found.mean, [1.5, 5.0, 3.5])
     np.testing.assert_array_equal(np.isnan(found.sd), [False, True, False])
     assert np.isnan(band([], grid).mean).all()
+
+
+def test_strokes_that_dislocate_are_never_averaged():
+    """The third cycle leaves the groove on its way down and is still out on its way up: values there are 100."""
+    t = np.linspace(0, 3, 601)
+    flexion = 45 - 45 * np.cos(2 * np.pi * t)
+    out = (t > 2.75) | ((t > 2.1) & (t < 2.2))
+    values = np.where(out, 100.0, np.floor(t))
+    grid = np.linspace(1, 89, 89)
+    found = by_outcome([Course(flexion, values, out, "walk")], grid)
+    bending, straightening = found[", bending"], found[", straightening"]
+    np.testing.assert_allclose(bending.band.mean, 0.5)  # of the first cycle and the second
+    np.testing.assert_allclose(straightening.band.mean, 0.5)
+    assert [len(f.band.there) for f in (bending, straightening)] == [2, 2]
+    (up,), (down,) = bending.alone, straightening.alone
+    assert set(np.unique(up.values)) == set(np.unique(down.values)) == {2.0, 100.0}
+    np.testing.assert_array_equal(down.out, down.values == 100)
+    assert down.flexion[0] > down.flexion[-1]  # in the order of time: it leaves where `out` begins
+    assert down.flexion[np.argmax(down.out)] == pytest.approx(45, abs=2)
+
+
+def test_both_ways_together_are_apart_by_outcome():
+    flexion = np.concatenate([np.linspace(0, 60, 61), np.linspace(59, 0, 60)])
+    out = np.arange(121) > 100
+    found = by_outcome([Course(flexion, flexion, out, "walk")], np.arange(61.0), "together")[""]
+    assert len(found.band.there) == len(found.alone) == 1

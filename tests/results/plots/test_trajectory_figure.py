@@ -6,13 +6,14 @@ import dataclasses
 
 import numpy as np
 import pytest
+from figure_parts import footers
 from pressed_button import disc, pressed
 from small_scene import GROOVE_AT, HALF_U, HALF_V, small_result
 
 import pftwin
 from pftwin.base.errors import InputError
 from pftwin.model.measured import SYNTHETIC, Measured
-from pftwin.results.plots import COLOURS
+from pftwin.results.plots import COLOURS, case_figure
 from pftwin.results.plots.trajectory import relief
 
 
@@ -141,9 +142,14 @@ def test_that_a_motion_is_synthetic_is_said(result):
         made_up.plot.trajectory(),
         made_up.plot.against_flexion(),
         made_up.plot.compared(_positions(result)),
+        case_figure({"P5": made_up}, None, "small knee"),
     ):
-        assert SYNTHETIC in figure.get_suptitle().replace("\n", " ")
-    assert "synthetic" not in result.plot.trajectory().get_suptitle()
+        (below,) = footers(figure)
+        assert SYNTHETIC in below.get_text().replace("\n", " ")
+        figure.draw_without_rendering()
+        assert below.get_window_extent().y1 <= figure.legends[0].get_window_extent().y0
+        assert "synthetic" not in figure.get_suptitle()
+    assert not footers(result.plot.trajectory())
 
 
 def _positions(result):

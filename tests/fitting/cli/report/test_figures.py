@@ -73,6 +73,18 @@ def test_courses_against_flexion_are_the_runs(material):
     assert "fitted" in drawn.alternative
 
 
+def test_a_run_from_a_file_is_drawn_apart_where_it_dislocates(tmp_path):
+    result = small_result()
+    center = result.center.copy()
+    center[30:, 1] += 0.030  # while the knee straightens
+    dataclasses.replace(result, center=center).save(tmp_path / "out.nc")
+    run = ReportedRun.of_file(tmp_path / "out.nc", "from a file")
+    drawn = figures.courses(Material(tmp_path, "", runs=[run]))
+    labels = drawn.figure.axes[1].get_legend_handles_labels()[1]
+    assert labels == ["from a file, bending (n = 1)", "from a file, straightening, dislocates (n = 1)"]
+
+
+
 def test_the_fits_way_and_its_correlations_are_the_estimates(material):
     (drawn,) = figures.histories(material)
     assert has(drawn.figure.axes[0], [10, 20, 30], [7, 6, 5])

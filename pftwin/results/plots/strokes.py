@@ -1,0 +1,149 @@
+"""Strokes, movements of the knee in one direction, and means over those in which the patella keeps to its groove."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pftwin.base.arrays import Floats
+from pftwin.base.errors import InputError
+
+LEAST = 5.0  # [deg] of knee flexion: less is no stroke
+_SHARE = 0.2  # of the whole range: smaller movements back and forth belong to the stroke around them
+_GRID = 181  # flexions at which strokes are averaged
+Strokes = Literal["apart", "together", "bending", "straightening"]
+WAYS: dict[str, tuple[tuple[str, tuple[bool, ...]], ...]] = {
+    "apart": ((", bending", (True,)), (", straightening", (False,))),
+    "together": (("", (True, False)),),
+    "bending": ((", bending", (True,)),),
+    "straightening": ((", straightening", (False,)),),
+}
+
+
+class Course(NamedTuple):
+    """A quantity over a recording's n frames."""
+
+    flexion: Floats  # (n,) of the knee [deg]
+    values: Floats  # (n,)
+    out: NDArray[np.bool_]  # (n,) the patella has left its groove
+    name: str
+
+
+class Stroke(NamedTuple):
+    """Frames of one movement in one direction, the flexion strictly rising or falling along them."""
+
+    frames: NDArray[np.int64]
+    bending: bool
+
+
+class Band(NamedTuple):
+    """Mean and standard deviation over strokes at each flexion, (k,) each; NaN where none of them comes."""
+
+    flexion: Floats  # [deg]
+    mean: Floats
+    sd: Floats  # of one more stroke (n - 1); NaN where there is but one
+    there: NDArray[np.bool_]  # (strokes, k) which of them come to which flexion
+
+    def with_gaps(self) -> tuple[Floats, Floats, Floats]:
+        """Flexion, mean and sd with NaN between flexions to which not the same strokes come: means of other things."""
+        change = 1 + np.flatnonzero((self.there[:, 1:] != self.there[:, :-1]).any(axis=0))
+        x, mean, sd = (np.insert(a, change, np.nan) for a in (self.flexion, self.mean, self.sd))
+        return x, mean, sd
+
+
+def strokes_of(flexion: Floats, where: str = "motion") -> list[Stroke]:
+    """The strokes of a motion.
+
+    Args:
+        flexion: of the knee at the frames (n,) [deg].
+        where: the motion's name, for the message.
+
+    Raises:
+        InputError: the knee bends by less than `LEAST`, or its flexion is not known.
+    """
+    known = np.isfinite(flexion)
+    reach = float(np.ptp(flexion[known])) if known.any() else 0.0
+    if reach < LEAST or not known.all():
+        problem = f"the knee bends by {reach:.2g} deg" if known.all() else "the knee's flexion is not known everywhere"
+        raise InputError(
+            problem,
+            where=where,
+            expected=f"a motion of at least {LEAST:g} deg of knee flexion",
+            remedy="draw over time: result.plot.compared(measured), or the columns of result.to_dataset()",
+        )
+    turns = _turning_points(flexion, max(LEAST, _SHARE * reach))
+    found = []
+    for first, last in pairwise(turns):
+        bending = bool(flexion[last] > flexion[first])
+        part = flexion[first : last + 1] if bending else -flexion[first : last + 1]
+        before = np.concatenate([[-np.inf], np.maximum.accumulate(part)[:-1]])
+        found.append(Stroke(first + np.flatnonzero(part > before), bending))
+    return found
+
+
+def _turning_points(flexion: Floats, least: float) -> list[int]:
+    """Frames at which the knee turns, the first and the last extreme among them, at least `least` apart in flexion."""
+    points: list[int] = []
+    rising: bool | None = None
+    low = high = 0
+    for i, value in enumerate(flexion):
+        low, high = (i if value < flexion[low] else low), (i if value > flexion[high] else high)
+        if rising is not True and value - flexion[low] >= least:
+            points, rising, high = [*points, low], True, i
+        elif rising is not False and flexion[high] - value >= least:
+            points, rising, low = [*points, high], False, i
+    return [*points, high if rising else low]
+
+
+def band(courses: Sequence[tuple[Floats, Floats]], grid: Floats) -> Band:
+    """Mean and standard deviation over strokes, each interpolated linearly in flexion, where they reach a flexion.
+
+    Args:
+        courses: flexion (n,), strictly rising [deg], and values (n,) of each stroke.
+        grid: flexions (k,) [deg].
+    """
+    rows = [np.interp(grid, x, y, left=np.nan, right=np.nan) for x, y in courses]
+    table = np.array(rows).reshape(len(rows), grid.size)
+    there = np.isfinite(table)
+    count = there.sum(axis=0)
+    mean = np.where(count > 0, np.where(there, table, 0.0).sum(axis=0) / np.maximum(count, 1), np.nan)
+    squares = np.where(there, np.square(table - mean), 0.0).sum(axis=0)
+    sd = np.where(count > 1, np.sqrt(squares / np.maximum(count - 1, 1)), np.nan)
+    return Band(grid, mean, sd, there)
+
+
+def common_grid(flexions: Sequence[Floats]) -> Floats:
+    """Flexions from the least to the largest of all [deg]."""
+    return np.linspace(min(f.min() for f in flexions), max(f.max() for f in flexions), _GRID)
+
+
+class Averaged(NamedTuple):
+    """The strokes of one way of moving, by outcome: a mean across a dislocation is of no knee."""
+
+    band: Band  # of those in which the patella keeps to its groove
+    alone: list[Course]  # the others, in the order of time
+
+
+def by_outcome(courses: Sequence[Course], grid: Floats, way: Strokes = "apart") -> dict[str, Averaged]:
+    """The strokes of courses, for each way of moving, by what the legend adds.
+
+    Args:
+        courses: of each recording.
+        grid: flexions (k,) [deg].
+        way: which strokes are averaged.
+    """
+    kept: dict[str, list[tuple[Floats, Floats]]] = {words: [] for words, _ in WAYS[way]}
+    alone: dict[str, list[Course]] = {words: [] for words, _ in WAYS[way]}
+    for flexion, values, out, name in courses:
+        for frames, bending in strokes_of(flexion, name):
+            for words in (words for words, which in WAYS[way] if bending in which):
+                if out[frames].any():
+                    alone[words].append(Course(flexion[frames], values[frames], out[frames], name))
+                else:
+                    rising = frames if bending else frames[::-1]
+                    kept[words].append((flexion[rising], values[rising]))
+    return {words: Averaged(band(kept[words], grid), alone[words]) for words in kept}

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Option
 
 from pftwin.base.errors import InputError
+from pftwin.base.signed_axes import Direction, axis_named
 from pftwin.cli import terminal
 from pftwin.cli.exchange import RateOption
 from pftwin.cli.exit_codes import Interrupted, exit_flagged, report_written_on_interrupt
@@ -40,6 +41,9 @@ def contact_map(
     rate: RateOption = None,
     start: Annotated[float | None, Option("--from", help="First time [s].")] = None,
     end: Annotated[float | None, Option("--to", help="Last time [s].")] = None,
+    lateral: Annotated[
+        str | None, Option("--lateral", metavar="AXIS", help="The femur's mesh: axis that points laterally, as in -z.")
+    ] = None,
     proximity: Annotated[float, Option("--proximity-mm", help="Largest gap that is reported [mm].")] = 1.0,
     output: Annotated[
         Path | None, Option("-o", "--output", metavar="OUT.nc", help="NetCDF file with everything.")
@@ -59,6 +63,7 @@ def contact_map(
     terminal.check_outputs(output, figure, json)
     if not 0 <= proximity <= 10:
         raise InputError(f"{proximity:g} mm", where="--proximity-mm", expected="0 to 10")
+    outwards = None if lateral is None else _axis(lateral)
     terminal.start_computing()
     rule = _law(law, modulus, poisson, thickness)
     from pftwin import __version__
@@ -100,7 +105,8 @@ def contact_map(
         if figure is not None:
             with terminal.spinner("drawing"):
                 title = f"{patella.name} on {femur.name}, {law} foundation"
-                terminal.save_picture(map_figure(found, thigh, button, title), figure)
+                sides = None if outwards is None else _in_both(outwards, relative)
+                terminal.save_picture(map_figure(found, thigh, button, title, lateral=sides), figure)
     f = _facts(found)
     summary = (
         f"{f['frames_in_contact']} of {f['frames']} frames in contact; at most {f['largest_force_N']:.4g} N, "
@@ -148,6 +154,25 @@ def _poses(path: Path, bodies: str, rate: float | None, start: float | None, end
     relative = found[names[1]].relative_to(found[names[0]])
     first, last = float(relative.times[0]), float(relative.times[-1])
     return relative.between(first if start is None else start, last if end is None else end)
+
+
+def _axis(text: str) -> Direction:
+    """An axis of the femur's mesh, by name; InputError for another text."""
+    found = axis_named(text)
+    if found is None:
+        raise InputError(
+            f"found {text!r}", where="--lateral", expected="an axis of the femur's mesh, as in --lateral=-z"
+        )
+    return found
+
+
+def _in_both(direction: Direction, poses: PoseSeries) -> tuple[Any, Any]:
+    """A direction of the femur's frame, there and in the patella's frame half way through the recording."""
+    import numpy as np
+    from scipy.spatial.transform import Rotation
+
+    turn = Rotation.from_quat(poses.quaternions[poses.times.size // 2], scalar_first=True)
+    return np.array(direction), turn.inv().apply(direction)
 
 
 def _facts(found: ContactMap) -> dict[str, Any]:

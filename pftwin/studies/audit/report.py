@@ -230,7 +230,7 @@ def _bars(axes: Axes, rows: tuple[Worth, ...], rms: Column, largest: Column) -> 
         if row.changes is None:
             axes.annotate(
                 row.outcome, (_LEAST, i), xytext=(4, 0), textcoords="offset points", va="center", fontsize=SMALL,
-                color=_COLOUR[row.kind],
+                color=_COLOUR[row.kind], bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.0},
             )  # fmt: skip
             continue
         if np.isnan(rms.values[i]):
@@ -263,9 +263,8 @@ def _time_bars(axes: Axes, rows: tuple[Worth, ...], share: Column, spread: Colum
         axes.barh(i, drawn, height=0.6, color=_COLOUR[row.kind], alpha=1.0 if drawn == value else 0.35)
         if drawn == value:
             axes.errorbar(value, i, xerr=spread.values[i], color="black", linewidth=0.8, capsize=2)
-        else:
-            # on the other side of the axis, where there is space
-            side = {"ha": "left", "xytext": (4, 0)} if value < 0 else {"ha": "right", "xytext": (-4, 0)}
-            axes.annotate(f"{value:+,.0f} %", (0, i), textcoords="offset points", va="center", fontsize=SMALL, **side)
+        else:  # to the right of the axis there is space, be it over a pale bar
+            words = f"{value:+,.0f} %".replace("-", "\N{MINUS SIGN}")
+            axes.annotate(words, (0, i), xytext=(4, 0), textcoords="offset points", va="center", fontsize=SMALL)
     axes.grid(False, axis="y")
     axes.set_axisbelow(True)

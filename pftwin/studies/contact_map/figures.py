@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from pftwin.base.attributes import about
 from pftwin.geometry.mesh.mesh import SurfaceMesh
-from pftwin.results.plots.style import COLOURS, WIDE, house_style
+from pftwin.results.plots.style import COLOURS, TEXT, WIDE, house_style, legend_above
+from pftwin.results.plots.style import title as name_figure
 from pftwin.studies.contact_map.mapping import ContactMap, status
 
 if TYPE_CHECKING:
@@ -20,25 +21,39 @@ if TYPE_CHECKING:
 
 _SHOWN = 4  # frames of the pressure map
 _AXES = "xyz"
+_DARKEST, _PALEST = 0.4, 0.95  # greys of the femur: edge on, and facing the viewer
+_NAMED = 0.7  # least share of an axis that a direction must have for its ends to be called medial and lateral
 
 
-def map_figure(found: ContactMap, femur: SurfaceMesh, button: SurfaceMesh, title: str) -> Figure:
-    """Pressure on the button at four times, the centre of pressure on the femur, force, area and pressure over time."""
+def map_figure(
+    found: ContactMap, femur: SurfaceMesh, button: SurfaceMesh, title: str, *, lateral: Any = None
+) -> Figure:
+    """Pressure on the button at four times, the centre of pressure on the femur, force, area and pressure over time.
+
+    Args:
+        found: the map.
+        femur, button: its meshes, in their own frames.
+        title: of the figure.
+        lateral: unit vectors towards lateral in the femur's and in the patella's frame, (2, 3); None: not known, and
+            the sides are not named.
+    """
     from matplotlib.figure import Figure
+
+    on_femur, on_patella = (None, None) if lateral is None else lateral
 
     with house_style():
         figure = Figure(figsize=(WIDE, 7.6))
-        names: Any = [[f"map{k}" for k in range(_SHOWN)], ["path", "path", "force", "force"]]
-        names += [["path", "path", "area", "pressure"]]
-        panels = figure.subplot_mosaic(names, height_ratios=[1.35, 1.0, 1.0])
-        _maps(figure, panels, found, button)
-        _path(panels["path"], found, femur)
+        above, below = figure.subfigures(2, 1, height_ratios=[1.35, 2.0])
+        panels: Any = below.subplot_mosaic([["path", "path", "force", "force"], ["path", "path", "area", "pressure"]])
+        panels |= above.subplot_mosaic([[f"map{k}" for k in range(_SHOWN)]])
+        _maps(above, panels, found, button, on_patella)
+        _path(panels["path"], found, femur, on_femur)
         _courses(panels, found)
-        figure.suptitle(title)
+        name_figure(figure, title)
     return figure
 
 
-def _maps(figure: Any, panels: dict[str, Any], found: ContactMap, button: SurfaceMesh) -> None:
+def _maps(figure: Any, panels: dict[str, Any], found: ContactMap, button: SurfaceMesh, lateral: Any) -> None:
     """Seen along the button's own axis, from outside."""
     from matplotlib import colormaps
     from matplotlib.collections import PolyCollection
@@ -62,20 +77,19 @@ def _maps(figure: Any, panels: dict[str, Any], found: ContactMap, button: Surfac
         axes.plot(place[across], place[up], marker="+", color="black", markersize=8)
         axes.autoscale_view()
         axes.set_aspect("equal")
-        axes.set(title=f"{found.times[frame]:.2f} s", xlabel=f"patella {_AXES[across]} [mm]")
+        axes.set(title=f"{found.times[frame]:.2f} s", xlabel=f"patella {_AXES[across]} [mm]{_ends(across, lateral)}")
         if k == 0:
             axes.set_ylabel(f"patella {_AXES[up]} [mm]")
     maps = [panels[f"map{k}"] for k in range(_SHOWN)]
     figure.colorbar(cells, ax=maps, label="pressure [MPa] (+: centre)", shrink=0.8, pad=0.01)
 
 
-def _path(axes: Axes, found: ContactMap, femur: SurfaceMesh) -> None:
-    """The centre of pressure on the femur, seen from where it is touched."""
+def _path(axes: Axes, found: ContactMap, femur: SurfaceMesh, lateral: Any) -> None:
+    """The centre of pressure on the femur, seen from where it is touched: the patella is pushed towards the viewer."""
     center = 1e3 * found.center_of_pressure[found.touching]
-    normal = -found.force[found.touching].sum(axis=0) if len(center) else np.array([0.0, 0.0, 1.0])
-    across, up = _plane(normal)
-    points = 1e3 * femur.vertices
-    axes.scatter(points[:, across], points[:, up], s=0.6, color="0.8", rasterized=True, label="femur")
+    towards = found.force[found.touching].sum(axis=0) if len(center) else np.array([0.0, 0.0, 1.0])
+    across, up = _plane(towards)
+    _surface(axes, femur, across, up, towards)
     times = found.times[found.touching]
     dots = axes.scatter(center[:, across], center[:, up], c=times, s=9, cmap="cividis", zorder=3)
     axes.plot(center[:, across], center[:, up], color="0.3", linewidth=0.6, zorder=2)
@@ -83,9 +97,39 @@ def _path(axes: Axes, found: ContactMap, femur: SurfaceMesh) -> None:
     axes.set_aspect("equal")
     axes.set(
         title="Centre of pressure on the femur",
-        xlabel=f"femur {_AXES[across]} [mm]",
         ylabel=f"femur {_AXES[up]} [mm]",
     )
+    unit = np.eye(3)
+    mirrored = np.cross(unit[across], unit[up]) @ towards < 0
+    if mirrored:
+        axes.invert_xaxis()
+    axes.set_xlabel(f"femur {_AXES[across]} [mm]{_ends(across, lateral, mirrored=bool(mirrored))}")
+
+
+def _surface(axes: Axes, mesh: SurfaceMesh, across: int, up: int, towards: NDArray[np.float64]) -> None:
+    """The triangles that face the viewer, the nearest last, pale where they face it squarely."""
+    from matplotlib.collections import PolyCollection
+
+    view = np.zeros(3)
+    depth = 3 - across - up
+    view[depth] = np.sign(towards[depth]) or 1.0
+    facing = mesh.area_vectors @ view / np.linalg.norm(mesh.area_vectors, axis=1)
+    corners = 1e3 * mesh.vertices[mesh.faces]
+    seen = np.flatnonzero(facing > 0)
+    seen = seen[np.argsort(corners[seen].mean(axis=1) @ view)]
+    greys = [str(g) for g in _DARKEST + (_PALEST - _DARKEST) * facing[seen]]
+    shaded = PolyCollection(list(corners[seen][:, :, [across, up]]), facecolors=greys, edgecolors=greys, linewidths=0.2)
+    shaded.set(rasterized=True, zorder=1, label="femur")
+    axes.add_collection(shaded)
+    axes.autoscale_view()
+
+
+def _ends(across: int, lateral: Any, *, mirrored: bool = False) -> str:
+    """A second line of the horizontal axis' label: which end is medial, which lateral; empty where it is not known."""
+    if lateral is None or abs(lateral[across]) < _NAMED:
+        return ""
+    left, right = ("medial", "lateral") if (lateral[across] > 0) != mirrored else ("lateral", "medial")
+    return f"\n{left} \N{LEFTWARDS ARROW}      \N{RIGHTWARDS ARROW} {right}"
 
 
 def _courses(panels: dict[str, Any], found: ContactMap) -> None:
@@ -94,14 +138,16 @@ def _courses(panels: dict[str, Any], found: ContactMap) -> None:
     force.plot(t, np.linalg.norm(found.force, axis=1), color="black", label="size")
     for k, name in enumerate(_AXES):
         force.plot(t, found.force[:, k], color=COLOURS[k], label=name, linewidth=0.9)
-    force.legend(ncols=4, loc="best")
-    force.set(title="Contact force on the patella, femur axes", ylabel="force [N]", xlabel="time [s]")
+    legend_above(
+        force, ncols=4, title="contact force on the patella, femur axes", alignment="left", title_fontsize=TEXT
+    )
+    force.set(ylabel="force [N]", xlabel="time [s]")
     area.plot(t, 1e6 * found.area, color=COLOURS[0])
     area.set(title="Contact area", ylabel="area [mm²]", xlabel="time [s]")
     pressure.plot(t, found.max_pressure / 1e6, color=COLOURS[1], label="maximum")
     pressure.plot(t, found.mean_pressure / 1e6, color=COLOURS[0], label="mean")
-    pressure.legend(loc="best")
-    pressure.set(title="Pressure", ylabel="pressure [MPa]", xlabel="time [s]")
+    legend_above(pressure, ncols=2)
+    pressure.set(ylabel="pressure [MPa]", xlabel="time [s]")
 
 
 def _plane(normal: NDArray[np.float64]) -> tuple[int, int]:

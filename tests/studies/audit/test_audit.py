@@ -9,6 +9,7 @@ from dataclasses import replace
 import equinox as eqx
 import numpy as np
 import pytest
+from figure_parts import footers
 from scenes import RADIUS, gravity, knee
 from small_scene import small_result, small_scene
 from test_variants import hung
@@ -225,6 +226,20 @@ def test_the_figure_names_every_variant(found):
     shown = [label.get_text() for label in figure.axes[0].get_yticklabels()]
     assert shown == [r.name for r in found.rows]
     assert len(figure.axes) == 3
+
+
+@pytest.mark.parametrize("share", [-7.5, 12.34])
+def test_shares_beyond_the_axis_are_written_where_nothing_cuts_them(found, share):
+    """Such bars go on to the axis' end; the number stands right of zero, within the figure."""
+    rows = tuple(replace(r, cost=share, spread=0.01) if r.name == "gravity" else r for r in found.rows)
+    figure = audit_figure(replace(found, rows=rows, synthetic=True), "title")
+    figure.draw_without_rendering()
+    time = figure.axes[2]
+    (number,) = (text for text in time.texts if "%" in text.get_text())
+    assert number.get_text() == f"{100 * share:+,.0f} %".replace("-", "\N{MINUS SIGN}")
+    box, panel = number.get_window_extent(), time.get_window_extent()
+    assert panel.x0 < box.x0 < box.x1 <= figure.bbox.x1
+    assert footers(figure)[0].get_text() == SYNTHETIC
 
 
 def test_the_command_writes_everything(found, tmp_path, monkeypatch):

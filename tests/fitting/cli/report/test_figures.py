@@ -84,7 +84,6 @@ def test_a_run_from_a_file_is_drawn_apart_where_it_dislocates(tmp_path):
     assert labels == ["from a file, bending (n = 1)", "from a file, straightening, dislocates (n = 1)"]
 
 
-
 def test_the_fits_way_and_its_correlations_are_the_estimates(material):
     (drawn,) = figures.histories(material)
     assert has(drawn.figure.axes[0], [10, 20, 30], [7, 6, 5])

@@ -1,4 +1,4 @@
-"""Tilt, shift and contact force over time, untreated and treated, with a mark at the time that is shown."""
+"""Tilt, shift and contact force over time, treated and if asked for untreated, with a mark at the time shown."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ class Curves:
 
     def __init__(self, gui: GuiApi, before: ShownMotion) -> None:
         self._before = self._after = before
+        self._compared = False
         names = (("tilt", "tilt [°]"), ("shift", "shift [mm]"), ("force", "contact force [N]"))
         self._drawn = {name: self._scales(name) for name, _ in names}
         self._charts = {
@@ -43,9 +44,9 @@ class Curves:
             for name, title in names
         }
 
-    def set(self, before: ShownMotion, after: ShownMotion) -> None:
-        """Takes other motions, which are drawn with the next mark."""
-        self._before, self._after = before, after
+    def set(self, before: ShownMotion, after: ShownMotion, *, compared: bool) -> None:
+        """Takes other motions, which are drawn with the next mark; the untreated one only if they are compared."""
+        self._before, self._after, self._compared = before, after, compared
         for name, chart in self._charts.items():
             if (scales := self._scales(name)) != self._drawn[name]:  # new scales make a page rebuild its chart
                 chart.scales = self._drawn[name] = scales
@@ -60,7 +61,8 @@ class Curves:
 
         uPlot would find no range for a mark that is at one place and missing (NaN) elsewhere.
         """
-        values = np.concatenate([getattr(a, name) for a in (self._before, self._after)])
+        shown = (self._before, self._after) if self._compared else (self._after,)
+        values = np.concatenate([getattr(a, name) for a in shown])
         there = values[np.isfinite(values)]
         low, high = (float(there.min()), float(there.max())) if there.size else (0.0, 1.0)
         edges = ROUND * np.floor(low / ROUND - 0.05), ROUND * np.ceil(high / ROUND + 0.05)
@@ -71,7 +73,8 @@ class Curves:
         times = self._after.times
         mark = np.full_like(times, np.nan)
         mark[k] = series[1][k]
-        return times, _interpolated(times, self._before.times, series[0]), series[1], mark
+        before = _interpolated(times, self._before.times, series[0]) if self._compared else np.full_like(times, np.nan)
+        return times, before, series[1], mark
 
 
 def _interpolated(times: Floats, own: Floats, values: Floats) -> Floats:

@@ -42,23 +42,24 @@ class Page:
         self.state = self._gui.add_html("")
         self.knobs = self._sliders(engine)
         self._model(engine)
-        self.pace = self._gui.add_html(words.pace_text(Clock(), Clock(), 0.0))
         self._views(model)
-        self._gui.add_html(words.with_margins(self._legend(model)))
+        self._legend = self._gui.add_html(self._legend_text(model.before))
         panel = self._gui.add_panel()
         with panel.add_tab("Motion"):
             self._playing(model)
             self._numbers = self._gui.add_html("")
             self._whole = self._gui.add_html("")
             self._curves = Curves(self._gui, model.before)
+        with panel.add_tab("Times"):  # of the program: no matter of a treatment
+            self.pace = self._gui.add_html(words.pace_text(Clock(), Clock(), 0.0))
         panel.dock_left()
         panel.set_width(400)
 
     def tell(self, model: LiveModel, after: ShownMotion) -> None:
         """Takes another motion into the table and the curves, which are redrawn with the next numbers."""
         self._before, self._after = model.before, after
-        self._curves.set(model.before, after)
-        self._whole.content = words.comparison(model.before, after)
+        self._curves.set(model.before, after, compared=self._compared.value)
+        self._whole.content = words.whole_motion(*self._shown_motions())
 
     def draw(self, model: LiveModel, shown: Shown) -> None:
         """Draws another motion: the knee and its continued surface."""
@@ -80,14 +81,28 @@ class Page:
 
     def number(self, k: int, at: float) -> None:
         """Writes the numbers of a time, and marks it in the curves."""
-        both = [self._before.recorded, self._after.recorded]
-        self._numbers.content = words.with_margins(readout(both, [BEFORE, AFTER], at))
+        motions, colours = self._shown_motions()
+        self._numbers.content = words.with_margins(readout([m.recorded for m in motions], colours, at))
         self._curves.mark(k)
 
-    def _legend(self, model: LiveModel) -> str:
-        one = model.before.recorded
+    def compare(self, visible: bool) -> None:
+        """Shows or hides the untreated knee, its curves and its numbers, those of a time with the next ones."""
+        self.untreated.show(visible)
+        self._curves.set(self._before, self._after, compared=visible)
+        self._whole.content = words.whole_motion(*self._shown_motions())
+        self._legend.content = self._legend_text(self._before)
+
+    def _shown_motions(self) -> tuple[list[ShownMotion], list[str]]:
+        """The motions that are shown, and their colours: the untreated one where it was asked for."""
+        both = [self._before, self._after], [BEFORE, AFTER]
+        return both if self._compared.value else (both[0][1:], both[1][1:])
+
+    def _legend_text(self, before: ShownMotion) -> str:
+        one = before.recorded
         said = [*notes([one], self.newtons), words.NOT_FOR_PATIENTS]
-        return legend([one, replace(one, name=TREATED)], [BEFORE, AFTER], said).replace("max-width:290px", "")
+        names = [one, replace(one, name=TREATED)], [BEFORE, AFTER]
+        shown = names if self._compared.value else (names[0][1:], names[1][1:])
+        return words.with_margins(legend(*shown, said).replace("max-width:290px", ""))
 
     def _sliders(self, engine: Engine) -> dict[str, Any]:
         found = {}

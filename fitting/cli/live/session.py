@@ -104,9 +104,10 @@ class Session:
         self._frame(self._now, numbers=True)
 
     def compare(self, visible: bool) -> None:
-        """Shows or hides the untreated knee."""
-        self._page.untreated.show(visible)
-        self._frame(self._now, numbers=False)
+        """Shows or hides the untreated knee, its curves and its numbers."""
+        with self._lock, self._client.atomic():
+            self._page.compare(visible)
+            self._frame(self._now, numbers=True)
 
     def refuse(self, why: str) -> None:
         """Says why nothing new is drawn."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from statistics import median
 from typing import Any
 
@@ -76,14 +77,14 @@ def waiting(contact: str, shown: str) -> str:
     return state("wait", f"Preparing contact {contact} ...", f"Until then everything shown and turned is with {shown}.")
 
 
-def comparison(before: ShownMotion, after: ShownMotion) -> str:
-    """Extremes of both motions in a table."""
+def whole_motion(motions: Sequence[ShownMotion], colours: Sequence[str]) -> str:
+    """Extremes of motions in a table."""
     rows = []
-    for answer, colour in ((before, BEFORE), (after, AFTER)):
+    for answer, colour in zip(motions, colours, strict=True):
         out = {None: "—", True: "yes", False: "no"}[answer.dislocates]
         force = f"{answer.highest_force:.0f} N" if np.isfinite(answer.highest_force) else "—"
         rows.append((answer.recorded.name, colour, (_range(answer.tilt), _range(answer.shift), force, out)))
-    return _written("comparison", rows)
+    return _written("whole_motion", rows)
 
 
 def pace_text(motions: Clock, drawings: Clock, seconds: float) -> str:

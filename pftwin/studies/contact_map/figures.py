@@ -43,7 +43,8 @@ def map_figure(
 
     with house_style():
         figure = Figure(figsize=(WIDE, 7.6))
-        above, below = figure.subfigures(2, 1, height_ratios=[1.35, 2.0])
+        parts: Any = figure.subfigures(2, 1, height_ratios=[1.35, 2.0])
+        above, below = parts
         panels: Any = below.subplot_mosaic([["path", "path", "force", "force"], ["path", "path", "area", "pressure"]])
         panels |= above.subplot_mosaic([[f"map{k}" for k in range(_SHOWN)]])
         _maps(above, panels, found, button, on_patella)

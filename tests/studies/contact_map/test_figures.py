@@ -52,7 +52,7 @@ def test_the_femur_is_a_shaded_surface():
 
 @pytest.mark.parametrize(("towards", "right"), [((0, 0, 1), "lateral"), ((0, 0, -1), "medial")])
 def test_sides_are_named_as_they_are_seen(towards, right):
-    """Lateral is +x: to the right for who looks down on the surface, to the left from below, whence x runs leftwards."""
+    """Lateral is +x: to the right seen from above; to the left from below, where x runs leftwards."""
     lateral = np.array([1.0, 0.0, 0.0]), np.array([-1.0, 0.0, 0.0])
     figure = map_figure(made_up(towards), FEMUR, BUTTON, "made up", lateral=lateral)
     on_femur = panel(figure, "femur")

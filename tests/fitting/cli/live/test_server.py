@@ -69,7 +69,7 @@ def test_a_slider_simulates_anew_and_the_page_tells_numbers_and_times(client, se
     drawn_for(session, medialisation=8.0)
     client.wait_for("slider to new motion: <b>", "of the last 1: median")
     text = client.text()
-    for words in ("Whole motion", "untreated", "treated", "tilt [°]", "no treatment should be decided by it alone"):
+    for words in ("Whole motion", "treated", "tilt [°]", "no treatment should be decided by it alone"):
         assert words in text
     place = client.nodes["/treated/tibia/patellar_tendon"]["position"]
     client.move(MEDIALISE, 10.0)
@@ -169,6 +169,27 @@ def test_two_pages_are_independent(client, server):
         drawn_for(two, distalisation=5.0)
         second.listen(0.3)
         assert second.value(MEDIALISE) == 0.0
+
+
+def test_the_untreated_motion_is_shown_only_when_it_is_asked_for(client, server):
+    """In the curves (their second row), the numbers at a time, those of the whole motion, and the legend."""
+    (session,) = server.sessions
+
+    def charts() -> list[np.ndarray]:
+        return [np.asarray(chart.data[1]) for chart in session._page._curves._charts.values()]
+
+    client.move(MEDIALISE, 8.0)
+    drawn_for(session, medialisation=8.0)
+    client.wait_for("of the last 1: median")
+    assert "untreated" not in client.text()
+    assert len(charts()) == 3
+    assert all(np.isnan(before).all() for before in charts())
+    client.move("compare with untreated", True)
+    client.wait(lambda c: c.text().count("untreated") == 3)
+    client.wait(lambda _: all(np.isfinite(before).any() for before in charts()))
+    client.move("compare with untreated", False)
+    client.wait(lambda c: "untreated" not in c.text())
+    client.wait(lambda _: all(np.isnan(before).all() for before in charts()))
 
 
 def test_reset_time_play_and_comparison(client, server):

@@ -7,11 +7,15 @@ import inspect
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
+import typer
 from typer import Option
 
-from fitting.prediction.ranges import numbers, values
+from fitting.prediction.ranges import units_in_words, values
 from pftwin.base.errors import InputError
-from pftwin.cli.plugins import with_options
+from pftwin.base.sheet import Sheet
+from pftwin.base.written_amounts import amounts_in
+from pftwin.cli.plugins import with_former_names, with_options
+from pftwin.cli.terminal import show
 
 if TYPE_CHECKING:
     from fitting.treatments import Treatment
@@ -26,6 +30,7 @@ class Amount(NamedTuple):
     name: str  # of the amount
     words: str
     unit: str = "mm"
+    former: str = ""  # name of the option before it had the surgeon's word
 
     @property
     def parameter(self) -> str:
@@ -33,13 +38,18 @@ class Amount(NamedTuple):
         return self.flag.removeprefix("--").replace("-", "_")
 
 
+def _tuberosity(flag: str, name: str, towards: str, former: str) -> Amount:
+    words = f"Tibial tubercle osteotomy (TTO): tuberosity {towards}"
+    return Amount(flag, "tibial_tuberosity_transfer", name, words, former=former)
+
+
 AMOUNTS = (
-    Amount("--medialise", "tibial_tuberosity_transfer", "medialisation", "Tibial tuberosity medially"),
-    Amount("--anteriorise", "tibial_tuberosity_transfer", "anteriorisation", "Tibial tuberosity anteriorly"),
-    Amount("--distalise", "tibial_tuberosity_transfer", "distalisation", "Tibial tuberosity distally"),
+    _tuberosity("--tto-medial", "medialisation", "medially", "--medialise"),
+    _tuberosity("--tto-anterior", "anteriorisation", "anteriorly", "--anteriorise"),
+    _tuberosity("--tto-distal", "distalisation", "distally", "--distalise"),
     Amount("--lengthen-tendon", "patellar_tendon_length_change", "lengthening", "Patellar tendon longer"),
     Amount("--lengthen-quadriceps", "quadriceps_lengthening", "lengthening", "Quadriceps tendon longer"),
-    Amount("--deepen", "trochleoplasty", "deepening", "Trochleoplasty: groove deeper"),
+    Amount("--trochleoplasty", "trochleoplasty", "deepening", "Groove deeper", former="--deepen"),
     Amount(
         "--rotate-component",
         "femoral_component_rotation",
@@ -49,9 +59,22 @@ AMOUNTS = (
     ),
     Amount("--medialise-component", "femoral_component_translation", "medialisation", "Femoral component medially"),
     Amount("--medialise-button", "button_position", "medialisation", "Button medially"),
-    Amount("--release", "lateral_release", "release", "Lateral strands released", "%"),
+    Amount("--lateral-release", "lateral_release", "release", "Lateral strands released", "%", "--release"),
     Amount("--tighten-mpfl", "mpfl_graft", "shortening", "MPFL graft shorter"),
 )
+
+
+def show_limits(written: list[str] | None) -> list[str] | None:
+    """Of an option that takes limits: where one of them is "help", lists what there is and ends the command."""
+    if "help" not in (written or ()):
+        return written
+    from fitting.treatments.limits import limitable
+
+    rows = tuple((name, ", ".join(u or "number" for u in units), words) for name, units, words in limitable())
+    note = 'a limit: name, <= or >=, number and unit, in quotes: "dislocation_margin>=3 mm"'
+    show(Sheet("outcomes that take a limit", ("name", "units", "meaning"), rows, notes=(note,), narrow=True))
+    raise typer.Exit
+
 
 Given = list[tuple[Amount, str]]  # what the user wrote, in the order of `AMOUNTS`
 
@@ -80,7 +103,8 @@ def with_amounts(
     def written(values: dict[str, str | None]) -> Any:
         return made([(a, text) for a in AMOUNTS if (text := values[a.parameter]) is not None])
 
-    return lambda command: with_options(command, argument, options, written)
+    former = with_former_names({a.flag: a.former for a in AMOUNTS if a.former})
+    return lambda command: former(with_options(command, argument, options, written))
 
 
 def with_treatment(command: Callable[..., None]) -> Callable[..., None]:
@@ -88,18 +112,18 @@ def with_treatment(command: Callable[..., None]) -> Callable[..., None]:
     return with_amounts("VALUE", argument="change", made=lambda given: lambda scene: treated(scene, given))(command)
 
 
-def limits(text: str, option: str) -> tuple[float, float]:
-    """The least and the most from "0:20"; InputError for anything else."""
-    parts = numbers(text.split(":"))
+def limits(text: str, option: str, unit: str) -> tuple[float, float]:
+    """The least and the most in a unit, from "0:20" or "0:2 cm"; InputError for anything else."""
+    parts = amounts_in(text.split(":"), unit)
     if len(parts) != 2 or not parts[0] < parts[1]:
-        raise InputError(f"found {text!r}", where=option, expected="FROM:TO, such as 0:20")
+        raise InputError(f"found {text!r}", where=option, expected=f"FROM:TO, such as 0:20{units_in_words(unit)}")
     return parts[0], parts[1]
 
 
 def by_kind(given: Given) -> dict[str, list[tuple[Amount, str]]]:
     """Treatments in the order of `AMOUNTS`, each with its amounts; InputError if there is none."""
     if not given:
-        raise InputError("no treatment given", expected="at least one amount", remedy="--medialise 0:20")
+        raise InputError("no treatment given", expected="at least one amount", remedy="--tto-medial 0:20")
     return {k: [(a, t) for a, t in given if a.kind == k] for k in dict.fromkeys(a.kind for a, _ in given)}
 
 
@@ -130,13 +154,13 @@ def treatment_within(given: Given) -> tuple[Treatment, dict[str, tuple[float, fl
     for kind, amounts in by_kind(given).items():
         whole = whole.then(Treatment.of(kind, dict.fromkeys((a.name for a, _ in amounts), 0.0)))
         for a, text in amounts:
-            low, high = KINDS[kind].amounts[a.name].from_shown(limits(text, a.flag))
+            low, high = KINDS[kind].amounts[a.name].from_shown(limits(text, a.flag, a.unit))
             ranges[f"{kind}.{a.name}"] = (float(low), float(high))
     return whole, ranges
 
 
 def _sole_amount(text: str, amount: Amount) -> float:
-    found = values(text, amount.flag)
+    found = values(text, amount.flag, amount.unit)
     if len(found) > 1:
         raise InputError(
             f"{len(found)} values", where=amount.flag, expected="one", remedy="pftwin treat runs through many"

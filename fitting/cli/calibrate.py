@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Option
 
-from fitting.cli.amounts import Given, treatment_of, treatment_within, with_amounts
+from fitting.cli.amounts import Given, show_limits, treatment_of, treatment_within, with_amounts
 from fitting.cli.fit import (
     BoundsOption,
     FreeOption,
@@ -26,6 +26,7 @@ from fitting.cli.fit import (
 )
 from pftwin.base.errors import InputError
 from pftwin.base.sheet import Sheet
+from pftwin.base.written_amounts import amount
 from pftwin.cli.exit_codes import exit_flagged
 from pftwin.cli.scenes import TrialsOptions, on_scene
 from pftwin.cli.terminal import JsonOption, check_outputs, check_suffix, present, progress, spinner, written_line
@@ -63,7 +64,9 @@ def calibrate(
         str | None,
         Option(metavar="NAMES", help="Some of: twin, misplaced, sliding, stiffening (by default these), reshaped."),
     ] = None,
-    marker_noise: Annotated[float, Option(metavar="METRES", help="Of each coordinate of a recorded marker.")] = 2e-4,
+    marker_noise: Annotated[
+        str, Option(metavar="LENGTH", help="Of each coordinate of a recorded marker [m].")
+    ] = "0.2 mm",
     force_noise: Annotated[float, Option(metavar="NEWTONS", help="Of a load cell.")] = 0.15,
     reading_noise: Annotated[
         list[str] | None,
@@ -75,7 +78,10 @@ def calibrate(
     meet: Annotated[
         list[str] | None,
         Option(
-            metavar="LIMIT", help='Try the smallest treatment that meets it: "dislocation_margin>=3 mm"; repeatable.'
+            metavar="LIMIT",
+            callback=show_limits,
+            is_eager=True,
+            help='Try the smallest treatment that meets it: "dislocation_margin>=3 mm"; repeatable. help: lists names.',
         ),
     ] = None,
     samples: Annotated[int, Option(min=20, help="Draws from each answer, of predictions.")] = 100,
@@ -95,7 +101,7 @@ def calibrate(
     With the amount of a treatment also: how often 90 % bands hold what the treated knee does; with `--meet`, how
     many treatments that were planned for it do what they were to do.
 
-    Example: `pftwin calibrate knee.toml --trained knee.npz --plants 100 --medialise 10 -o calibration.json`, or
+    Example: `pftwin calibrate knee.toml --trained knee.npz --plants 100 --tto-medial 10 -o calibration.json`, or
     `pftwin calibrate walk.toml stairs.toml --method least_squares --plants 20 -o quick.json`
     """
     check_suffix(output, [".json"], "calibrations are JSON")
@@ -116,7 +122,7 @@ def calibrate(
         found = f"no plants {strange[0]!r}" if chosen else "none named"
         raise InputError(found, where="--kinds", expected=f"some of: {', '.join(known)}")
     lab = Laboratory(
-        marker_noise=marker_noise,
+        marker_noise=amount(marker_noise, "m", "--marker-noise"),
         force_noise=force_noise,
         cutoff=cutoff or None,
         readings=noise_levels(reading_noise, "--reading-noise", "contact.force_medial=0.2") or {},

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Option
 
-from fitting.cli.amounts import Given, by_kind, treatment_within, with_amounts
+from fitting.cli.amounts import Given, by_kind, show_limits, treatment_within, with_amounts
 from fitting.prediction.ranges import values
 from pftwin.base.errors import InputError
 from pftwin.base.sheet import Sheet
@@ -56,11 +56,13 @@ def treat(
 ) -> None:
     """Predict what treatments would do: all combinations of the amounts given, with bands from a fit's uncertainty.
 
-    Example: `pftwin treat --case 2 --estimate fit.json --medialise 0:20:1 -o variants.nc`
+    Amounts may have a unit: "16 mm", "0:2:0.5 cm".
+
+    Example: `pftwin treat --case 2 --estimate fit.json --tto-medial 0:20:1 -o variants.nc`
     """
     wanted = by_kind(amounts)
     terminal.check_suffix(output, [".nc"], "results are NetCDF")
-    numbers = {k: {a.name: values(text, a.flag) for a, text in v} for k, v in wanted.items()}
+    numbers = {k: {a.name: values(text, a.flag, a.unit) for a, text in v} for k, v in wanted.items()}
     pictures = [output.with_suffix(s) for s in (".png", ".svg")] if figure else []
     terminal.check_outputs(output, *pictures, json)
     terminal.start_computing(batches=True)
@@ -102,7 +104,13 @@ def optimise(
     *,
     limit: Annotated[
         list[str],
-        Option("--limit", metavar="LIMIT", help='To be met: "dislocation_margin>=3 mm"; may be repeated.'),
+        Option(
+            "--limit",
+            metavar="LIMIT",
+            callback=show_limits,
+            is_eager=True,
+            help='To be met: "dislocation_margin>=3 mm"; may be repeated. help: lists their names with units.',
+        ),
     ],
     output: Annotated[Path | None, Option("-o", "--output", metavar="PLAN.json", help="The plan.")] = None,
     knee: SceneOptions,
@@ -121,7 +129,9 @@ def optimise(
 ) -> None:
     """Find the smallest treatment that meets stated limits, and say how surely it does.
 
-    Example: `pftwin optimise --case 2 --estimate fit.json --limit "dislocation_margin>=3 mm" --medialise 0:20 -o
+    Amounts may have a unit: "0:2 cm". `--limit help` lists the outcomes that take a limit.
+
+    Example: `pftwin optimise --case 2 --estimate fit.json --limit "dislocation_margin>=3 mm" --tto-medial 0:20 -o
     plan.json`
     """
     terminal.check_outputs(output, json)

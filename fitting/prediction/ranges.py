@@ -5,27 +5,30 @@ from __future__ import annotations
 import math
 
 from pftwin.base.errors import InputError
+from pftwin.base.written_amounts import amounts_in, units_beside
 
 _MOST_VALUES = 1_000_000
 
 
-def values(text: str, where: str) -> list[float]:
-    """Numbers from "0:20:1" (the end included), "0,5,10" or "7".
+def values(text: str, where: str, unit: str = "") -> list[float]:
+    """Numbers from "0:20:1" (the end included), "0,5,10" or "7"; with a unit also "0:2:0.5 cm", "0 mm:2 cm:5 mm".
 
     Args:
         text: as written.
         where: the option or field, for messages.
+        unit: of the numbers, where the text may have others; empty where it may have none.
 
     Raises:
         InputError: anything else.
     """
-    parts = numbers(text.split(":" if ":" in text else ","))
+    parts = amounts_in(text.split(":" if ":" in text else ","), unit)
     if not parts or (":" in text and len(parts) not in (2, 3)):
-        raise InputError(f"found {text!r}", where=where, expected="FROM:TO:STEP, or values such as 0,5,10")
+        expected = f"FROM:TO:STEP, or values such as 0,5,10{units_in_words(unit)}"
+        raise InputError(f"found {text!r}", where=where, expected=expected)
     if ":" not in text:
         return parts
     first, last = parts[:2]
-    step = parts[2] if len(parts) == 3 else 1.0
+    step = parts[2] if len(parts) == 3 else 1.0  # of that unit
     if step == 0 or (last - first) * step < 0:
         raise InputError(f"found {text!r}", where=where, expected="a step that leads from the first to the last value")
     span = (last - first) / step
@@ -34,10 +37,6 @@ def values(text: str, where: str) -> list[float]:
     return [first + i * step for i in range(math.floor(span + 1e-9) + 1)]
 
 
-def numbers(parts: list[str]) -> list[float]:
-    """An empty list if any is not a finite number."""
-    try:
-        found = [float(p) for p in parts]
-    except ValueError:
-        return []
-    return found if all(map(math.isfinite, found)) else []
+def units_in_words(unit: str) -> str:
+    """For messages: the units that amounts in this one may have, behind what else is expected."""
+    return f", in {unit} or with a unit: {', '.join(units_beside(unit))}" if unit else ""

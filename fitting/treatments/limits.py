@@ -15,6 +15,7 @@ from fitting.treatments import Treatment
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.base.quantities import shown
+from pftwin.base.written_amounts import UNITS, number_and_unit
 
 if TYPE_CHECKING:
     from xarray import DataArray, Dataset
@@ -22,13 +23,7 @@ if TYPE_CHECKING:
 
 NO_NUMBER = ("dislocation_time", "dislocation_flexion", "re_engagement_time", "re_engagement_flexion")  # where none is
 _UNIT_SIZE = {"m": 1e-3, "rad": 0.01, "N": 1.0}  # scale of the margin where the bound is 0
-_UNITS = {  # units in which limits may be written, by the unit of the outcome
-    "m": {"mm": 1e-3, "cm": 1e-2, "m": 1.0},
-    "rad": {"deg": np.pi / 180, "rad": 1.0},
-    "N": {"N": 1.0},
-    "1": {"": 1.0, "%": 0.01},
-}
-_WRITTEN = re.compile(r"\s*(\w+)\s*(<=|>=)\s*([-+.\deE]+)\s*([A-Za-z%]*)\s*")
+_WRITTEN = re.compile(r"\s*(\w+)\s*(<=|>=)(.*)")
 
 
 @dataclass(frozen=True)
@@ -44,7 +39,7 @@ class Limit:
 
     def __post_init__(self) -> None:
         if self.outcome not in MEASURES or self.outcome in NO_NUMBER:
-            usable = ", ".join(n for n in MEASURES if n not in NO_NUMBER)
+            usable = ", ".join(f"{name} [{units[0] or '-'}]" for name, units, _ in limitable())
             raise InputError(f"no limit on {self.outcome!r}", where="Limit", expected=f"one of: {usable}")
         bounds = [b for b in (self.at_most, self.at_least) if b is not None]
         if len(bounds) != 1 or not np.isfinite(bounds[0]):
@@ -60,15 +55,12 @@ class Limit:
         """
         example = 'such as "dislocation_margin>=3 mm" or "peak_contact_force<=40 N"'
         match = _WRITTEN.fullmatch(text)
-        try:
-            number = float(match[3]) if match else np.nan
-        except ValueError:
-            number = np.nan
-        if match is None or not np.isfinite(number):
+        written = number_and_unit(match[3]) if match else None
+        if match is None or written is None:
             raise InputError(f"found {text!r}", where="limit", expected=example)
-        outcome, sense, _, unit = match.groups()
+        (outcome, sense), (number, unit) = match.groups()[:2], written
         Limit(outcome, at_most=number)  # refuses an outcome that takes no limit
-        units = _UNITS[MEASURES[outcome].unit]
+        units = UNITS[MEASURES[outcome].unit]
         if unit not in units:
             expected = f"{outcome} in {' or '.join(u or 'plain numbers' for u in units)}"
             raise InputError(f"found {text!r}", where="limit", expected=expected)
@@ -89,6 +81,12 @@ class Limit:
         """The scale of its margin, so that limits on different outcomes can be compared."""
         bound = self.at_most if self.at_most is not None else self.at_least
         return abs(float(bound or 0.0)) or _UNIT_SIZE.get(MEASURES[self.outcome].unit, 0.01)
+
+
+def limitable() -> list[tuple[str, tuple[str, ...], str]]:
+    """Outcomes that take a limit: name, units in which it may be written ("" for a plain number), meaning."""
+    numbers = ((name, about) for name, about in MEASURES.items() if name not in NO_NUMBER)
+    return [(name, tuple(UNITS[about.unit]), about.long_name) for name, about in numbers]
 
 
 def smallest_margin(data: Dataset, limits: Sequence[Limit]) -> Floats:

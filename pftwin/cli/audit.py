@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 from typer import Option
 
 from pftwin.base.errors import InputError
+from pftwin.base.written_amounts import amount
 from pftwin.cli.exit_codes import Interrupted, exit_flagged, report_written_on_interrupt
 from pftwin.cli.scenes import RunOptions, on_scene
 from pftwin.cli.terminal import JsonOption, check_folder, check_outputs, present, show, spinner, written_line
@@ -43,8 +43,8 @@ def audit(
     knee: RunOptions,
     out_dir: Annotated[Path | None, Option("--out", metavar="DIR", help="Figure, CSV and NetCDF go there.")] = None,
     tolerance: Annotated[
-        float, Option("--tolerance", metavar="MM", help="What the path may be off by before it matters [mm].")
-    ] = 0.1,
+        str, Option("--tolerance", metavar="LENGTH", help="What the path may be off by before it matters [mm].")
+    ] = "0.1 mm",
     markdown: MarkdownOption = False,
     json: JsonOption = None,
 ) -> None:
@@ -54,8 +54,8 @@ def audit(
 
     Example: `pftwin audit --case 2 --out audit`
     """
-    if not (math.isfinite(tolerance) and tolerance > 0):
-        raise InputError(f"found {tolerance!r}", where="--tolerance", expected="a positive number of millimetres")
+    if (allowed := amount(tolerance, "mm", "--tolerance")) <= 0:
+        raise InputError(f"found {tolerance!r}", where="--tolerance", expected="a positive length")
     if out_dir is not None:
         check_folder(out_dir)
     check_outputs(json)
@@ -65,7 +65,7 @@ def audit(
     from pftwin.studies.audit.report import audit_sheet
 
     with spinner(f"running {chosen.scene.name} with every effect left out in turn"):
-        found = weigh(chosen.scene, tolerance=1e-3 * tolerance, integrator=knee.method, dt=knee.dt)
+        found = weigh(chosen.scene, tolerance=1e-3 * allowed, integrator=knee.method, dt=knee.dt)
     files = [] if out_dir is None else _write(found, out_dir)
     about = {"contact": chosen.contact, "machine": describe(), "files": [str(p) for p in files]}
     present({**found.to_dict(), **about}, audit_sheet(found), json=json, markdown=markdown)

@@ -5,12 +5,14 @@ from __future__ import annotations
 from pftwin.cli import audit, doctor, exchange, meshes, simulate, studies
 from pftwin.cli.contact_map import contact_map
 from pftwin.cli.doctor_mesh import doctor_mesh
-from pftwin.cli.plugins import Command
+from pftwin.cli.plugins import Command, Job
 
+OWN_KNEE = Job("Begin a knee of your own, from an example", "pftwin init knee")
+SIMULATE = Job("Simulate it", "pftwin simulate knee/scene.toml -o knee.nc")
 COMMANDS = (
-    Command("init", exchange.init, "Write a commented scene with a laboratory's files", "Start", 20),
+    Command("init", exchange.init, "Write a commented scene with a laboratory's files", "Start", 20, OWN_KNEE),
     Command("doctor", doctor.doctor, "Is this installation sound? Versions and a self-test", "Start", 30),
-    Command("simulate", simulate.simulate, "The patella through the recorded motion", "Simulate", 10),
+    Command("simulate", simulate.simulate, "The patella through the recorded motion", "Simulate", 10, SIMULATE),
     Command("equilibrium", simulate.equilibrium, "Where the patella rests at the first frame", "Simulate", 20),
     Command("validate", simulate.validate, "Simulate, and compare with measurements", "Simulate", 30),
     Command("contact-map", contact_map, "Pressures where recorded poses press two meshes", "Simulate", 40),

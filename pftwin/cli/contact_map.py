@@ -9,9 +9,11 @@ from typer import Option
 
 from pftwin.base.errors import InputError
 from pftwin.base.signed_axes import Direction, axis_named
+from pftwin.base.written_amounts import amount, amounts_in
 from pftwin.cli import terminal
 from pftwin.cli.exchange import RateOption
 from pftwin.cli.exit_codes import Interrupted, exit_flagged, report_written_on_interrupt
+from pftwin.cli.plugins import with_former_names
 
 if TYPE_CHECKING:
     from pftwin.files.mocap.poses import PoseSeries
@@ -19,6 +21,7 @@ if TYPE_CHECKING:
     from pftwin.studies.contact_map.mapping import ContactMap
 
 
+@with_former_names({"--thickness": "--thickness-mm", "--proximity": "--proximity-mm"})
 def contact_map(
     *,
     femur: Annotated[Path, Option("--femur", metavar="MESH", help="STL, OBJ or PLY file.")],
@@ -37,14 +40,16 @@ def contact_map(
     law: Annotated[str, Option("--law", metavar="linear|logarithmic", help="Pressure over depth.")] = "linear",
     modulus: Annotated[str, Option("--modulus-mpa", help="Elastic modulus, or femur's,patella's.")] = "46.3",
     poisson: Annotated[str, Option("--poisson", help="Poisson ratio, or femur's,patella's.")] = "0.46",
-    thickness: Annotated[str, Option("--thickness-mm", help="Of the layer, or femur's,patella's.")] = "5",
+    thickness: Annotated[str, Option("--thickness", help="Of the layer, or femur's,patella's [mm].")] = "5 mm",
     rate: RateOption = None,
     start: Annotated[float | None, Option("--from", help="First time [s].")] = None,
     end: Annotated[float | None, Option("--to", help="Last time [s].")] = None,
     lateral: Annotated[
         str | None, Option("--lateral", metavar="AXIS", help="The femur's mesh: axis that points laterally, as in -z.")
     ] = None,
-    proximity: Annotated[float, Option("--proximity-mm", help="Largest gap that is reported [mm].")] = 1.0,
+    proximity: Annotated[
+        str, Option("--proximity", metavar="LENGTH", help="Largest gap that is reported [mm].")
+    ] = "1 mm",
     output: Annotated[
         Path | None, Option("-o", "--output", metavar="OUT.nc", help="NetCDF file with everything.")
     ] = None,
@@ -61,8 +66,7 @@ def contact_map(
     """
     terminal.check_figure(figure)
     terminal.check_outputs(output, figure, json)
-    if not 0 <= proximity <= 10:
-        raise InputError(f"{proximity:g} mm", where="--proximity-mm", expected="0 to 10")
+    largest_gap = 1e-3 * amount(proximity, "mm", "--proximity", least=0, most=10)
     outwards = None if lateral is None else _axis(lateral)
     terminal.start_computing()
     rule = _law(law, modulus, poisson, thickness)
@@ -78,9 +82,7 @@ def contact_map(
         check_sides(thigh, button, relative)
         surfaces = pressed_surface(thigh), pressing_surface(button)
     with terminal.progress("frames") as done:
-        found = map_contact(
-            *surfaces, rule, relative, triangles=len(button.faces), band=1e-3 * proximity, progress=done
-        )
+        found = map_contact(*surfaces, rule, relative, triangles=len(button.faces), band=largest_gap, progress=done)
     missing = relative.times.size - found.times.size
     if not missing:
         check_outcome(found, relative)
@@ -91,7 +93,7 @@ def contact_map(
         "law": law,
         "modulus_MPa": modulus,
         "poisson_ratio": poisson,
-        "thickness_mm": thickness,
+        "thickness_mm": ",".join(f"{t:g}" for t in amounts_in(thickness.split(","), "mm")),
     }
     if missing:
         settings["title"] = f"contact at given poses (interrupted: {found.times.size} of {relative.times.size} frames)"
@@ -123,8 +125,9 @@ def _law(name: str, modulus: str, poisson: str, thickness: str) -> FoundationLaw
 
     if name not in LAWS:
         raise InputError(f"no law {name!r}", where="--law", expected=" or ".join(LAWS))
-    options = {"--modulus-mpa": (modulus, 1e6), "--poisson": (poisson, 1.0), "--thickness-mm": (thickness, 1e-3)}
-    numbers = [_two(option, text, factor) for option, (text, factor) in options.items()]
+    options = {"--modulus-mpa": (modulus, 1e6, ""), "--poisson": (poisson, 1.0, "")}
+    options |= {"--thickness": (thickness, 1e-3, "mm")}
+    numbers = [_two(option, *given) for option, given in options.items()]
     layers = [
         checked_layer(*(pair[k] for pair in numbers), where=f"{body} layer")
         for k, body in enumerate(("femur's", "patella's"))
@@ -132,12 +135,10 @@ def _law(name: str, modulus: str, poisson: str, thickness: str) -> FoundationLaw
     return LAWS[name](*layers)
 
 
-def _two(option: str, text: str, factor: float) -> list[float]:
-    """One number for both layers, or one each for femur and patella, in SI units."""
-    try:
-        values = [factor * float(part) for part in text.split(",")]
-    except ValueError:
-        values = []
+def _two(option: str, text: str, factor: float, unit: str) -> list[float]:
+    """One number for both layers, or one each for femur and patella, in SI units; `unit`: of lengths, which may say
+    it."""
+    values = [factor * value for value in amounts_in(text.split(","), unit)]
     if len(values) not in (1, 2):
         raise InputError(f"found {text!r}", where=option, expected="a number, or two: femur's,patella's")
     return values * 2 if len(values) == 1 else values

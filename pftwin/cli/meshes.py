@@ -10,13 +10,16 @@ from typer import Argument, Option
 from pftwin.base.errors import InputError
 from pftwin.base.sheet import Sheet
 from pftwin.base.signed_axes import axis_named
+from pftwin.base.written_amounts import amount
 from pftwin.cli import terminal
+from pftwin.cli.plugins import with_former_names
 
 if TYPE_CHECKING:
     from pftwin.geometry.mesh.mesh import SurfaceMesh
     from pftwin.geometry.patch.fit import PatchFit
 
 
+@with_former_names({"--tolerance": "--tolerance-mm", "--half-width": "--half-width-mm"})
 def fit_surface(
     mesh: Annotated[Path, Argument(metavar="MESH", help="STL, OBJ or PLY file of a femoral component.")],
     *,
@@ -28,14 +31,17 @@ def fit_surface(
         str | None, Option("--degree", metavar="LIST", help="Polynomials to fit; P2,P4,P5 if left out.")
     ] = None,
     tolerance: Annotated[
-        float | None, Option("--tolerance-mm", help="Rms that a spline is to reach; 0.02 if left out [mm].")
+        str | None,
+        Option("--tolerance", metavar="LENGTH", help="Rms that a spline is to reach; 0.02 mm if left out [mm]."),
     ] = None,
     chart: Annotated[
         str | None, Option("--chart", metavar="plane|cylinder", help="Heights over what; a spline chooses if left out.")
     ] = None,
     anterior: Annotated[str, Option("--anterior", help="Anterior direction in the mesh's frame.")] = "+z",
     proximal: Annotated[str, Option("--proximal", help="Proximal direction in the mesh's frame.")] = "+x",
-    half_width: Annotated[float, Option("--half-width-mm", help="Half width of the region [mm].")] = 20.0,
+    half_width: Annotated[
+        str, Option("--half-width", metavar="LENGTH", help="Half width of the region [mm].")
+    ] = "20 mm",
     angles: Annotated[
         tuple[float, float], Option("--angles-deg", help="Region's limits about the trochlear axis [deg].")
     ] = (-60.0, 60.0),
@@ -63,7 +69,7 @@ def fit_surface(
         surface = load_mesh(mesh, units=units)
     with terminal.spinner("looking for the trochlea"):
         limits = float(np.radians(angles[0])), float(np.radians(angles[1]))
-        wanted: dict[str, Any] = {"half_width": 1e-3 * half_width, "angles": limits}
+        wanted: dict[str, Any] = {"half_width": 1e-3 * amount(half_width, "mm", "--half-width"), "angles": limits}
         try:
             region = trochlear_region(surface, **directions, **wanted)
         except InputError as error:
@@ -98,7 +104,7 @@ def fit_surface(
     terminal.present(facts, sheet, chosen, terminal.written_line([] if output is None else [output]), json=json)
 
 
-def _patches(kind: str, degree: str | None, tolerance: float | None) -> tuple[list[str], dict[str, float]]:
+def _patches(kind: str, degree: str | None, tolerance: str | None) -> tuple[list[str], dict[str, float]]:
     """The patches' names, and what else is asked of them."""
     from pftwin.geometry.patch.fit import SPLINE, parse_name
 
@@ -107,9 +113,9 @@ def _patches(kind: str, degree: str | None, tolerance: float | None) -> tuple[li
     if kind == SPLINE:
         if degree is not None:
             raise InputError("a spline has no degree to choose", where="--degree", remedy="leave it out")
-        return [SPLINE], {} if tolerance is None else {"tolerance": 1e-3 * tolerance}
+        return [SPLINE], {} if tolerance is None else {"tolerance": 1e-3 * amount(tolerance, "mm", "--tolerance")}
     if tolerance is not None:
-        raise InputError("polynomials reach what they reach", where="--tolerance-mm", remedy="--kind spline")
+        raise InputError("polynomials reach what they reach", where="--tolerance", remedy="--kind spline")
     return [parse_name(name) for name in (degree or "P2,P4,P5").split(",")], {}
 
 

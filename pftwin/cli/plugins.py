@@ -11,14 +11,30 @@ from __future__ import annotations
 
 import functools
 import inspect
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from importlib.metadata import entry_points
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
+from typer import Option
+from typer.models import OptionInfo
+
+from pftwin.base.errors import InputError
 from pftwin.cli.terminal import tell
 
 COMMANDS, SCENE_CHANGES = "pftwin.commands", "pftwin.scene_changes"
 PANELS = ("Start", "Simulate", "Fit", "Treat", "Look", "Check", "Exchange")  # in this order; further ones follow
+
+
+class Job(NamedTuple):
+    """Something that people come for: `pftwin` alone shows it above all commands."""
+
+    words: str
+    example: str  # a line to copy, which fits a terminal of 80 columns
+
+    @property
+    def markdown(self) -> str:
+        """For the help; two blanks end a line."""
+        return f"{self.words}:  \n`{self.example}`"
 
 
 class Command(NamedTuple):
@@ -29,6 +45,7 @@ class Command(NamedTuple):
     line: str  # of the help: with the name it fits a terminal of 80 columns
     panel: str
     place: int  # in its panel
+    job: Job | None = None
 
 
 def installed_commands() -> list[Command]:
@@ -64,6 +81,57 @@ def with_options(
     parameters = [*own[:place], *options, *own[place + 1 :]]
     run.__signature__ = signature.replace(parameters=parameters)  # pyright: ignore[reportAttributeAccessIssue]
     return run
+
+
+def with_former_names(names: Mapping[str, str]) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Lets options of a command be written by the names that they once had, which no help shows.
+
+    Args:
+        names: the former name of each option by the one of today, as in {"--half-width": "--half-width-mm"}.
+
+    Returns:
+        A decorator. Where both are written, the command refuses them with an InputError.
+    """
+
+    def decorated(command: Callable[..., Any]) -> Callable[..., Any]:
+        signature = inspect.signature(command, eval_str=True)
+        own = list(signature.parameters.values())
+        former = {p.name: (names[flag], _hidden(p, names[flag])) for p in own if (flag := _flag(p)) in names}
+
+        @functools.wraps(command)
+        def run(*arguments: Any, **given: Any) -> Any:
+            for p in own:
+                if p.name not in former:
+                    continue
+                name, hidden = former[p.name]
+                written = given.pop(hidden.name, None)
+                if written is not None and given.get(p.name, p.default) != p.default:
+                    raise InputError(f"{name} and {_flag(p)} given", expected="one of them: it is the same option")
+                if written is not None:
+                    given[p.name] = written
+            return command(*arguments, **given)
+
+        parameters = [*own, *(hidden for _, hidden in former.values())]
+        run.__signature__ = signature.replace(parameters=parameters)  # pyright: ignore[reportAttributeAccessIssue]
+        return run
+
+    return decorated
+
+
+def _flag(parameter: inspect.Parameter) -> str:
+    """The first name of an option that is annotated for typer, such as "--output"; empty for anything else."""
+    for about in getattr(parameter.annotation, "__metadata__", ()):
+        if isinstance(about, OptionInfo):
+            return str(about.default)  # where typer keeps the first of an annotation's names
+    return ""
+
+
+def _hidden(parameter: inspect.Parameter, name: str) -> inspect.Parameter:
+    """An option of the same kind by another name, which help and completion leave out."""
+    annotation = Annotated[parameter.annotation.__origin__ | None, Option(name, hidden=True)]
+    return parameter.replace(
+        name=f"former_{parameter.name}", kind=inspect.Parameter.KEYWORD_ONLY, default=None, annotation=annotation
+    )
 
 
 def with_scene_changes(command: Callable[..., None]) -> Callable[..., None]:

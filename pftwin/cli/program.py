@@ -43,12 +43,15 @@ def _show_warning(message: Any, category: Any, *rest: Any, **options: Any) -> No
         _show_elsewhere(message, category, *rest, **options)
 
 
+COMMANDS = installed_commands()
+_LEAD = "Digital twin of the patellofemoral joint: motion capture in, patellar tracking and forces out."
+
 app = typer.Typer(
     cls=_Commands,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode="markdown",
-    help="Digital twin of the patellofemoral joint: motion capture in, patellar tracking and forces out.",
+    help="\n\n".join([_LEAD, *(c.job.markdown for c in COMMANDS if c.job is not None)]),
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
@@ -80,7 +83,6 @@ def _options(
     limits.set({name: value for name, (value,) in allowed.items()})
 
 
-COMMANDS = installed_commands()
 for _command in COMMANDS:
     app.command(_command.name, short_help=_command.line, rich_help_panel=_command.panel)(_command.run)
 

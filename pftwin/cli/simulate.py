@@ -37,7 +37,9 @@ def simulate(
 ) -> None:
     """Simulate the patella through the recorded motion, as it is or after a treatment.
 
-    Example: `pftwin simulate --case 2 --medialise 16 -o after.nc`
+    Amounts of treatments may have a unit: "16 mm", "1.6 cm".
+
+    Example: `pftwin simulate --case 2 --tto-medial 16 -o after.nc`
     """
     check_suffix(output, [".nc"], "results are NetCDF")
     files = [output, *(output.with_suffix(s) for s, wanted in ((".csv", csv), (".sto", sto)) if wanted)]

@@ -8,7 +8,6 @@ or of the contact force (the largest of all frames). Estimates: `pftwin.dynamics
 from __future__ import annotations
 
 import math
-import re
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ from typing import Any, Generic, NamedTuple, TypeVar
 import numpy as np
 
 from pftwin.base.errors import InputError, PftwinWarning
+from pftwin.base.written_amounts import UNITS, number_and_unit
 from pftwin.dynamics.error_estimate import Course, ErrorEstimate, after_halving, error_of
 
 Run = TypeVar("Run")
@@ -24,7 +24,6 @@ Run = TypeVar("Run")
 MOST_SUBSTEPS = 256
 UNCONFIRMED = 2.0  # factor on an estimate from the first pair of runs
 HALVINGS = 2  # of the first step, at most, where no step was asked for
-UNITS = {"m": (1.0, "m"), "mm": (1e-3, "m"), "um": (1e-6, "m"), "µm": (1e-6, "m"), "N": (1.0, "N"), "mN": (1e-3, "N")}
 
 
 class Tolerance(NamedTuple):
@@ -97,15 +96,10 @@ def parse_tolerance(given: str | float) -> Tolerance:
     Raises:
         InputError: no positive length or force.
     """
-    number, unit = given, "m"
-    if isinstance(given, str):
-        match = re.fullmatch(r"\s*([0-9.eE+-]+)\s*([a-zµN]*)\s*", given)
-        number, unit = (match[1], match[2] or "?") if match else (given, "?")
-    try:
-        factor, kind = UNITS[unit]
-        value = float(number) * factor
-    except (KeyError, ValueError, TypeError):
-        value, kind = math.nan, "m"
+    written = number_and_unit(given) if isinstance(given, str) else (given, "m")
+    number, unit = written or (math.nan, "m")
+    kind = "N" if unit in UNITS["N"] else "m"
+    value = number * UNITS[kind].get(unit, math.nan)
     if not (math.isfinite(value) and value > 0):
         expected = 'a length such as "0.05 mm", or a force such as "0.5 N"'
         raise InputError(f"found {given!r}", where="tolerance", expected=expected)

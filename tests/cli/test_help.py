@@ -5,17 +5,22 @@ from __future__ import annotations
 import inspect
 import os
 import re
+import shlex
 import subprocess
 import sys
 from collections.abc import Callable
 from importlib.metadata import EntryPoint, entry_points
 from itertools import groupby
 from pathlib import Path
+from typing import Annotated
 
 import pytest
+import typer
+from typer import Option
+from typer.testing import CliRunner
 
 from pftwin.cli import plugins
-from pftwin.cli.program import COMMANDS
+from pftwin.cli.program import COMMANDS, app
 
 ROOT = Path(__file__).resolve().parents[2]
 COLOUR = re.compile(r"\x1b\[[0-9;]*\b(?:3[0-7]|9[0-7]|38;)[0-9;]*m")
@@ -35,6 +40,23 @@ def test_every_command_has_a_panel_and_one_line_of_80_columns():
         head = next(i for i, line in enumerate(lines) if line.startswith(f"╭─ {panel} "))
         for k, command in enumerate(commands, start=1):
             assert lines[head + k].strip("│ ").split(maxsplit=1) == [command.name, command.line], lines[head + k]
+
+
+def test_the_program_alone_shows_what_people_do_with_lines_to_copy():
+    """One after the other: what one writes the next reads. Each stands whole in a terminal of 80 columns."""
+    lines = [line.strip() for line in run().stdout.splitlines()]
+    jobs = [c.job for c in COMMANDS if c.job is not None]
+    assert [job.example.split()[1] for job in jobs] == ["init", "simulate", "fit", "treat"]
+    before = lines[: next(i for i, line in enumerate(lines) if line.startswith("╭─ Options"))]
+    places = [before.index(job.example) for job in jobs]
+    assert places == sorted(places)
+    assert [before[k - 1] for k in places] == [f"{job.words}:" for job in jobs]
+    program = typer.main.get_command(app)
+    for job in jobs:
+        _, *arguments = shlex.split(job.example)
+        with program.make_context("pftwin", arguments) as above:
+            name, command, rest = program.resolve_command(above, arguments)
+            command.make_context(name, rest, parent=above).close()  # refuses what the command does not take
 
 
 def test_no_command_is_left_out_of_the_table():
@@ -62,6 +84,22 @@ def test_simulate_does_without_the_options_of_others(monkeypatch):
     assert plain("knee") == "knee"
 
 
+def test_an_option_can_be_written_by_the_name_that_it_had():
+    seen = []
+
+    def command(*, gap: Annotated[str, Option("--gap", help="How far.")] = "1 mm") -> None:
+        seen.append(gap)
+
+    program = typer.Typer()
+    program.command()(plugins.with_former_names({"--gap": "--gap-mm"})(command))
+    for arguments in ([], ["--gap", "2"], ["--gap-mm", "3"]):
+        assert CliRunner().invoke(program, arguments).exit_code == 0
+    assert seen == ["1 mm", "2", "3"]
+    both = CliRunner().invoke(program, ["--gap", "2", "--gap-mm", "3"])
+    assert "--gap-mm and --gap given" in str(both.exception)
+    assert "--gap-mm" not in CliRunner().invoke(program, ["--help"]).stdout
+
+
 def test_version():
     from pftwin import __version__
 
@@ -72,7 +110,7 @@ def test_version():
     ("typed", "offered"),
     [
         ("pftwin hard", "hard-cases"),
-        ("pftwin simulate --med", "--medialise"),
+        ("pftwin simulate --tto-m", "--tto-medial"),
         ("pftwin simulate --contact s", "spline"),
     ],
 )

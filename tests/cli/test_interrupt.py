@@ -101,7 +101,7 @@ def test_treat_keeps_the_variants_that_are_done(toy, tmp_path):
         f"def predict(*a, **k):\n    calls.append(1)\n    if len(calls) == 3: {PAUSE}\n    return real(*a, **k)\n"
         "p.predict = predict"
     )
-    run = Run(before, "treat", toy, "-o", "v.nc", "--medialise", "0:5:1", "--dt", "0.005", cwd=tmp_path)
+    run = Run(before, "treat", toy, "-o", "v.nc", "--tto-medial", "0:5:1", "--dt", "0.005", cwd=tmp_path)
     run.until_ready()
     assert "saved so far: v.nc" in run.interrupted()
     data = load_dataset(tmp_path / "v.nc")
@@ -143,7 +143,7 @@ def test_treat_keeps_the_blocks_that_are_done(toy, tmp_path, monkeypatch):
     monkeypatch.setattr("fitting.cli.treat._BLOCK", 2)
     monkeypatch.setattr("fitting.prediction.predicting.predict", stopping_at(3, predict))
     output = tmp_path / "v.nc"
-    assert f"saved so far: {output}" in interrupted("treat", toy, "-o", output, "--medialise", "0:5:1")
+    assert f"saved so far: {output}" in interrupted("treat", toy, "-o", output, "--tto-medial", "0:5:1")
     data = load_dataset(output)
     assert data["peak"].values.tolist() == pytest.approx([0, 1, 2, 3])
     assert data["variant"].values.tolist() == [0, 1, 2, 3]
@@ -291,9 +291,9 @@ def test_blocks_change_no_outcome(toy, tmp_path, monkeypatch):
         options = [
             "-o",
             str(tmp_path / name),
-            "--medialise",
+            "--tto-medial",
             "0:2:1",
-            "--distalise",
+            "--tto-distal",
             "0,2",
             "--dt",
             "0.001",

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import math
+import re
 from pathlib import Path
 
 import pytest
@@ -11,11 +13,13 @@ from toy_scene_files import write_toy
 from typer.testing import CliRunner, Result
 
 from fitting.cli.amounts import limits
+from fitting.prediction.outcomes import MEASURES
+from fitting.treatments.limits import NO_NUMBER, Limit
 from pftwin.base.errors import InputError
 from pftwin.cli import app
 from pftwin.cli.exit_codes import ExitCode
 
-SOUND = ["--limit", "dislocation_margin>=3 mm", "--medialise", "0:20"]
+SOUND = ["--limit", "dislocation_margin>=3 mm", "--tto-medial", "0:20"]
 
 
 def pftwin(*arguments: object) -> Result:
@@ -37,7 +41,7 @@ def fit(toy: Path) -> Path:
 @pytest.mark.slow
 def test_a_plan_with_its_sureness(toy, fit, tmp_path):
     output = tmp_path / "plan.json"
-    given = ["--limit", "peak_contact_force<=1e6 N", "--limit", "dislocation_margin >= -1 m", "--medialise", "-4:4"]
+    given = ["--limit", "peak_contact_force<=1e6 N", "--limit", "dislocation_margin >= -1 m", "--tto-medial", "-4:4"]
     result = pftwin("optimise", toy, "--estimate", fit, *given, "--samples", 5, "-o", output, "--json", "-")
     assert result.exit_code == 0, result.output
     plan = json.loads(output.read_text())
@@ -55,7 +59,7 @@ def test_a_plan_with_its_sureness(toy, fit, tmp_path):
 @pytest.mark.slow
 def test_what_cannot_be_met_is_said(toy):
     """Compiles without an estimate what the plan above has compiled with one; in Python: test_optimise."""
-    result = pftwin("optimise", toy, "--limit", "peak_contact_force<=1e-6 N", "--medialise", "0:4")
+    result = pftwin("optimise", toy, "--limit", "peak_contact_force<=1e-6 N", "--tto-medial", "0:4")
     assert result.exit_code == ExitCode.FLAGGED, result.output
     assert "no amount within the range meets the limits" in result.stdout
 
@@ -64,13 +68,13 @@ def test_what_cannot_be_met_is_said(toy):
     ("arguments", "message"),
     [
         (SOUND[:2], "no treatment given"),
-        (["--limit", "dislocation_margin>=3", "--medialise", "0:20"], "dislocation_margin in mm or cm or m"),
-        (["--limit", "pain<=3", "--medialise", "0:20"], "no limit on 'pain'"),
+        (["--limit", "dislocation_margin>=3", "--tto-medial", "0:20"], "dislocation_margin in mm or cm or m"),
+        (["--limit", "pain<=3", "--tto-medial", "0:20"], "dislocation_margin [mm], mean_tilt [deg]"),
         (
-            [*SOUND[:2], "--medialise", "20:0"],
-            "--medialise: found '20:0'; expected: FROM:TO",
+            [*SOUND[:2], "--tto-medial", "20:0"],
+            "--tto-medial: found '20:0'; expected: FROM:TO",
         ),
-        ([*SOUND[:2], "--medialise", "0:20:1"], "FROM:TO, such as 0:20"),
+        ([*SOUND[:2], "--tto-medial", "0:20:1"], "FROM:TO, such as 0:20"),
         (
             [*SOUND, "--samples", "5"],
             "samples of nothing uncertain",
@@ -86,7 +90,30 @@ def test_mistakes_are_one_line(toy, arguments, message, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.parametrize(("command", "option"), [("optimise", "--limit"), ("calibrate", "--meet")])
+def test_limits_are_listed_with_their_units(command, option):
+    """Without all else that the command needs; each unit that is listed is taken, with the size that it has."""
+    result = pftwin(command, option, "help")
+    assert result.exit_code == 0, result.output
+    rows = [
+        [cell.strip() for cell in re.split(r"\s{2,}", line.strip(), maxsplit=2)] for line in result.stdout.splitlines()
+    ]
+    listed = {row[0]: row[1].split(", ") for row in rows if row[0] in MEASURES}
+    assert set(listed) == set(MEASURES) - set(NO_NUMBER)
+    sizes = {"mm": 1e-3, "cm": 1e-2, "m": 1, "um": 1e-6, "deg": math.pi / 180, "rad": 1, "N": 1, "mN": 1e-3, "%": 0.01}
+    for name, units in listed.items():
+        for unit in units:
+            plain = unit == "number"
+            limit = Limit.parsed(f"{name}<=2{'' if plain else unit}")
+            assert limit.at_most == pytest.approx(2 * (1 if plain else sizes[unit]))
+
+
+def test_ranges_may_have_units():
+    assert limits("0:2 cm", "--tto-medial", "mm") == (0, 20)
+    assert limits("-5:20", "--tto-medial", "mm") == (-5, 20)
+
+
 @pytest.mark.parametrize("text", ["", "a:b", "1", "0:1:2", "nan:1", "1:1"])
 def test_ranges_that_are_none_are_refused(text):
-    with pytest.raises(InputError, match="--medialise"):
-        limits(text, "--medialise")
+    with pytest.raises(InputError, match="--tto-medial"):
+        limits(text, "--tto-medial", "mm")

@@ -9,7 +9,7 @@ import pytest
 from made_estimates import made_estimate
 from typer.testing import CliRunner
 
-from fitting.cli.amounts import values
+from fitting.cli.amounts import AMOUNTS, values
 from fitting.coverage import QUICK
 from fitting.parameters import ASKED
 from fitting.prediction.band_sources import band_sources
@@ -31,7 +31,7 @@ def fit(tmp_path_factory):
 @pytest.fixture(scope="module")
 def treated(fit, tmp_path_factory):
     folder = tmp_path_factory.mktemp("treated")
-    command = ["treat", "--case", "2", "--estimate", str(fit), "--medialise", "0:16:8", "--samples", "8"]
+    command = ["treat", "--case", "2", "--estimate", str(fit), "--tto-medial", "0:16:8", "--samples", "8"]
     outcome = RUNNER.invoke(
         app, [*command, "--dt", "0.001", "-o", str(folder / "v.nc"), "--json", str(folder / "v.json")]
     )
@@ -53,7 +53,7 @@ def test_table_says_from_where_on_nothing_dislocates(treated):
 @pytest.mark.slow
 def test_what_follows_from_doubted_measurements_is_flagged(tmp_path):
     doubted = made_estimate({"K1": (157.0, 2.0)}, doubts=["measured position is 30 ms late"])
-    command = ["treat", "--case", "2", "--estimate", str(doubted.save(tmp_path / "fit.json")), "--medialise", "0:16:8"]
+    command = ["treat", "--case", "2", "--estimate", str(doubted.save(tmp_path / "fit.json")), "--tto-medial", "0:16:8"]
     outcome = RUNNER.invoke(app, [*command, "--samples", "4", "-o", str(tmp_path / "v.nc")])
     assert outcome.exit_code == 3
     assert "INVALID estimate: measured position is 30 ms late" in outcome.stdout
@@ -96,13 +96,42 @@ def test_files_hold_the_outcomes(treated):
     ],
 )
 def test_ranges_include_their_end(text, expected):
-    np.testing.assert_allclose(values(text, "--medialise"), expected)
+    np.testing.assert_allclose(values(text, "--tto-medial"), expected)
+
+
+@pytest.mark.parametrize("text", ["0:20:5 mm", "0:2:0.5 cm", "0:0.02:0.005 m", "0 mm:2 cm:5 mm", "0,5,10,15,20 mm"])
+def test_ranges_may_have_units(text):
+    np.testing.assert_allclose(values(text, "--tto-medial", "mm"), [0, 5, 10, 15, 20], atol=1e-12)
+    with pytest.raises(InputError, match="--angle"):
+        values(text, "--angle", "deg")
+
+
+def test_options_keep_their_former_names_and_show_those_of_surgeons(monkeypatch):
+    seen = []
+    monkeypatch.setattr("fitting.cli.treat._variants", lambda numbers: seen.append(numbers) or 1 / 0)
+    pairs = {a.former: a.flag for a in AMOUNTS if a.former}
+    assert pairs["--medialise"] == "--tto-medial"
+    assert pairs["--distalise"] == "--tto-distal"
+    for former, flag in pairs.items():
+        for name in (former, flag):
+            outcome = RUNNER.invoke(app, ["treat", "--case", "2", name, "0:2", "-o", "v.nc"])
+            assert isinstance(outcome.exception, ZeroDivisionError), outcome.output
+        assert seen[-1] == seen[-2]
+        for command in ("simulate", "treat", "optimise", "calibrate"):
+            shown = RUNNER.invoke(app, [command, "--help"]).stdout.split()
+            assert flag in shown
+            assert former not in shown
+    assert seen[1] == {"tibial_tuberosity_transfer": {"medialisation": [0.0, 1.0, 2.0]}}
+    both = ["treat", "--case", "2", "--medialise", "1", "--tto-medial", "2", "-o", "v.nc"]
+    outcome = RUNNER.invoke(app, both)
+    assert outcome.exit_code == 2
+    assert "--medialise and --tto-medial given; expected: one of them" in outcome.stderr
 
 
 @pytest.mark.parametrize("text", ["", "a", "0:20:0", "20:0:1", "0:1:2:3", "nan", "0:inf:1", "0:1e9:1"])
 def test_ranges_that_are_none_are_refused(text):
-    with pytest.raises(InputError, match="--medialise"):
-        values(text, "--medialise")
+    with pytest.raises(InputError, match="--tto-medial"):
+        values(text, "--tto-medial")
 
 
 @pytest.mark.parametrize(
@@ -110,10 +139,10 @@ def test_ranges_that_are_none_are_refused(text):
     [
         (["--case", "2"], "no treatment given"),
         (["--case", "2", "--tighten-mpfl", "1"], "no tendon or strands named 'mpfl'"),
-        (["--case", "2", "--contact", "P2", "--deepen", "2"], "expected: degree 4 or more"),
-        (["--case", "2", "--medialise", "0:1000:0.01", "--distalise", "0:99:1"], "combinations"),
-        (["--case", "2", "--medialise", "1", "--estimate", "nothing.json"], "nothing.json: no such file"),
-        (["--medialise", "1"], "neither a scene file nor --case"),
+        (["--case", "2", "--contact", "P2", "--trochleoplasty", "2"], "expected: degree 4 or more"),
+        (["--case", "2", "--tto-medial", "0:1000:0.01", "--tto-distal", "0:99:1"], "combinations"),
+        (["--case", "2", "--tto-medial", "1", "--estimate", "nothing.json"], "nothing.json: no such file"),
+        (["--tto-medial", "1"], "neither a scene file nor --case"),
     ],
 )
 def test_mistakes_are_one_line(arguments, message, tmp_path):
@@ -124,7 +153,7 @@ def test_mistakes_are_one_line(arguments, message, tmp_path):
 
 
 def test_results_are_netcdf(tmp_path):
-    outcome = RUNNER.invoke(app, ["treat", "--case", "2", "--medialise", "1", "-o", str(tmp_path / "v.csv")])
+    outcome = RUNNER.invoke(app, ["treat", "--case", "2", "--tto-medial", "1", "-o", str(tmp_path / "v.csv")])
     assert outcome.exit_code == 2
     assert "v.nc" in outcome.stderr
 
@@ -133,17 +162,17 @@ def test_results_are_netcdf(tmp_path):
 def test_a_simulation_after_a_treatment(tmp_path):
     """What dislocates as it is does not with the tuberosity 16 mm medial; the result says what was done."""
     out = tmp_path / "after.nc"
-    outcome = RUNNER.invoke(app, ["simulate", "--case", "2", "--medialise", "16", "-o", str(out)])
+    outcome = RUNNER.invoke(app, ["simulate", "--case", "2", "--tto-medial", "16", "-o", str(out)])
     assert outcome.exit_code == 0, outcome.output
     data = load_dataset(out)
-    assert data.attrs["scene"] == "rig case 2, P5, medialise 16 mm"
+    assert data.attrs["scene"] == "rig case 2, P5, tto-medial 16 mm"
     assert data.attrs["tracking"] == "normal tracking"
     assert "synthetic" in data.attrs["note"]
 
 
-@pytest.mark.parametrize("amount", ["0:16:8", "a little"])
+@pytest.mark.parametrize("amount", ["0:16:8", "a little", "16 N"])
 def test_a_simulation_takes_one_value_of_each_amount(amount, tmp_path):
-    outcome = RUNNER.invoke(app, ["simulate", "--case", "2", "--medialise", amount, "-o", str(tmp_path / "x.nc")])
+    outcome = RUNNER.invoke(app, ["simulate", "--case", "2", "--tto-medial", amount, "-o", str(tmp_path / "x.nc")])
     assert outcome.exit_code == 2
-    assert "--medialise" in outcome.stderr
+    assert "--tto-medial" in outcome.stderr
     assert not (tmp_path / "x.nc").exists()

@@ -238,6 +238,6 @@ def _prediction(path: Path) -> Dataset:
             "no prediction of treatments in it",
             where=path,
             expected="what `pftwin treat` wrote",
-            remedy="pftwin treat --case 2 --estimate fit.json --medialise 0:20:4 -o variants.nc",
+            remedy="pftwin treat --case 2 --estimate fit.json --tto-medial 0:20:4 -o variants.nc",
         )
     return data

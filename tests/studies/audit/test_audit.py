@@ -280,7 +280,9 @@ def test_rows_that_there_are_not_are_refused(only):
         audit(scene(), only=only)
 
 
-@pytest.mark.parametrize("arguments", [["--tolerance", "0"], ["--tolerance", "nan"], ["--out", __file__]])
+@pytest.mark.parametrize(
+    "arguments", [["--tolerance", "0 mm"], ["--tolerance", "nan"], ["--tolerance", "1 N"], ["--out", __file__]]
+)
 def test_the_command_refuses_before_any_work(arguments):
     done = CliRunner().invoke(app, ["audit", "--case", "1", *arguments])
     assert done.exit_code == 2

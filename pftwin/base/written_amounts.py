@@ -1,0 +1,72 @@
+"""Amounts as people write them: a number and, behind it, its unit: "16 mm", "1.6 cm", "0.5 N"."""
+
+from __future__ import annotations
+
+import math
+import re
+
+from pftwin.base.errors import InputError
+
+UNITS = {  # by SI unit: the units that an amount may have, with their sizes
+    "m": {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "um": 1e-6},
+    "rad": {"deg": math.pi / 180, "rad": 1.0},
+    "N": {"N": 1.0, "mN": 1e-3},
+    "1": {"": 1.0, "%": 0.01},
+}
+_WRITTEN = re.compile(r"\s*([-+.\deE]+)\s*([^\W\d_]*|%)\s*")
+_SMALL = str.maketrans("µμ", "uu")  # micro sign, Greek letter
+
+
+def number_and_unit(text: str) -> tuple[float, str] | None:
+    """The two parts, the unit empty where there is none; None if the text is no finite number with a word behind it."""
+    match = _WRITTEN.fullmatch(text)
+    try:
+        number = float(match[1]) if match else math.nan
+    except ValueError:
+        number = math.nan
+    return (number, match[2].translate(_SMALL)) if match and math.isfinite(number) else None
+
+
+def units_beside(unit: str) -> dict[str, float]:
+    """Units that an amount in this one may be written in, with their sizes in it; none for a unit not in `UNITS`."""
+    kind = next((sizes for sizes in UNITS.values() if unit in sizes), {})
+    return {name: size / kind[unit] for name, size in kind.items() if name}
+
+
+def amounts_in(parts: list[str], unit: str) -> list[float]:
+    """Numbers in a unit, of which each may have one of its own; those without have that of the last.
+
+    Args:
+        parts: such as "0", "2", "0.4 cm".
+        unit: of the answer, and of parts where none has a unit.
+
+    Returns:
+        An empty list if a part is no finite number or has a unit of another kind.
+    """
+    found = [number_and_unit(part) for part in parts]
+    last = found[-1][1] if found and found[-1] else ""
+    sizes = {"": 1.0, **units_beside(unit)}
+    written = [(number, own or last) for number, own in (pair or (math.nan, "?") for pair in found)]
+    return [number * sizes[own] for number, own in written] if all(own in sizes for _, own in written) else []
+
+
+def amount(text: str, unit: str, where: str, *, least: float = -math.inf, most: float = math.inf) -> float:
+    """One number in a unit, from "16 mm", or "16" in that unit.
+
+    Args:
+        text: as written.
+        unit: of the answer.
+        where: the option or field, for messages.
+        least, most: what it may be, in that unit.
+
+    Raises:
+        InputError: anything else.
+    """
+    found = amounts_in([text], unit)
+    if not found or not least <= found[0] <= most:
+        low = f"at least {least:g}" if least > -math.inf else ""
+        high = f"at most {most:g}" if most < math.inf else ""
+        bounds = " and ".join(part for part in (low, high) if part)
+        expected = f"a number, in {unit} or with a unit: {', '.join(units_beside(unit))}"
+        raise InputError(f"found {text!r}", where=where, expected=f"{expected}; {bounds}" if bounds else expected)
+    return found[0]

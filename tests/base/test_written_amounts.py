@@ -1,0 +1,73 @@
+"""Amounts as people write them."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from pftwin.base.errors import InputError
+from pftwin.base.written_amounts import amount, amounts_in, number_and_unit, units_beside
+
+
+@pytest.mark.parametrize(
+    ("text", "unit", "value"),
+    [
+        ("16 mm", "mm", 16.0),
+        ("1.6 cm", "mm", 16.0),
+        ("0.016 m", "mm", 16.0),
+        ("16000um", "mm", 16.0),
+        ("16000 µm", "mm", 16.0),
+        ("16", "mm", 16.0),
+        (" -1.5e1 ", "mm", -15.0),
+        ("0.2 mm", "m", 2e-4),
+        ("90 deg", "rad", math.pi / 2),
+        ("0.5", "%", 0.5),
+        ("50 %", "%", 50.0),
+        ("20 mN", "N", 0.02),
+    ],
+)
+def test_a_number_has_its_own_unit_or_that_of_the_option(text, unit, value):
+    assert amount(text, unit, "--option") == pytest.approx(value, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    "text", ["", "mm", "16 N", "16 deg", "16 furlong", "nan", "inf mm", "1 2 mm", "1e mm", "16 mm mm"]
+)
+def test_what_is_no_length_is_refused(text):
+    with pytest.raises(
+        InputError, match=r"--option: found .*; expected: a number, in mm or with a unit: mm, cm, m, um"
+    ):
+        amount(text, "mm", "--option")
+
+
+def test_bounds_are_in_the_options_unit():
+    assert amount("1 cm", "mm", "--gap", least=0, most=10) == 10.0
+    with pytest.raises(InputError, match=r"--gap: found '1.1 cm'.*at least 0 and at most 10"):
+        amount("1.1 cm", "mm", "--gap", least=0, most=10)
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("0:20:4", [0, 20, 4]),
+        ("0:2:0.4 cm", [0, 20, 4]),
+        ("0 mm:2 cm:4", [0, 20, 4]),
+        ("0:20 mm:0.4 cm", [0, 20, 4]),
+        ("0:2 m:20 N", []),
+        ("0:x:1 cm", []),
+    ],
+)
+def test_parts_without_a_unit_have_that_of_the_last(text, expected):
+    assert amounts_in(text.split(":"), "mm") == pytest.approx(expected)
+
+
+def test_an_option_without_a_unit_takes_plain_numbers_alone():
+    assert amounts_in(["1", "2"], "") == [1, 2]
+    assert amounts_in(["1 mm"], "") == []
+
+
+def test_parts_of_an_amount():
+    assert number_and_unit("3e-1mm") == (0.3, "mm")
+    assert number_and_unit("3 mm 4") is None
+    assert units_beside("deg") == pytest.approx({"deg": 1.0, "rad": 180 / math.pi})

@@ -104,7 +104,7 @@ def train_posterior(
             noise=levels,
             simulations=simulations,
             limits=check_limits(limit),
-            progress=lambda done, of: shown(done, of, f"{done}/{of}", "simulations" if done < of else "networks"),
+            progress=lambda done, of: shown(done, of, what="simulations" if done < of else "networks"),
         )
     files = [str(found.save(output))]
     rows = tuple((name, f"{low:.6g} to {high:.6g}") for name, (low, high) in found.set_up.bounds.items())

@@ -141,7 +141,7 @@ def calibrate(
             operation=operation,
             seed=seed,
             limits=allowed,
-            progress=lambda kind, done, of: shown(done, of, f"{done}/{of}", f"plants {kind}"),
+            progress=lambda kind, done, of: shown(done, of, what=f"plants {kind}"),
         )
     files = [str(found.save(output))]
     if widen is not None and posterior is not None:

@@ -82,7 +82,7 @@ def _table_2(study: PaperStudy, case: int) -> Sheet:
         if any(value is not None for value in own):
             cells = [number_cell(v, signed=row.unit == "%") for v in own]
             rows.append((f"{row.label}, {row.unit}", *cells, number_cell(row.paper[case])))
-    return Sheet(title, ("", "A", "B", "C", "paper"), tuple(rows), words=(0,), narrow=True)
+    return Sheet(title, ("", "A", "B", "C", "paper"), tuple(rows), words=(0,))
 
 
 def _springs(study: PaperStudy, fit: str) -> Sheet:
@@ -99,7 +99,7 @@ def _springs(study: PaperStudy, fit: str) -> Sheet:
         cells += [f"{row.low:.4g} to {row.high:.4g}", covered, f"{row.error:+.1f}", f"{row.error_of_line:+.1f}"]
         cells += [] if row.paper_error is None else [f"{row.paper_error:.0f}"]
         rows.append((f"{row.name}, {row.unit}", *cells))
-    return Sheet(f"{title}\n({about})", tuple(headings), tuple(rows), words=(0,), narrow=True)
+    return Sheet(f"{title}\n({about})", tuple(headings), tuple(rows), words=(0,))
 
 
 def _outcomes(study: PaperStudy) -> Sheet:
@@ -113,4 +113,4 @@ def _outcomes(study: PaperStudy) -> Sheet:
     )
     agrees = {None: "", True: "yes", False: "NO"}
     rows = tuple((str(r.case), r.springs, r.text, agrees[r.as_measured]) for r in outcome_rows(study))
-    return Sheet(title, ("case", "springs", "outcome", "as measured"), rows, narrow=True)
+    return Sheet(title, ("case", "springs", "outcome", "as measured"), rows)

@@ -144,7 +144,7 @@ def optimise(
     stated = [Limit.parsed(text) for text in limit]
     found = _loaded(estimate)
     chosen = knee.load()
-    with terminal.spinner("searching"):
+    with terminal.progress("searching") as shown:
         plan = optimise_treatment(
             chosen.scene,
             stated,
@@ -155,6 +155,7 @@ def optimise(
             confidence=confidence,
             seed=seed,
             dt=dt,
+            progress=terminal.told_by(shown),
         )
 
     notes = reservations(found, chosen.scene.synthetic)
@@ -237,7 +238,8 @@ def _sheet(data: Dataset) -> Sheet:
     hidden = len(lines) - _MOST_ROWS
     title = data.attrs["title"] + (f" ({hidden} of {len(lines)} variants not shown)" if hidden > 0 else "")
     notes = (f"in brackets: 95 % of the draws; {coverage_in(data)}",) if "sample" in data.dims else ()
-    return Sheet(title, tuple(headings), tuple(map(tuple, lines[:_MOST_ROWS])), words=(), notes=notes)
+    shown, amounts = tuple(map(tuple, lines[:_MOST_ROWS])), headings.index("dislocation")
+    return Sheet(title, tuple(headings), shown, words=(), notes=notes, keys=amounts)
 
 
 def _loaded(path: Path | None) -> Estimate | None:

@@ -110,7 +110,7 @@ def _table(means: dict[str, Validation]) -> Sheet:
             for value in (row.value, row.paper)[: len(found)]
         ]
         lines.append((f"{rows[0].label}, {rows[0].unit}", *cells))
-    return Sheet(title, headings, tuple(lines), words=(0,), narrow=True)
+    return Sheet(title, headings, tuple(lines), words=(0,))
 
 
 def _rows(means: dict[str, Validation]) -> list[tuple[ValidationRow, ...]]:
@@ -142,7 +142,7 @@ def _outcome_table(outcomes: list[dict[str, Any]]) -> Sheet:
         "but not with P2; in 2 the patella wedges superiorly)"
     )
     rows = tuple((str(row["case"]), row["contact"], row["text"]) for row in outcomes)
-    return Sheet(title, ("case", "contact", "outcome"), rows, narrow=True)
+    return Sheet(title, ("case", "contact", "outcome"), rows)
 
 
 def _fit_note(r_squared: dict[str, float]) -> str:

@@ -11,7 +11,7 @@ together, for a stated share of the draws.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -43,6 +43,7 @@ def optimise_treatment(
     seed: int = 0,
     dt: float | None = None,
     threshold: float = DISLOCATED,
+    progress: Callable[[int, int, str], None] = lambda done, of, what: None,
 ) -> TreatmentPlan:
     """The smallest treatment that meets the limits.
 
@@ -63,6 +64,7 @@ def optimise_treatment(
         seed: of the draws.
         dt: longest time step [s]; by default as `predict` has it.
         threshold: distance from the groove's bottom beyond which the button counts as dislocated [m].
+        progress: called with the number of simulations done, that of all, and of what, for the range and for the draws.
 
     Returns:
         A plan, with the share of draws in which its limits hold; where no amount within the range meets the limits it
@@ -87,7 +89,11 @@ def optimise_treatment(
     scale = np.maximum(np.abs(lower), np.abs(upper))
     amounts = amounts[np.argsort(np.linalg.norm(amounts / scale, axis=1), kind="stable")]
     options: dict[str, Any] = {"dt": dt, "threshold": threshold, "chunk": CHUNK}
-    coarse = predict(scene, search.treated(amounts), estimate, **options)
+
+    def told(done: int, of: int) -> None:
+        progress(done, of, "the whole range")
+
+    coarse = predict(scene, search.treated(amounts), estimate, progress=told, **options)
     room = smallest_margin(coarse, wanted)
     fine = np.flatnonzero(room >= 0)
     simulated = len(amounts)
@@ -109,7 +115,13 @@ def optimise_treatment(
         part = fine[i : i + _AT_ONCE]
         shares = np.ones(len(part))
         if samples:
-            data = predict(scene, search.treated(amounts[part]), estimate, samples=samples, seed=seed, **options)
+            draws = 1 + samples
+
+            def drawn(done: int, of: int, before: int = i * draws, whole: int = len(fine) * draws) -> None:
+                progress(before + done, whole, "draws")
+
+            of_draws: dict[str, Any] = {"samples": samples, "seed": seed, "progress": drawn}
+            data = predict(scene, search.treated(amounts[part]), estimate, **options, **of_draws)
             shares = (smallest_margin(data, wanted)[:, 1:] >= 0).mean(axis=1)
             simulated += len(part) * (1 + samples)
         if shares.max() > most:

@@ -11,7 +11,7 @@ from pftwin.base.errors import InputError
 from pftwin.base.written_amounts import amount
 from pftwin.cli.exit_codes import Interrupted, exit_flagged, report_written_on_interrupt
 from pftwin.cli.scenes import RunOptions, on_scene
-from pftwin.cli.terminal import JsonOption, check_folder, check_outputs, present, show, spinner, written_line
+from pftwin.cli.terminal import JsonOption, check_folder, check_outputs, present, progress, show, told_by, written_line
 
 if TYPE_CHECKING:
     from pftwin.studies.audit.audit import Audit
@@ -31,8 +31,8 @@ def explain(*, knee: RunOptions, markdown: MarkdownOption = False, json: JsonOpt
     from pftwin.studies.audit.explain import explain as look
     from pftwin.studies.audit.report import explanation_sheet
 
-    with spinner(f"running {chosen.scene.name} with and without each effect"):
-        found = look(chosen.scene, integrator=knee.method, dt=knee.dt)
+    with progress(f"running {chosen.scene.name}") as shown:
+        found = look(chosen.scene, integrator=knee.method, dt=knee.dt, progress=told_by(shown))
     facts = {"contact": chosen.contact, **found.to_dict(), "machine": describe()}
     present(facts, explanation_sheet(found), json=json, markdown=markdown)
 
@@ -64,8 +64,9 @@ def audit(
     from pftwin.studies.audit.audit import audit as weigh
     from pftwin.studies.audit.report import audit_sheet
 
-    with spinner(f"running {chosen.scene.name} with every effect left out in turn"):
-        found = weigh(chosen.scene, tolerance=1e-3 * allowed, integrator=knee.method, dt=knee.dt)
+    with progress(f"running {chosen.scene.name}") as shown:
+        options = {"integrator": knee.method, "dt": knee.dt, "progress": told_by(shown)}
+        found = weigh(chosen.scene, tolerance=1e-3 * allowed, **options)
     files = [] if out_dir is None else _write(found, out_dir)
     about = {"contact": chosen.contact, "machine": describe(), "files": [str(p) for p in files]}
     present({**found.to_dict(), **about}, audit_sheet(found), json=json, markdown=markdown)

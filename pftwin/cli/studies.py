@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import time
 from dataclasses import asdict
 from pathlib import Path
@@ -62,8 +63,9 @@ def accuracy(
         raise InputError("--full given with a choice", expected="one of them", remedy="leave --full out")
     source = _source(scene, case)
     plan = full_table() if full else chosen(contact or [source.own], integrator or COMMON, dtype or FLOATS[:1])
-    with report_written_on_interrupt(folder / "accuracy.csv"), terminal.spinner("measuring"):
-        found = measure_all(plan, source.scene_of, source.measured, _tell, lambda rows: _keep(rows, folder))
+    with report_written_on_interrupt(folder / "accuracy.csv"), terminal.progress("measuring") as shown:
+        keep = functools.partial(_keep, folder=folder)
+        found = measure_all(plan, source.scene_of, source.measured, _tell, keep, shown)
     synthetic = source.measured is not None and source.measured.synthetic
     about = {**describe(), "scene": source.title, "synthetic_measurements": int(synthetic)}
     paths = write(found, folder, source.title, about)

@@ -55,7 +55,7 @@ def show(*parts: Sheet | str, json: str | None = None, markdown: bool = False) -
         elif markdown:
             lines = [part.markdown()]
         else:
-            console.print(part.table())
+            console.print(*part.tables(console.width), sep="\n")
             lines = part.notes
         for line in lines:
             console.print(line, markup=False, highlight=False)
@@ -81,18 +81,28 @@ def spinner(what: str) -> Iterator[None]:
 
 @contextmanager
 def progress(what: str) -> Iterator[Callable[..., None]]:
-    """A bar on stderr, silent where that is no terminal; yields `show(done, of, now="", what=None)`."""
+    """A bar on stderr with n of N and the time left, silent where that is no terminal.
+
+    Yields `show(done, of, now=None, what=None)`; `now` takes the place of "n of N".
+    """
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
     console = err()
-    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.fields[now]}"), TimeRemainingColumn())
+    left = TimeRemainingColumn(compact=True), TextColumn("left")
+    columns = (TextColumn("{task.description}"), BarColumn(bar_width=20), TextColumn("{task.fields[now]}"), *left)
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task(what, total=None, now="")
 
-        def show(done: float, of: float, now: str = "", what: str | None = None) -> None:
-            bar.update(task, completed=done, total=of, now=now, description=what)
+        def show(done: float, of: float, now: str | None = None, what: str | None = None) -> None:
+            words = f"{done:.0f} of {of:.0f}" if now is None else now
+            bar.update(task, completed=done, total=of, now=words, description=what)
 
         yield show
+
+
+def told_by(show: Callable[..., None]) -> Callable[[int, int, str], None]:
+    """For work that tells the number done, that of all, and what comes: shows it by what `progress` yields."""
+    return lambda done, of, what: show(done, of, what=what)
 
 
 def start_computing(*, batches: bool = False) -> None:

@@ -61,7 +61,13 @@ class Cost:
 
 
 def time_in_turn(
-    runs: Sequence[Callable[[], Any]], *, rounds: int = 9, seconds: float = 0.3, most: int = 60, own: bool = True
+    runs: Sequence[Callable[[], Any]],
+    *,
+    rounds: int = 9,
+    seconds: float = 0.3,
+    most: int = 60,
+    own: bool = True,
+    before: Callable[[int], Any] = lambda k: None,
 ) -> list[Cost]:
     """Times runs in turn, after a first call that compiles them, so that other load affects all alike.
 
@@ -71,6 +77,7 @@ def time_in_turn(
         seconds: at least so long for each, but not more than `most` rounds.
         most: rounds.
         own: whether to use process time on a CPU, which other programs disturb less than wall time.
+        before: called with the number of runs compiled, before each.
     """
     clock = time.process_time if own and jax.default_backend() == "cpu" else time.perf_counter
 
@@ -79,7 +86,8 @@ def time_in_turn(
         jax.block_until_ready(run())
         return clock() - began
 
-    for run in runs:
+    for k, run in enumerate(runs):
+        before(k)
         jax.block_until_ready(run())
     taken: list[list[float]] = []
     while len(taken) < rounds or (sum(map(sum, taken)) < seconds * len(runs) and len(taken) < most):

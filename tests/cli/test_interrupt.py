@@ -166,7 +166,7 @@ def test_hard_cases_keeps_the_contacts_that_are_done(tmp_path, monkeypatch):
 
 
 def test_accuracy_keeps_the_rows_so_far(toy, tmp_path, monkeypatch):
-    def measure(plan: Any, scene_of: Any, measured: Any, tell: Any, keep: Any) -> None:
+    def measure(plan: Any, scene_of: Any, measured: Any, tell: Any, keep: Any, progress: Any) -> None:
         keep([])
         raise KeyboardInterrupt
 

@@ -60,7 +60,11 @@ def test_a_small_knee_gets_the_least_that_meets_its_limit(swept):
 
 def test_a_small_knee_is_told_what_it_cannot_have():
     limits = [Limit("peak_contact_force", at_most=0.5), Limit("dislocation_margin", at_least=0.001)]
-    plan = optimise_treatment(small_scene(5), limits, {"medialisation": (0.0, 0.02)}, dt=DT)
+    told = []
+    plan = optimise_treatment(
+        small_scene(5), limits, {"medialisation": (0.0, 0.02)}, dt=DT, progress=lambda *now: told.append(now)
+    )
+    assert told[-1] == (41, 41, "the whole range")
     assert not plan.met
     assert "no amount within the range meets the limits" in plan.describe()
     assert "peak contact force at most 0.5 N" in plan.describe()

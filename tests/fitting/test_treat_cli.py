@@ -10,11 +10,13 @@ from made_estimates import made_estimate
 from typer.testing import CliRunner
 
 from fitting.cli.amounts import AMOUNTS, values
+from fitting.cli.treat import _sheet
 from fitting.coverage import QUICK
 from fitting.parameters import ASKED
 from fitting.prediction.band_sources import band_sources
 from pftwin.base.errors import InputError
 from pftwin.cli import app
+from pftwin.cli.terminal import show
 from pftwin.files.result_files import load_dataset
 from pftwin.model.measured import SYNTHETIC
 
@@ -48,6 +50,19 @@ def test_table_says_from_where_on_nothing_dislocates(treated):
     assert SYNTHETIC in outcome.stdout
     assert "estimated from synthetic measurements" in outcome.stdout
     assert f"in brackets: 95 % of the draws; {QUICK.bands}" in outcome.stdout
+
+
+def test_the_table_is_whole_at_80_columns(treated, capsys, monkeypatch):
+    """Outcomes with their bands take more: they go on below, again with the amount."""
+    monkeypatch.setenv("COLUMNS", "80")
+    sheet = _sheet(load_dataset(treated[1] / "v.nc"))
+    show(sheet)
+    shown = capsys.readouterr().out
+    assert max(map(len, shown.splitlines()[: -len(sheet.notes)])) <= 80
+    for cell in (cell for row in sheet.rows for cell in row):
+        assert cell in shown
+    assert {word for heading in sheet.headings for word in heading.split()} <= set(shown.split())
+    assert shown.count("medialisation") > 1
 
 
 @pytest.mark.slow

@@ -104,8 +104,8 @@ def test_a_sheet_escapes_what_would_break_it():
     sheet = Sheet("title", ("a", "b"), (("x|y", "[bold]"), ("1", "2")), ("p", "q"), words=(0,), notes=("note",))
     assert sheet.grid().splitlines() == ["| a | b |", "| --- | ---: |", "| x/y | [bold] |", "| 1 | 2 |"]
     assert sheet.markdown().endswith("| 1 | 2 |\n\n- note\n")
-    assert sheet.table().row_count == 2
-    assert sheet.table().rows[0].end_section
+    assert sheet.tables(200)[0].row_count == 2
+    assert sheet.tables(200)[0].rows[0].end_section
 
 
 @pytest.mark.parametrize(("value", "said"), [(0.1234, "0.12"), (99.4, "99"), (1234.5, "1,234"), (np.nan, "-")])

@@ -37,6 +37,7 @@ def measure_all(
     measured: Measured | None,
     tell: Callable[[str], None],
     keep: Callable[[list[AccuracyRow]], None] = lambda _: None,
+    progress: Callable[[int, int], None] = lambda done, of: None,
 ) -> AccuracyMeasured:
     """Rows of a plan, the converged runs first.
 
@@ -46,10 +47,12 @@ def measure_all(
         measured: of the motion, if there are any.
         tell: called with a line before each piece of work.
         keep: called with all rows so far after each one, to store them.
+        progress: called before each row with the number done and that of all.
     """
     references: dict[str, Converged] = {}
 
     def before(k: int, setting: MeasuredProgram) -> None:
+        progress(k, len(plan))
         if setting.contact not in references:
             tell(f"{setting.contact}: converged run")
             with jax.enable_x64(True):

@@ -100,7 +100,7 @@ def advice(rows: Sequence[AccuracyRow]) -> Sheet:
             found.append((f"{level:g} mm" if kind == "one run" else "", kind, *cells))
     title = "Recommended: the fastest that was measured within an error"
     headings = ("rms", "", "setting", "x real time", "max, mm", "force, N")
-    return Sheet(title, headings, tuple(found), words=(0, 1, 2), narrow=True)
+    return Sheet(title, headings, tuple(found), words=(0, 1, 2))
 
 
 def all_figures(rows: Sequence[AccuracyRow]) -> Sheet:
@@ -133,7 +133,7 @@ def overview(rows: Sequence[AccuracyRow]) -> Sheet:
         groups.append(name)
     title = "Errors from the converged run of the same contact; speed in times real time"
     headings = ("step, ms", "rms, mm", "max, mm", "force, N", "one run", "64 runs")
-    return Sheet(title, headings, tuple(found), tuple(groups), words=(0,), narrow=True)
+    return Sheet(title, headings, tuple(found), tuple(groups), words=(0,))
 
 
 def described(row: AccuracyRow) -> str:

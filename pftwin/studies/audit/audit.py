@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Callable, Collection
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -80,6 +80,7 @@ def audit(
     integrator: Integrator | None = None,
     dt: float | None = None,
     only: Collection[str] | None = None,
+    progress: Callable[[int, int, str], None] = lambda done, of, what: None,
 ) -> Audit:
     """Runs the scene with each effect left out, with those put in that it lacks, and with other inertia and steps.
 
@@ -88,6 +89,7 @@ def audit(
         tolerance: by how much the tracked point may be off before an effect is worth keeping [m].
         integrator, dt: as in `simulate`, whose step is taken if none is given.
         only: names of the rows that are wanted; each saves the time of compiling the others. None: all there are.
+        progress: called before each program with the number done, that of all, and what comes; once more at the end.
 
     Returns:
         The audit. After an interrupt (Ctrl-C) it holds the variants that had been run, without their times.
@@ -104,14 +106,20 @@ def audit(
     # What is left out and doubled may be no knee any more.
     listed = _selected_variants(replace(scene, limits=None), integrator, only)
     wanted = sorted((v for v in listed if isinstance(v, Variant)), key=lambda v: KINDS.index(v.kind))
+    groups = _groups(wanted)
+    of = len(groups) + 3  # and `simulate`, the scene's own run, times
+    progress(0, of, "the scene itself")
     simulated = simulate(scene, integrator=integrator, dt=dt)
     substeps = simulated.settings["substeps"]
+    progress(1, of, "the scene itself")
     own = run_alone(scene, integrator, substeps)
-    runs = _runs(scene, wanted, integrator, substeps)
+    runs = _runs(scene, groups, integrator, substeps, lambda k, group: progress(2 + k, of, _spelled(group)))
     done = [v for v in wanted if (v.name, v.kind) in runs]
     shares: list[Cost | None] = [None] * (1 + len(done))
     if len(done) == len(wanted):
+        progress(of - 1, of, "times, in turn")
         shares = _shares(own, [runs[v.name, v.kind] for v in done])
+        progress(of, of, "times, in turn")
     judged = simulated.verdict.valid
     rows = [
         _worth(scene, v, runs[v.name, v.kind].result, own.result, share, tolerance, judged)
@@ -149,19 +157,31 @@ def _selected_variants(
     return [v for v in listed if v.name in only]
 
 
+def _groups(wanted: list[Variant]) -> list[list[Variant]]:
+    """Variants that differ in numbers only, together, and each of the others."""
+    alike = [v for v in wanted if v.alike]
+    return [alike] * bool(alike) + [[v] for v in wanted if not v.alike]
+
+
+def _spelled(group: list[Variant]) -> str:
+    return group[0].name if len(group) == 1 else f"{len(group)} that differ in numbers"
+
+
 def _runs(
-    scene: Scene, wanted: list[Variant], integrator: Integrator, substeps: int
+    scene: Scene,
+    groups: list[list[Variant]],
+    integrator: Integrator,
+    substeps: int,
+    before: Callable[[int, list[Variant]], None],
 ) -> dict[tuple[str, Kind], VariantRun]:
-    """Those that differ in numbers only side by side, the others one by one; after Ctrl-C, those that are done."""
-    alike, alone = [v for v in wanted if v.alike], [v for v in wanted if not v.alike]
+    """Those of a group side by side, where they are alike; after Ctrl-C, those that are done."""
 
     def run(group: list[Variant]) -> list[VariantRun]:
-        if group is alike:
+        if group[0].alike:
             return run_side_by_side(scene, group, integrator, substeps)
         return [run_alone(v.scene, v.integrator or integrator, v.refine * substeps) for v in group]
 
-    groups = [alike] * bool(alike) + [[v] for v in alone]
-    answers = run_each(groups, run)
+    answers = run_each(groups, run, before=before)
     pairs = (pair for group, runs in zip(groups, answers, strict=False) for pair in zip(group, runs, strict=True))
     return {(v.name, v.kind): answer for v, answer in pairs}
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import partial
 from typing import Any
@@ -81,24 +82,40 @@ class Explanation:
         return {**own, **{k: getattr(self, k) for k in more}, **status_facts(self.flags)}
 
 
-def explain(scene: Scene, *, integrator: Integrator | None = None, dt: float | None = None) -> Explanation:
+def explain(
+    scene: Scene,
+    *,
+    integrator: Integrator | None = None,
+    dt: float | None = None,
+    progress: Callable[[int, int, str], None] = lambda done, of, what: None,
+) -> Explanation:
     """Simulates the scene, runs it with an account of every step, then times a step with all effects and without each.
 
     Args:
         scene: what is there.
         integrator, dt: as in `simulate`, whose step is taken if none is given.
+        progress: called before each program with the number done, that of all, and what comes; once more at the end.
 
     Raises:
         InputError: a parameter of the scene, the step or the integrator that cannot give a right answer.
     """
     check(scene)
     integrator = checked_integrator(integrator or BDF2(), "explain")
-    simulated = simulate(scene, integrator=integrator, dt=dt)
+    scene, name, given = scene.unnamed(), scene.name, scene
+    listed = parts(scene)
+    stages = ["the scene itself", "its account", "with every effect", *(f"without {part.name}" for part in listed)]
+
+    def before(k: int) -> None:
+        progress(k, len(stages), stages[k])
+
+    before(0)
+    simulated = simulate(given, integrator=integrator, dt=dt)
     substeps = simulated.settings["substeps"]
-    scene, name = scene.unnamed(), scene.name
-    listed, start = parts(scene), settle_first_frame(scene)[0].answer
+    before(1)
+    start = settle_first_frame(scene)[0].answer
     kept: Account = account(scene, start, integrator, substeps)
-    shares = _shares(scene, listed, kept, integrator, substeps)
+    shares = _shares(scene, listed, kept, integrator, substeps, lambda k: before(2 + k))
+    progress(len(stages), len(stages), stages[-1])
     total, step = equations(scene, integrator), scene.motion.frame_interval / substeps
     steps = substeps * (scene.motion.n_frames - 1)
     sums = jax.tree.map(float, kept.sums)
@@ -122,7 +139,14 @@ def explain(scene: Scene, *, integrator: Integrator | None = None, dt: float | N
     )
 
 
-def _shares(scene: Scene, listed: list[EffectPart], kept: Account, integrator: Integrator, substeps: int) -> list[Cost]:
+def _shares(
+    scene: Scene,
+    listed: list[EffectPart],
+    kept: Account,
+    integrator: Integrator,
+    substeps: int,
+    before: Callable[[int], None],
+) -> list[Cost]:
     """Of the whole scene, and of it without each part."""
     runs = [partial(through_frames, scene, kept.states, integrator, substeps)]
     for part in listed:
@@ -132,7 +156,7 @@ def _shares(scene: Scene, listed: list[EffectPart], kept: Account, integrator: I
             part.forgetting(state.memories), state.carried,
         )  # fmt: skip
         runs.append(partial(through_frames, part.without.unnamed(), less, integrator, substeps))
-    return time_in_turn(runs)
+    return time_in_turn(runs, before=before)
 
 
 def _cost(part: EffectPart, added: int, share: Cost, sums: PartAccount, step: float) -> PartCost:

@@ -109,6 +109,7 @@ def audit_sheet(found: Audit) -> Sheet:
         tuple(row.kind for row in found.rows),
         (0, 1, 10, 11),
         tuple(notes),
+        keys=2,
     )
 
 

@@ -39,10 +39,16 @@ def scene() -> Scene:
 
 
 @pytest.fixture(scope="module")
-def found() -> Audit:
+def told() -> list[tuple[int, int, str]]:
+    """What the audit below tells while it runs."""
+    return []
+
+
+@pytest.fixture(scope="module")
+def found(told) -> Audit:
     """Tendons alone hold it, and few rows are wanted: of its programs none takes long to compile."""
     wanted = ("gravity", "tendons' damping", "patella inertia x 2", "steps half as long", "friction")
-    return audit(scene(), only=wanted)
+    return audit(scene(), only=wanted, progress=lambda *now: told.append(now))
 
 
 @pytest.fixture(scope="module")
@@ -90,6 +96,17 @@ def test_rows_that_are_wanted_stand_by_their_kind(found):
     assert found.programs == 1 + 2 + 3 + 1  # simulate's; equilibria with weight and without; motions; numbers differ
 
 
+def test_it_tells_how_far_it_is(found, told):
+    """Two rows that differ in numbers only run together, two alone; before and after them the scene itself."""
+    assert [what for _, _, what in told] == [
+        *["the scene itself"] * 2,
+        "2 that differ in numbers",
+        *("gravity", "steps half as long"),
+        *["times, in turn"] * 2,
+    ]
+    assert [(done, of) for done, of, _ in told] == [(k, 6) for k in range(7)]
+
+
 def test_what_is_audited_is_what_is_simulated(found):
     """The same integrator, the step that the errors ask for, and the same said of trust."""
     result = simulate(scene())
@@ -127,7 +144,7 @@ def test_it_falls_apart_without_what_holds_it(found):
     everything = audit_sheet(replace(found, synthetic=True))
     assert SYNTHETIC in everything.notes
     assert SYNTHETIC not in audit_sheet(found).notes
-    assert everything.table().row_count == len(found.rows)
+    assert everything.tables(200)[0].row_count == len(found.rows)
 
 
 def test_changes_are_those_that_were_made(own):

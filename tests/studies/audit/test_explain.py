@@ -30,8 +30,14 @@ def rough() -> Scene:
 
 
 @pytest.fixture(scope="module")
-def found() -> Explanation:
-    return explain(rough())
+def told() -> list[tuple[int, int, str]]:
+    """What the explanation below tells while it is made."""
+    return []
+
+
+@pytest.fixture(scope="module")
+def found(told) -> Explanation:
+    return explain(rough(), progress=lambda *now: told.append(now))
 
 
 @pytest.mark.slow
@@ -42,6 +48,12 @@ def test_what_is_explained_is_what_is_simulated(found):
     assert found.verdict == result.verdict.describe()
     doubted = explanation_sheet(replace(found, verdict="INVALID: no equilibrium"))
     assert doubted.title.startswith("INVALID: no equilibrium\n")
+
+
+@pytest.mark.slow
+def test_it_tells_how_far_it_is(found, told):
+    assert [(done, of) for done, of, _ in told] == [(k, 8) for k in range(9)]
+    assert [what for _, _, what in told[3:8]] == [f"without {part.name}" for part in found.parts]
 
 
 @pytest.mark.slow
@@ -90,7 +102,7 @@ def test_plain_values(found):
     assert json.loads(json.dumps(found.to_dict(), default=str))["parts"][3]["name"] == "contact"
     sheet = explanation_sheet(found)
     assert "- of which friction" in sheet.markdown()
-    assert sheet.table().row_count == len(found.parts) + 2
+    assert sheet.tables(200)[0].row_count == len(found.parts) + 2
 
 
 def test_the_longest_explicit_step_is_that_of_the_oscillator():

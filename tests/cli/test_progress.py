@@ -1,0 +1,76 @@
+"""What long commands show on a terminal while they run: n of N, what comes, and the time left."""
+
+from __future__ import annotations
+
+import io
+import re
+from typing import Any
+
+import pytest
+from rich.console import Console
+from typer.testing import CliRunner
+
+from pftwin.cli import app, terminal
+
+CODES = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]")
+
+
+@pytest.fixture
+def clock() -> list[float]:
+    """The time that a terminal takes it to be [s]."""
+    return [0.0]
+
+
+@pytest.fixture
+def screen(monkeypatch, clock) -> io.StringIO:
+    """A terminal of 80 columns in the place of stderr."""
+    shown = io.StringIO()
+    about = {"file": shown, "force_terminal": True, "width": 80, "get_time": lambda: clock[0]}
+    monkeypatch.setattr(terminal, "err", lambda: Console(**about))
+    return shown
+
+
+def lines(screen: io.StringIO) -> list[str]:
+    return [" ".join(line.split()) for line in re.split(r"[\r\n]+", CODES.sub("", screen.getvalue())) if line.strip()]
+
+
+def test_a_bar_tells_n_of_n_and_the_time_left(screen, clock):
+    """Four of ten in 20 s leave 30 s."""
+    with terminal.progress("counting") as shown:
+        for done in range(5):
+            clock[0] = 5.0 * done
+            shown(done, 10, what=f"number {done}")
+    last = lines(screen)[-1]
+    assert last.startswith("number 4")
+    assert last.endswith("4 of 10 00:30 left")
+    assert len(last) <= 80
+
+
+def test_a_file_in_the_place_of_a_terminal_gets_no_bar(monkeypatch):
+    plain = io.StringIO()
+    monkeypatch.setattr(terminal, "err", lambda: Console(file=plain, width=80))
+    with terminal.progress("counting") as shown:
+        shown(1, 2)
+    assert plain.getvalue().strip() == ""
+
+
+@pytest.mark.parametrize(
+    ("command", "work"),
+    [
+        (["audit"], "pftwin.studies.audit.audit.audit"),
+        (["explain"], "pftwin.studies.audit.explain.explain"),
+        (
+            ["optimise", "--limit", "mean_tilt<=3 deg", "--tto-medial", "0:20"],
+            "fitting.treatments.optimise.optimise_treatment",
+        ),
+    ],
+)
+def test_long_commands_show_how_far_they_are(command, work, screen, monkeypatch):
+    def half(*_: Any, progress: Any, **options: Any) -> None:
+        progress(3, 6, "without gravity")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(work, half)
+    done = CliRunner().invoke(app, [*command, "--case", "1"])
+    assert done.exit_code == 130, done.output
+    assert any(line.startswith("without gravity") and "3 of 6" in line for line in lines(screen))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections import Counter
 from collections.abc import Iterator
@@ -11,10 +12,12 @@ from pydantic_core import PydanticUndefined
 from spelled_types import sections_of, spelled
 
 from pftwin.files.scene_file import loading
+from pftwin.files.scene_file.json_schema import scene_json_schema
 from pftwin.files.scene_file.registry import EFFECTS
 from pftwin.files.scene_file.section import ONE_OR_MANY, Section
 
 PAGE = "scene_file.md"
+SCHEMA_FILE = f"scene-{loading.SCHEMA}.schema.json"
 _UNIT = re.compile(r"\s*\[(-|deg|s|m|kg|kg m\^2|m/s|m/s\^2|s/m|Hz|MPa|samples|N[^\]]*)\]")
 _HEADER = "| field | unit | kind | default | meaning |\n|---|---|---|---|---|"
 _TAG = "tells this table from others in its place"
@@ -24,6 +27,7 @@ A scene file is TOML. `pftwin init knee` writes a commented one that runs; [brin
 explains one. This page is made from the models that read the file, so it has every field there is and no other.
 
 - **Lengths.** A field whose name ends in `_m` may be written with `_mm` instead, in millimetres: `radius_mm = 22`.
+  What is per metre may be per millimetre likewise: `stiffness_N_per_mm = 0.156` is 156 N/m.
 - **Strict.** Unknown fields, text in place of numbers, NaN and infinity are refused, with file, line and field.
 - **Frames** are anatomical unless `[axes]` says otherwise: x proximal, y lateral, z anterior
   ([conventions](conventions.md)). Quaternions are (w, x, y, z).
@@ -32,6 +36,10 @@ explains one. This page is made from the models that read the file, so it has ev
   `..`, by an absolute path or by a link, is refused unless you trust it and say so, by
   `pftwin --allow-outside COMMAND ...` or `load_scene(..., allow_outside=True)`.
 - A table may be written `[contact]`, or, where there are several, `[[contact]]`.
+- **JSON Schema.** [scene-1.schema.json](scene-1.schema.json) says the same to programs: with a first line
+  `#:schema scene-1.schema.json` an editor that knows TOML checks a scene while it is typed. Its number is that of
+  `schema = 1`. `pftwin.files.scene_file.json_schema.scene_json_schema()` makes it, with effects of your own where there
+  are any.
 """
 _PARTS = (
     ("## The file itself", "What stands at the top, before any table.", ("",)),
@@ -41,10 +49,11 @@ _PARTS = (
 
 
 def on_files(files: Any, config: Any) -> Any:
-    """Adds the page."""
+    """Adds the page, and the JSON Schema beside it."""
     from mkdocs.structure.files import File
 
     files.append(File.generated(config, PAGE, content=reference()))
+    files.append(File.generated(config, SCHEMA_FILE, content=json.dumps(scene_json_schema(), indent=1)))
     return files
 
 

@@ -39,6 +39,10 @@ def test_required_fields_and_no_others_are_called_required(page: str) -> None:
     assert page.count("**required**") == required > 50
 
 
+def test_the_json_schema_is_offered_under_its_version(page: str) -> None:
+    assert f"]({scene_reference.SCHEMA_FILE})" in page
+
+
 def test_each_effect_has_a_table(page: str) -> None:
     for effect in EFFECTS:
         assert f"### `[{effect.kind}]` " in page

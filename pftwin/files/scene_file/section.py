@@ -34,14 +34,23 @@ class Section(BaseModel):
             info.context.models[id(data)] = cls
         out = dict(data)
         for name in cls.model_fields:
-            if name.endswith("_m") and f"{name}m" in out:
+            if (other := other_unit(name)) is not None and other[0] in out:
+                label, factor = other
                 if name in out:
-                    raise problem(f"both {name} and {name}m are given", expected="one of them")
-                written = out.pop(f"{name}m")
-                out[name] = _scaled(written, 1e-3)
+                    raise problem(f"both {name} and {label} are given", expected="one of them")
+                written = out.pop(label)
+                out[name] = _scaled(written, factor)
                 if isinstance(info.context, Reading):
                     info.context.originals[id(out[name])] = out[name], written
         return out
+
+
+def other_unit(name: str) -> tuple[str, float] | None:
+    """The name of a field of metres in millimetres, and the factor from there; None for other fields.
+
+    What is per metre, such as a stiffness in N/m, is a thousand times as large as the same number per millimetre.
+    """
+    return (f"{name}m", 1e3 if name.endswith("_per_m") else 1e-3) if name.endswith("_m") else None
 
 
 def problem(found: str, *, expected: str | None = None, remedy: str | None = None) -> PydanticCustomError:
@@ -134,6 +143,7 @@ Directions = Annotated[list[Direction], Field(min_length=1), BeforeValidator(_po
 PositiveTriples = Annotated[list[PositiveTriple], Field(min_length=1), BeforeValidator(_point_or_points)]
 UnitQuaternions = Annotated[list[UnitQuaternion], Field(min_length=1), BeforeValidator(_point_or_points)]
 ONE_OR_MANY = BeforeValidator(_one_or_many)  # [table] or [[table]]
+IN_PLACE_OF_LISTS = (one_number_or_many, _point_or_points, _one_or_many)  # validators that take one value for a list
 
 
 def group_size(section: Any, *names: str) -> int:

@@ -1,0 +1,63 @@
+"""The JSON Schema of scene files, from the models that read them: for editors and other programs.
+
+It holds what can be said of a file alone: tables, fields, kinds of values, bounds. The reader looks at more: numbers
+that belong together, the files that are named, and the scene that comes out.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
+
+from pftwin.files.scene_file.loading import SCHEMA, scene_file_model
+from pftwin.files.scene_file.section import IN_PLACE_OF_LISTS, other_unit
+
+DIALECT = "https://json-schema.org/draft/2020-12/schema"
+_BOUNDS = ("minimum", "maximum", "exclusiveMinimum", "exclusiveMaximum")
+
+
+def scene_json_schema() -> dict[str, Any]:
+    """What a scene file may hold, with the tables of all effects that there are; the version is in its `$id`."""
+    made = scene_file_model().model_json_schema(schema_generator=_AsWritten)
+    about = {"$schema": DIALECT, "$id": f"urn:pftwin:scene:{SCHEMA}", "title": f"pftwin scene file, schema = {SCHEMA}"}
+    return {**about, **{key: value for key, value in made.items() if key not in about}}
+
+
+class _AsWritten(GenerateJsonSchema):
+    """What the models take before they put it in order: millimetres, and one value in the place of a list."""
+
+    def field_title_should_be_set(self, schema: Any) -> bool:
+        return False  # names say it
+
+    def function_before_schema(self, schema: Any) -> JsonSchemaValue:
+        made = super().function_before_schema(schema)
+        if schema["function"]["function"] not in IN_PLACE_OF_LISTS:
+            return made
+        return {"anyOf": [made["items"], made]}
+
+    def model_schema(self, schema: Any) -> JsonSchemaValue:
+        made = super().model_schema(schema)
+        fields, needed, rules = made.get("properties", {}), made.get("required", []), []
+        for name in list(fields):
+            if (other := other_unit(name)) is None:
+                continue
+            written, factor = other
+            fields[written] = _scaled(fields[name], 1 / factor)
+            both: JsonSchemaValue = {"required": [name, written]}
+            one: JsonSchemaValue = {"oneOf": [{"required": [name]}, {"required": [written]}]}
+            rules.append(one if name in needed else {"not": both})
+        if rules:
+            made["required"] = [name for name in needed if other_unit(name) is None]
+            made["allOf"] = rules
+        return made
+
+
+def _scaled(schema: Any, factor: float) -> Any:
+    """Of the same quantity in a unit that is smaller by that factor; a default is left to the field itself."""
+    if isinstance(schema, list):
+        return [_scaled(inner, factor) for inner in schema]
+    if not isinstance(schema, dict):
+        return schema
+    kept = {key: value for key, value in schema.items() if key != "default"}
+    return {key: factor * value if key in _BOUNDS else _scaled(value, factor) for key, value in kept.items()}

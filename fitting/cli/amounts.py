@@ -48,7 +48,13 @@ AMOUNTS = (
     _tuberosity("--tto-anterior", "anteriorisation", "anteriorly", "--anteriorise"),
     _tuberosity("--tto-distal", "distalisation", "distally", "--distalise"),
     Amount("--lengthen-tendon", "patellar_tendon_length_change", "lengthening", "Patellar tendon longer"),
-    Amount("--lengthen-quadriceps", "quadriceps_lengthening", "lengthening", "Quadriceps tendon longer"),
+    Amount(
+        "--lengthen-quads",
+        "quadriceps_lengthening",
+        "lengthening",
+        "Quadriceps tendon longer",
+        former="--lengthen-quadriceps",
+    ),
     Amount("--trochleoplasty", "trochleoplasty", "deepening", "Groove deeper", former="--deepen"),
     Amount(
         "--rotate-component",
@@ -57,8 +63,14 @@ AMOUNTS = (
         "Femoral component turned externally",
         "deg",
     ),
-    Amount("--medialise-component", "femoral_component_translation", "medialisation", "Femoral component medially"),
-    Amount("--medialise-button", "button_position", "medialisation", "Button medially"),
+    Amount(
+        "--component-medial",
+        "femoral_component_translation",
+        "medialisation",
+        "Femoral component medially",
+        former="--medialise-component",
+    ),
+    Amount("--button-medial", "button_position", "medialisation", "Button medially", former="--medialise-button"),
     Amount("--lateral-release", "lateral_release", "release", "Lateral strands released", "%", "--release"),
     Amount("--tighten-mpfl", "mpfl_graft", "shortening", "MPFL graft shorter"),
 )

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 @on_scene
 def calibrate(
     *,
-    output: Annotated[Path, Option("-o", "--output", metavar="CALIBRATION.json", help="What was found.")],
+    output: Annotated[Path, Option("-o", "--output", metavar="OUT.json", help="What was found.")],
     knee: TrialsOptions,
     trained: Annotated[
         Path | None, Option(metavar="FILE.npz", help="A posterior that `pftwin train-posterior` trained.")
@@ -59,7 +59,7 @@ def calibrate(
     noise: NoiseOption = None,
     nuisance: NuisanceOption = None,
     varies: VariesOption = None,
-    plants: Annotated[int, Option(min=1, help="Of each kind.")] = 100,
+    plants: Annotated[int, Option(metavar="N", min=1, help="Of each kind.")] = 100,
     kinds: Annotated[
         str | None,
         Option(metavar="NAMES", help="Some of: twin, misplaced, sliding, stiffening (by default these), reshaped."),
@@ -70,7 +70,7 @@ def calibrate(
     force_noise: Annotated[float, Option(metavar="NEWTONS", help="Of a load cell.")] = 0.15,
     reading_noise: Annotated[
         list[str] | None,
-        Option(metavar="READING=SD", help="Of another reading, such as contact.force_medial=0.2; may be repeated."),
+        Option(metavar="READING=SD", help="Of another reading by its name in the scene; may be repeated."),
     ] = None,
     cutoff: Annotated[float, Option(metavar="HERTZ", help="Of the markers' low-pass; 0: none.")] = 12.0,
     limit: LimitOption = None,
@@ -81,10 +81,11 @@ def calibrate(
             metavar="LIMIT",
             callback=show_limits,
             is_eager=True,
-            help='Try the smallest treatment that meets it: "dislocation_margin>=3 mm"; repeatable. help: lists names.',
+            help="Try the smallest treatment that meets it, written as for `optimise --limit`; may be repeated. help:"
+            " lists outcomes.",
         ),
     ] = None,
-    samples: Annotated[int, Option(min=20, help="Draws from each answer, of predictions.")] = 100,
+    samples: Annotated[int, Option(metavar="N", min=20, help="Draws from each answer, of predictions.")] = 100,
     confidence: Annotated[
         float, Option(metavar="SHARE", help="Share of draws in which the limits of --meet must hold.")
     ] = 0.9,
@@ -92,7 +93,7 @@ def calibrate(
         Path | None,
         Option(metavar="WIDER.npz", help="Also a posterior whose intervals would have held on all these plants."),
     ] = None,
-    seed: Annotated[int, Option(min=0, help="Of all random choices.")] = 0,
+    seed: Annotated[int, Option(metavar="N", min=0, help="Of all random choices.")] = 0,
     figures: Annotated[bool, Option("--figures/--no-figures", help="Figures beside the output.")] = True,
     json: JsonOption = None,
 ) -> None:

@@ -21,14 +21,14 @@ if TYPE_CHECKING:
     from fitting.posterior.sampling import Posterior
     from pftwin.model.scene import Scene
 
-FreeOption = Annotated[str, Option("--free", metavar="NAMES", help='Parameters, with commas: "K1,L1,contact.radius".')]
+FreeOption = Annotated[str, Option("--free", metavar="NAMES", help="Parameters, with commas: K1,L1 and the like.")]
 BoundsOption = Annotated[
     list[str] | None,
     Option(
         "--bounds",
-        metavar="SHARE|NAME=LOW:HIGH",
-        help="To either side, as a share of the nominal value (0.3 if left out); or of one parameter, in its unit:"
-        " may be repeated.",
+        metavar="BOUNDS",
+        help="To either side, as a share of the nominal value (0.3 if left out); or NAME=LOW:HIGH of one parameter,"
+        " in its unit: may be repeated.",
     ),
 ]
 UseOption = Annotated[
@@ -46,8 +46,8 @@ NuisanceOption = Annotated[
     Option(
         "--nuisance",
         metavar="NAME",
-        help="What the scene lacks or knows roughly, fitted besides: rig, mocap, mri, such as"
-        ' "attachments=0.001,friction=0.05,damping=0.5" (standard deviations), or both: "rig,force_scale=0.02".',
+        help="What the scene lacks or knows roughly, fitted besides: rig, mocap, mri; or standard deviations by name,"
+        " as in friction=0.05; several with commas.",
     ),
 ]
 VariesOption = Annotated[
@@ -62,8 +62,9 @@ LimitOption = Annotated[
     list[str] | None,
     Option(
         "--limit",
-        metavar="NAME=NAMED:REFUSED",
-        help="Of a check of what was measured: reading, position, orientation, force, noise, shift, simulated,"
+        metavar="NAME=A:B",
+        help="Of a check of what was measured, from where it is named (A) and refused (B): reading,"
+        " position, orientation, force, noise, shift, simulated,"
         " trained_noise or set_up.",
     ),
 ]
@@ -97,8 +98,7 @@ def fit(
         str,
         Option(
             metavar="NAME",
-            help="least_squares, gradient, genetic, matlab_ga, cma_es or differential_evolution; or simulations: the"
-            " posterior, from some 30,000 simulated recordings.",
+            help="How the best parameters, or the posterior, are found: one of those above.",
         ),
     ] = "least_squares",
     objective: Annotated[str, Option(metavar="NAME", help="likelihood or paper.")] = "likelihood",
@@ -127,6 +127,9 @@ def fit(
     json: JsonOption = None,
 ) -> None:
     """Fit the tendons to motion capture, of one trial or several, and say how sure the answer is.
+
+    Methods: `least_squares`, `gradient`, `genetic`, `matlab_ga`, `cma_es`, `differential_evolution`; or `simulations`:
+    the posterior, from some 30,000 simulated recordings.
 
     Example: `pftwin fit --case 2 -o fit.json`, or `pftwin fit walk.toml stairs.toml -o fit.json`
     """

@@ -28,8 +28,7 @@ def predict(
         Option(
             "--set",
             metavar="NAME=VALUE",
-            help='A number that is other in this recording, or its range: "quadriceps.tension[:]=20:60" (SI units);'
-            " may be repeated.",
+            help="A number that is other in this recording, or its range LOW:HIGH (SI units); may be repeated.",
         ),
     ] = None,
     during: DuringOption = None,

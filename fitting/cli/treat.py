@@ -37,7 +37,7 @@ StepOption = Annotated[
         help="Longest time step [s]. If left out: 0.0005, shorter where errors ask for it.",
     ),
 ]
-SeedOption = Annotated[int, Option("--seed", min=0, help="Of the draws.")]
+SeedOption = Annotated[int, Option("--seed", metavar="N", min=0, help="Of the draws.")]
 
 
 @with_amounts("FROM:TO:STEP", "; or values: 0,5,10")
@@ -48,7 +48,9 @@ def treat(
     knee: SceneOptions,
     estimate: EstimateOption = None,
     amounts: Given,
-    samples: Annotated[int, Option("--samples", min=0, help="Draws from the estimate's uncertainty, for bands.")] = 50,
+    samples: Annotated[
+        int, Option("--samples", metavar="N", min=0, help="Draws from the estimate's uncertainty, for bands.")
+    ] = 50,
     seed: SeedOption = 0,
     dt: StepOption = None,
     figure: Annotated[bool, Option(help="Also figures, beside it: OUT.png and OUT.svg.")] = True,
@@ -109,7 +111,7 @@ def optimise(
             metavar="LIMIT",
             callback=show_limits,
             is_eager=True,
-            help='To be met: "dislocation_margin>=3 mm"; may be repeated. help: lists their names with units.',
+            help="To be met: an outcome, <= or >=, a number and its unit; may be repeated. help: lists outcomes.",
         ),
     ],
     output: Annotated[Path | None, Option("-o", "--output", metavar="PLAN.json", help="The plan.")] = None,
@@ -118,7 +120,7 @@ def optimise(
     amounts: Given,
     samples: Annotated[
         int | None,
-        Option("--samples", min=0, help="Draws from the estimate's uncertainty; 50 where there is one."),
+        Option("--samples", metavar="N", min=0, help="Draws from the estimate's uncertainty; 50 where there is one."),
     ] = None,
     confidence: Annotated[
         float, Option("--confidence", metavar="SHARE", help="Share of the draws in which all limits must hold.")

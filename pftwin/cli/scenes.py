@@ -27,7 +27,7 @@ SceneArgument = Annotated[
     Path | None, Argument(metavar="[SCENE.toml]", help="Scene file; `pftwin init` writes an example.")
 ]
 CaseOption = Annotated[
-    int | None, Option("--case", min=1, max=4, help="A case of the virtual rig instead of a scene file.")
+    int | None, Option("--case", metavar="N", min=1, max=4, help="A case of the virtual rig instead of a scene file.")
 ]
 # Whether scene files may name files outside their folders: --allow-outside, set before each command by the program.
 allow_outside: ContextVar[bool] = ContextVar("allow_outside", default=False)
@@ -45,9 +45,9 @@ ContactOption = Annotated[
     str | None,
     Option(
         "--contact",
-        metavar=_CONTACTS,
+        metavar="NAME",
         autocompletion=_complete_contact,
-        help="Patch fitted to the mesh, or with --case meshes: P5 if left out.",
+        help="P2, P4, P5 (if left out) or spline: a patch fitted to the mesh; with --case also meshes: CM, FM, volume.",
     ),
 ]
 IntegratorOption = Annotated[
@@ -171,7 +171,13 @@ TrialsArgument = Annotated[
 ]
 TrialCasesOption = Annotated[
     list[int] | None,
-    Option("--case", min=1, max=4, help="A case of the virtual rig instead of scene files; may be repeated."),
+    Option(
+        "--case",
+        metavar="N",
+        min=1,
+        max=4,
+        help="A case of the virtual rig instead of scene files; may be repeated.",
+    ),
 ]
 
 

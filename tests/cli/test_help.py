@@ -59,6 +59,16 @@ def test_the_program_alone_shows_what_people_do_with_lines_to_copy():
             command.make_context(name, rest, parent=above).close()  # refuses what the command does not take
 
 
+@pytest.mark.parametrize("command", COMMANDS, ids=[c.name for c in COMMANDS])
+def test_the_help_of_a_command_is_whole_at_80_columns(command):
+    """No name of an option and no word of its help is cut."""
+    shown = CliRunner().invoke(app, [command.name, "--help"], env={"COLUMNS": "80"}).stdout
+    assert "Example: " in shown
+    assert "…" not in shown
+    flags = {flag for p in typer.main.get_command(app).commands[command.name].params for flag in p.opts if not p.hidden}
+    assert {flag for flag in flags if flag.startswith("--")} <= set(re.findall(r"--[\w-]+", shown))
+
+
 def test_no_command_is_left_out_of_the_table():
     named = {inspect.unwrap(command.run).__module__ for command in COMMANDS}
     files = [p for package in ("pftwin", "fitting") for p in (ROOT / package / "cli").rglob("*.py")]

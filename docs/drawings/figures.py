@@ -1,132 +1,110 @@
-"""Draws the pictures of docs/figures.md: `python docs/drawings/figures.py [NAME ...]`, all of them without a name.
+"""Draws the pictures of docs/figures.md from the code above each: `python docs/drawings/figures.py [NAME ...]`.
 
-The fit and the posterior take minutes the first time; programs that were compiled are kept.
+The page is the only source: its Python blocks run in order, those without a picture prepare the next ones, and the last
+expression of a block with a picture is the figure. Each PNG file keeps the code that drew it, and a test compares it
+with the page. The fit and the posterior take minutes the first time; programs that were compiled are kept.
 """
 
 from __future__ import annotations
 
+import ast
+import os
+import re
 import sys
-from collections.abc import Callable
-from functools import cache
+from collections.abc import Sequence
 from io import BytesIO
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-import numpy as np
-from matplotlib.figure import Figure
-from PIL import Image
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
-import fitting
-import pftwin
-from fitting.prediction.variants import grid
-from fitting.treatments import tibial_tuberosity_transfer
-from pftwin.base.runtime import default_cache_dir
-from pftwin.results.plots import against_flexion, compared, house_style
-from pftwin.studies.accuracy.table import read_csv, work_precision
-
-HERE = Path(__file__).parent
-FOLDER = HERE.parent / "figures"
-DPI = 130
-MOST = 120_000  # bytes of a picture
-COLOURS = 256  # of a picture: lines on white need no more
-DRAWS = 2000  # of each chain of the posterior
+ROOT = Path(__file__).resolve().parents[2]
+PAGE = ROOT / "docs" / "figures.md"
+FOLDER = PAGE.parent / "figures"
+KEPT = "code"  # name of the text in a PNG file
+MOST = 80_000  # bytes of a picture
+_DPI = 110
+_COLOURS = 256  # of a picture: lines on white need no more
+_PARTS = re.compile(r"^```python\n(?P<code>.*?)^```$|^!\[[^\]]*\]\(figures/(?P<name>\w+)\.png\)", re.M | re.S)
 
 
-@cache
-def run(case: int, contact: str = "P5") -> pftwin.Result:
-    """A case of the virtual rig."""
-    return pftwin.simulate(pftwin.rig.case(case, contact=contact))
+class Block(NamedTuple):
+    """A Python block of the page, and the picture below it; None: it prepares those that follow."""
+
+    code: str
+    picture: str | None
 
 
-@cache
-def fit() -> fitting.Estimate:
-    """Both tendons of case 2, from its positions and one force."""
-    return fitting.fit_tendons(pftwin.rig.case(2), pftwin.rig.measured(2), use=("position", "quadriceps"))
+def blocks(page: str) -> list[Block]:
+    """The blocks of a page in their order, each ended by the next one or by its picture.
+
+    Raises:
+        ValueError: a picture without a block of its own.
+    """
+    found: list[Block] = []
+    for part in _PARTS.finditer(page):
+        name = part["name"]
+        if name is None:
+            found.append(Block(part["code"], None))
+        elif not found or found[-1].picture is not None:
+            raise ValueError(f"the picture {name} has no Python block of its own above it")
+        else:
+            found[-1] = found[-1]._replace(picture=name)
+    return found
 
 
-def placed(amount: float) -> list[pftwin.Result]:
-    """Case 1 with the tuberosity medially by an amount [m], which the surgeon meets to 2 mm."""
-    amounts = amount + 1e-3 * np.linspace(-2, 2, 5)
-    return [pftwin.simulate(tibial_tuberosity_transfer(pftwin.rig.case(1), a)) for a in amounts]
+def sources(found: Sequence[Block]) -> dict[str, list[str]]:
+    """What has to run for each picture: the blocks before it that prepare, and its own."""
+    return {
+        block.picture: [b.code for b in found[:i] if b.picture is None] + [block.code]
+        for i, block in enumerate(found)
+        if block.picture is not None
+    }
 
 
-def cycles() -> Figure:
-    """Strokes of one recording, simulated and measured."""
-    return run(1).plot.against_flexion(measured=pftwin.rig.measured(1))
+def last_value(code: str, names: dict[str, Any]) -> Any:
+    """Runs code among names; the value of its last line, None where that is no expression."""
+    *before, last = ast.parse(code).body
+    ends = [] if isinstance(last, ast.Expr) else [last]
+    exec(compile(ast.Module([*before, *ends], []), str(PAGE), "exec"), names)
+    return eval(compile(ast.Expression(last.value), str(PAGE), "eval"), names) if isinstance(last, ast.Expr) else None
 
 
-def over_variants() -> Figure:
-    """Two treatments, each with the error of placing it."""
-    groups = {"tuberosity as it is, ±2 mm": placed(0.0), "8 mm medially, ±2 mm": placed(8e-3)}
-    return against_flexion(groups, strokes="bending", title="Case 1: how exactly must a tuberosity be placed?")
+def save(figure: Figure, path: Path, code: str) -> None:
+    """As a PNG of few colours that keeps its code."""
+    from PIL import Image
+    from PIL.PngImagePlugin import PngInfo
 
+    from pftwin.results.plots import house_style
 
-def trajectory() -> Figure:
-    """The case that dislocates."""
-    return run(2).plot.trajectory(measured=pftwin.rig.measured(2))
-
-
-def comparison() -> Figure:
-    """Two contact models beside the measurements."""
-    return compared({"P2": run(1, "P2"), "P5": run(1)}, pftwin.rig.measured(1))
-
-
-def correlation() -> Figure:
-    """Of the fit."""
-    return fit().plot.correlation()
-
-
-def posterior() -> Figure:
-    """Of the fit, sampled."""
-    return fit().plot.posterior(fitting.sample_posterior(fit(), draws=DRAWS))
-
-
-def response() -> Figure:
-    """To a transfer of the tuberosity."""
-    amounts = grid("tibial_tuberosity_transfer", medialisation=1e-3 * np.arange(0, 21, 2))
-    return fit().plot.response(amounts, samples=50)
-
-
-def precision() -> Figure:
-    """The kept study of accuracy."""
-    newest = max((HERE.parent / "benchmarks").glob("accuracy-*.csv"))
-    return work_precision(
-        read_csv(newest), "Case 1 of the virtual rig (synthetic), P5: what accuracy costs", contact="P5"
-    )
-
-
-ALL: dict[str, Callable[[], Figure]] = {
-    "against_flexion": cycles,
-    "variants": over_variants,
-    "trajectory": trajectory,
-    "compared": comparison,
-    "correlation": correlation,
-    "posterior": posterior,
-    "response": response,
-    "work_precision": precision,
-}
-
-
-def save(figure: Figure, path: Path) -> None:
-    """As a PNG of few colours."""
-    raw = BytesIO()
+    raw, kept = BytesIO(), PngInfo()
+    kept.add_text(KEPT, code)
     with house_style():
-        figure.savefig(raw, format="png", dpi=DPI)
-    picture = (
-        Image.open(raw).convert("RGB").quantize(COLOURS, method=Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
-    )
-    picture.save(path, optimize=True)
-    size = path.stat().st_size
-    print(f"{path.name}: {size / 1e3:.0f} kB")
-    if size > MOST:
-        raise SystemExit(f"{path.name} has {size} bytes, more than {MOST}")
+        figure.savefig(raw, format="png", dpi=_DPI)
+    picture = Image.open(raw).convert("RGB")
+    few = picture.quantize(_COLOURS, method=Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
+    few.save(path, optimize=True, pnginfo=kept)
+    print(f"{path.name}: {path.stat().st_size / 1e3:.0f} kB", flush=True)
 
 
-def main(names: list[str]) -> None:
-    """Those that are named."""
+def main(wanted: list[str]) -> None:
+    """Draws those that are named, all without a name."""
+    import pftwin
+    from pftwin.base.runtime import default_cache_dir
+
+    os.chdir(ROOT)
     pftwin.configure(cache_dir=default_cache_dir())
     FOLDER.mkdir(exist_ok=True)
-    for name in names or ALL:
-        save(ALL[name](), FOLDER / f"{name}.png")
+    names: dict[str, Any] = {}
+    prepared = 0
+    for picture, codes in sources(blocks(PAGE.read_text(encoding="utf-8"))).items():
+        if wanted and picture not in wanted:
+            continue
+        for code in codes[prepared:-1]:
+            last_value(code, names)
+        prepared = len(codes) - 1
+        save(last_value(codes[-1], names), FOLDER / f"{picture}.png", "\n".join(codes))
 
 
 if __name__ == "__main__":

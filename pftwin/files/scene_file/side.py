@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, Discriminator, Field, Tag
 
 from pftwin.base.errors import InputError
 from pftwin.base.leaves import number, vector
@@ -61,6 +61,8 @@ class HostPose:
 Array = NDArray[np.float64]
 _BODIES = ("femur", "tibia", "patella")
 _RIGHT, _LEFT = ["+x", "+y", "+z"], ["+x", "-y", "+z"]
+ISB = "isb"  # x anterior, y proximal, z to the right: Wu et al. (2002) J Biomech 35:543
+_ISB_RIGHT, _ISB_LEFT = ["+y", "+z", "+x"], ["+y", "-z", "+x"]
 
 
 def _three_axes(value: list[str]) -> list[str]:
@@ -73,11 +75,19 @@ def _three_axes(value: list[str]) -> list[str]:
     return value
 
 
-Axes = Annotated[list[str], AfterValidator(_three_axes)]
+def _which(value: Any) -> str:
+    return "<name>" if isinstance(value, str) else "<list>"
+
+
+Axes = Annotated[
+    Annotated[list[str], AfterValidator(_three_axes), Tag("<list>")] | Annotated[Literal["isb"], Tag("<name>")],
+    Discriminator(_which),
+]
 
 
 class AxesSection(Section):
-    """Which of a frame's own axes point proximally, laterally and anteriorly."""
+    """Which of a frame's own axes point proximally, laterally and anteriorly; or "isb", the ISB's: x anterior, y
+    proximal, z to the right."""
 
     femur: Axes | None = Field(default=None, description="proximal, lateral, anterior in the femur's frame")
     tibia: Axes | None = Field(default=None, description="proximal, lateral, anterior in the tibia's frame")
@@ -107,6 +117,8 @@ class Side:
         matrices = {"world": world, "ground": world}
         for body in _BODIES:
             rows = getattr(axes, body) or (_LEFT if left else _RIGHT)
+            if rows == ISB:
+                rows = _ISB_LEFT if left else _ISB_RIGHT
             matrices[body] = np.array([axis_named(axis) for axis in rows])
             if (np.linalg.det(matrices[body]) < 0) != left:
                 raise InputError(

@@ -102,6 +102,7 @@ def test_the_scene_that_the_rig_writes_is_valid(schema, tmp_path, case):
         ("restitution = 0.6", "restitution = 1.6"),
         ('type = "plane"', 'type = "plain"'),
         ("half_size_mm = [24, 20]", "half_size_mm = [24, 20, 20]"),
+        ("[gravity]", '[axes]\nfemur = "isbn"\n[gravity]'),
         ("schema = 1", "schema = 2"),
         ("schema = 1", 'schema = 1\nside = "both"'),
     ],
@@ -124,6 +125,7 @@ def test_mistakes_are_refused_by_both(schema, old, new):
         ("insertion_mm = [20, 0, -8]", "insertion_mm = [[20, 0, -8], [21, 0, -8]]"),
         ("[contact]", "[[contact]]"),
         ("radius_mm = 22", "radius_m = 0.022"),
+        ("[gravity]", '[axes]\nfemur = "isb"\ntibia = ["+y", "+z", "+x"]\n[gravity]'),
     ],
 )
 def test_what_may_be_written_in_two_ways_is_taken_by_both(schema, old, new):

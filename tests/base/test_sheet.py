@@ -8,7 +8,7 @@ import re
 from pathlib import Path
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from rich.console import Console
 
@@ -47,6 +47,7 @@ def pieces(sheet: Sheet) -> list[str]:
     return found
 
 
+@settings(deadline=None)
 @given(sheets())
 def test_nothing_is_cut_broken_or_lost_at_80_columns(sheet):
     text = printed(sheet, 80)
@@ -56,6 +57,7 @@ def test_nothing_is_cut_broken_or_lost_at_80_columns(sheet):
         assert piece in text
 
 
+@settings(deadline=None)
 @given(sheets())
 def test_each_table_begins_with_the_columns_that_name_its_rows(sheet):
     parts = sheet.tables(80)

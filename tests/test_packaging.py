@@ -60,7 +60,8 @@ def test_every_citation_of_the_paper_has_its_entry_and_every_entry_is_cited() ->
         assert re.search(r"^  (doi|url) = \{", entry, re.MULTILINE), entry.splitlines()[0]
 
 
-def test_the_paper_has_the_journals_form() -> None:
+def test_the_paper_is_short_and_has_what_its_journal_asks_for() -> None:
+    """JOSS also asks how AI was used: its authors say so before they submit."""
     _, head, body = PAPER.split("---\n", maxsplit=2)
     about = yaml.safe_load(head)
     assert {"title", "tags", "authors", "affiliations", "date", "bibliography"} <= set(about)

@@ -1,0 +1,152 @@
+"""The anatomy of a natural knee as named numbers, each with the range in which knees have been measured.
+
+Angles and lengths are as a radiologist reads them, in the units of their names. Four numbers make the trochlea's axial
+section at the height of the trochlear axis, some 3 cm above the joint line: with the deepest point in the origin, the
+lateral facet climbs to its ridge at `lateral_inclination_deg`, the medial one at what is left of 180 deg less the
+sulcus angle; the facets' lengths are as `facet_ratio` says, and the mean height of both ridges is the depth.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+from pftwin.base.errors import InputError
+
+
+def _number(default: float, low: float, high: float, source: str) -> Any:
+    return field(default=default, metadata={"low": low, "high": high, "source": source})
+
+
+@dataclass(frozen=True)
+class Anatomy:
+    """A knee's anatomy; the defaults are those of a normal adult knee. A number outside its range is refused.
+
+    Ranges hold what has been measured in normal and in dysplastic knees (mean plus or minus three standard deviations
+    where a source gives them). `Anatomy.ranges()` gives them with their sources.
+
+    Raises:
+        InputError: a number outside its range, or numbers that make no trochlea.
+    """
+
+    sulcus_angle_deg: float = _number(138.0, 115.0, 179.0, "138 (6) Merchant 1974; 146 (5.5) Shih 2004")
+    lateral_inclination_deg: float = _number(22.0, 0.5, 35.0, "20 (5) Shih 2004; below 11 dysplastic, Carrillon 2000")
+    facet_ratio: float = _number(0.65, 0.05, 1.0, "medial by lateral facet; below 0.4 dysplastic, Pfirrmann 2000")
+    trochlear_depth_mm: float = _number(5.2, 0.1, 10.0, "6.0 in CT (PMC5134791); below 3 dysplastic, Pfirrmann 2000")
+    trochlear_radius_mm: float = _number(23.0, 15.0, 35.0, "sagittal, of the groove: 23 (4) Iranpour 2010")
+    prominence_mm: float = _number(-0.8, -9.0, 9.0, "floor before the cortex: -0.8 (2.9), > 3 dysplastic, Dejour 1994")
+    condyle_radius_mm: float = _number(23.0, 16.0, 32.0, "like the groove's, Monk 2014; range a choice")
+    epicondylar_width_mm: float = _number(82.0, 62.0, 100.0, "a choice, by the other numbers' scale")
+    patella_height_mm: float = _number(43.0, 28.0, 58.0, "1.3 articular lengths, 32.7 (3.8) Kerdari 2020")
+    patella_width_mm: float = _number(44.6, 31.0, 58.0, "44.6 (4.3) Kerdari 2020")
+    patella_thickness_mm: float = _number(25.0, 18.0, 32.0, "with cartilage: 25.1 (2.3) Kerdari 2020")
+    ridge_angle_deg: float = _number(132.0, 100.0, 175.0, "between the patellar facets, Wiberg 1941; range a choice")
+    wiberg_ratio: float = _number(1.4, 0.8, 4.0, "lateral by medial patellar facet: types I to III, Wiberg 1941")
+    patellar_cartilage_mm: float = _number(4.1, 1.0, 8.0, "4.1 (1.3), 43 adults, Bone Joint J 95-B Suppl 14")
+    trochlear_cartilage_mm: float = _number(2.5, 0.5, 6.0, "knee's plates 1.6 to 2.4, patella's more, Hudelmaier 2001")
+    insall_salvati: float = _number(1.02, 0.6, 1.7, "tendon by patella: 1.02 (0.13) Insall & Salvati 1971")
+    tt_tg_mm: float = _number(12.7, -2.0, 30.0, "12.7 (3.4), in dislocators 19.8 (1.6), Dejour 1994")
+
+    def __post_init__(self) -> None:
+        for name, (low, high, source) in self.ranges().items():
+            value = getattr(self, name)
+            if not low <= value <= high:  # NaN, too
+                raise InputError(f"found {value!r}", where=name, expected=f"{low:g} to {high:g} ({source})")
+        if self.medial_inclination_deg <= 0:
+            raise InputError(
+                f"a sulcus angle of {self.sulcus_angle_deg:g} deg leaves nothing for the medial facet beside a lateral "
+                f"one inclined by {self.lateral_inclination_deg:g} deg",
+                where="sulcus_angle_deg",
+                expected=f"less than {180 - self.lateral_inclination_deg:g} deg",
+            )
+        if self.lateral_facet_mm + self.medial_facet_mm > 0.8 * self.epicondylar_width_mm:
+            raise InputError(
+                f"facets {self.lateral_facet_mm:.1f} and {self.medial_facet_mm:.1f} mm wide do not fit on a femur of "
+                f"{self.epicondylar_width_mm:g} mm",
+                where="trochlear_depth_mm",
+                expected=f"less than {self.trochlear_depth_mm:g} mm at these inclinations",
+            )
+
+    @staticmethod
+    def ranges() -> dict[str, tuple[float, float, str]]:
+        """Of each number: lowest, highest, and where they come from."""
+        found = dataclasses.fields(Anatomy)
+        return {f.name: (f.metadata["low"], f.metadata["high"], f.metadata["source"]) for f in found}
+
+    @staticmethod
+    def dejour(kind: str) -> Anatomy:
+        """A dysplastic trochlea of Dejour's type A, B, C or D.
+
+        A is shallow; B flat with a prominence; C asymmetric, its medial facet hypoplastic; D both, with a cliff.
+        (D. Dejour & Le Coultre 2007, Sports Med Arthrosc 15:39.) The numbers are choices by these words and by the
+        limits of dysplasia named in the ranges; they are no means of patients.
+
+        Raises:
+            InputError: no such type.
+        """
+        if kind not in _DEJOUR:
+            raise InputError(f"no type {kind!r} of trochlear dysplasia", expected=f"one of: {', '.join(_DEJOUR)}")
+        return Anatomy(**_DEJOUR[kind])
+
+    @property
+    def medial_inclination_deg(self) -> float:
+        """Of the medial facet: what the sulcus angle and the lateral facet leave."""
+        return 180 - self.sulcus_angle_deg - self.lateral_inclination_deg
+
+    @property
+    def lateral_facet_mm(self) -> float:
+        """Width of the lateral facet, from the groove to its ridge."""
+        lateral, medial = (math.tan(math.radians(a)) for a in (self.lateral_inclination_deg, self._medial))
+        return 2 * self.trochlear_depth_mm / (lateral + self.facet_ratio * medial)
+
+    @property
+    def medial_facet_mm(self) -> float:
+        """Width of the medial facet."""
+        return self.facet_ratio * self.lateral_facet_mm
+
+    @property
+    def lateral_height_mm(self) -> float:
+        """Of the lateral ridge above the groove's deepest point."""
+        return self.lateral_facet_mm * math.tan(math.radians(self.lateral_inclination_deg))
+
+    @property
+    def medial_height_mm(self) -> float:
+        """Of the medial ridge."""
+        return self.medial_facet_mm * math.tan(math.radians(self._medial))
+
+    @property
+    def tendon_length_mm(self) -> float:
+        """Of the patellar tendon."""
+        return self.insall_salvati * self.patella_height_mm
+
+    @property
+    def _medial(self) -> float:
+        return self.medial_inclination_deg
+
+
+_DEJOUR: dict[str, dict[str, float]] = {
+    "A": {"sulcus_angle_deg": 150.0, "lateral_inclination_deg": 15.0, "facet_ratio": 0.6, "trochlear_depth_mm": 2.8},
+    "B": {
+        "sulcus_angle_deg": 165.0,
+        "lateral_inclination_deg": 8.0,
+        "facet_ratio": 0.6,
+        "trochlear_depth_mm": 1.6,
+        "prominence_mm": 4.0,
+    },
+    "C": {
+        "sulcus_angle_deg": 162.0,
+        "lateral_inclination_deg": 9.0,
+        "facet_ratio": 0.3,
+        "trochlear_depth_mm": 1.8,
+        "prominence_mm": 1.0,
+    },
+    "D": {
+        "sulcus_angle_deg": 168.0,
+        "lateral_inclination_deg": 6.0,
+        "facet_ratio": 0.25,
+        "trochlear_depth_mm": 1.2,
+        "prominence_mm": 5.5,
+    },
+}

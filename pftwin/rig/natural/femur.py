@@ -1,0 +1,130 @@
+"""The distal femur as a smooth body: a trochlea that runs into two condyles with a notch between them, and a shaft.
+
+Femoral axes (x proximal, y lateral, z anterior), origin on the trochlear axis, millimetres. Behind and below the axis
+the surface is a radius over the angle about it, above it a height over the proximal coordinate; across, each facet
+rises from the groove to its ridge, and beyond falls to the condyle's side. Curvature is continuous in the trochlea.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pftwin.rig.natural.anatomy import Anatomy
+from pftwin.rig.natural.implicit import Points, largest, smallest, smooth_step
+
+Values = NDArray[np.float64]
+
+SHAFT_LENGTH = 110.0  # above the trochlear axis [mm]
+SHAFT_WIDTH, SHAFT_DEPTH = 28.0, 27.0  # of the shaft [mm]
+NOTCH_FLOOR = 9.0  # of the notch from the axis [mm]
+CONDYLE_HALF_WIDTH = 13.0  # from a condyle's crest to its side [mm]
+GROOVE_ROUNDING, RIDGE_ROUNDING = 0.30, 0.25  # share of a facet's width in which it bends at either end
+SIDE_POWER = 2.5  # of the superellipse from ridge to side: no curvature where it begins
+BLEND = 1.5  # of trochlea and shaft: below a micrometre where the patella runs [mm]
+EPICONDYLE = 2.0  # by which they stand out beside the condyles [mm]
+TROCHLEA_TOP = 32.0  # where the facets have run out, above the axis [mm]
+
+
+class _Profile(NamedTuple):
+    """Of sections across, at each point."""
+
+    floor: Values  # of the groove: radius, or height above the axis
+    lateral: Values  # of the ridges, likewise
+    medial: Values
+    lateral_at: Values  # of the ridges, from the groove
+    medial_at: Values
+    half_width: Values  # of the condyles
+
+
+class FemurBody:
+    """Positive inside the femur."""
+
+    def __init__(self, anatomy: Anatomy) -> None:
+        self.anatomy = anatomy
+
+    def __call__(self, points: Points) -> Values:
+        """At points (n, 3) [mm]."""
+        with np.errstate(over="ignore", under="ignore"):
+            return largest(self._joint(points), self._shaft(points), blend=BLEND)
+
+    def box(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+        """Corners of a box that holds it."""
+        a = self.anatomy
+        reach = max(a.condyle_radius_mm, a.trochlear_radius_mm + max(a.lateral_height_mm, a.medial_height_mm)) + 8
+        wide = 0.5 * a.epicondylar_width_mm + 6
+        back = max(a.condyle_radius_mm, SHAFT_DEPTH + a.prominence_mm - a.trochlear_radius_mm) + 8
+        return (-reach, -wide, -back), (SHAFT_LENGTH + 6, wide, reach + max(0.0, -a.prominence_mm))
+
+    def _joint(self, points: Points) -> Values:
+        x, y, z = points.T
+        above, back = x > 0, z < 0
+        out = np.where(above, np.abs(z), np.hypot(x, z))
+        around = np.mod(np.degrees(np.arctan2(-x, z)), 360.0)
+        p = self._profile(np.where(above, np.where(back, 180.0, 0.0), around), np.where(above, x, 0.0), back)
+        side = y > 0
+        at = np.where(side, p.lateral_at, p.medial_at)
+        top = np.where(side, p.lateral, p.medial)
+        across = np.abs(y)
+        surface = p.floor + (top - p.floor) * facet(np.minimum(across / at, 1.0))
+        aside = np.maximum(across - at, 0.0) / (p.half_width - at)
+        level = ((out / surface) ** SIDE_POWER + aside**SIDE_POWER + 1e-12) ** (1 / SIDE_POWER)
+        within = self.anatomy.trochlear_radius_mm * (1 - level)
+        return smallest(within, TROCHLEA_TOP + 2 - x, blend=0.5 * BLEND)
+
+    def _profile(self, angle: Values, x: Values, back: NDArray[np.bool_]) -> _Profile:
+        """By the angle from anterior over distal to posterior [deg], and the height above the axis."""
+        a = self.anatomy
+        radius, half = a.trochlear_radius_mm, 0.5 * a.epicondylar_width_mm - EPICONDYLE
+        receding = self._recession(x)
+        rounded = np.where(back, np.cos(np.minimum(x / a.condyle_radius_mm, 1.4)), 1.0)  # the condyles' upper ends
+        fading = 1 - smooth_step((x - 6) / (TROCHLEA_TOP - 6))
+        to_notch, to_condyle = smooth_step((angle - 45) / 55), smooth_step((angle - 5) / 80)
+        crest = half - CONDYLE_HALF_WIDTH
+
+        def blended(anterior: Values, behind: float, share: Values) -> Values:
+            return rounded * ((1 - share) * anterior + share * behind)
+
+        def ridge(height: float) -> Values:
+            return blended(radius - receding + height * fading, a.condyle_radius_mm, to_condyle)
+
+        def aside(width: float) -> Values:
+            return width + (crest - width) * to_condyle
+
+        narrowing = (half - 0.5 * SHAFT_WIDTH - 8) * smooth_step(x / TROCHLEA_TOP)
+        width = np.maximum(half - narrowing, max(a.lateral_facet_mm, a.medial_facet_mm) + 4)
+        lateral, medial = (np.minimum(aside(w), width - 4) for w in (a.lateral_facet_mm, a.medial_facet_mm))
+        floor = blended(radius - receding, NOTCH_FLOOR, to_notch)
+        return _Profile(floor, ridge(a.lateral_height_mm), ridge(a.medial_height_mm), lateral, medial, width)
+
+    def _recession(self, x: Values) -> Values:
+        """How far the groove's floor lies behind its foremost point, above the axis: circular at first [mm]."""
+        a = self.anatomy
+        t = np.clip(x / TROCHLEA_TOP, 0.0, 1.0)
+        round_off = 0.5 * TROCHLEA_TOP**2 / a.trochlear_radius_mm * t**2 * (1 - t) ** 3
+        return (a.prominence_mm + 1.5) * smooth_step(t) + round_off
+
+    def _shaft(self, points: Points) -> Values:
+        x, y, z = points.T
+        a = self.anatomy
+        cortex = a.trochlear_radius_mm - a.prominence_mm
+        rise, taper = smooth_step((x - 6) / 30), smooth_step((x + 4) / 72)
+        front = cortex - 12 * (1 - rise)
+        back = (2 - a.condyle_radius_mm) * (1 - taper) + (cortex - SHAFT_DEPTH) * taper
+        half_width = 0.5 * a.epicondylar_width_mm * (1 - taper) + 0.5 * SHAFT_WIDTH * taper
+        half_depth = 0.5 * (front - back)
+        middle = 0.5 * (front + back)
+        level = ((np.abs(y) / half_width) ** 2.5 + (np.abs(z - middle) / half_depth) ** 2.5) ** 0.4
+        round_about = np.minimum(half_width, half_depth) * (1 - level)
+        return smallest(round_about, x + 9, SHAFT_LENGTH - x, blend=BLEND)
+
+
+def facet(t: Values) -> Values:
+    """Height from the groove (0) to the ridge (1): flat at both ends, straight between, with continuous curvature."""
+    a, b = GROOVE_ROUNDING, RIDGE_ROUNDING
+    x, y = np.clip(t / a, 0.0, 1.0), np.clip((t - 1 + b) / b, 0.0, 1.0)
+    straight = np.clip(t, a, 1 - b) - a
+    bend = a * (x**3 - 0.5 * x**4) + straight + b * (y - y**3 + 0.5 * y**4)
+    return bend / (1 - 0.5 * (a + b))

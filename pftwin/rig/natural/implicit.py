@@ -1,0 +1,138 @@
+"""Closed triangle meshes of smooth bodies given as functions that are positive inside.
+
+Surface nets (Gibson 1998, MERL TR 98-11): a regular grid, one vertex in each cube that the surface crosses, one
+quadrilateral across each grid edge whose ends are on different sides. The vertices are then brought onto the surface
+itself by Newton's method along the gradient, so that the mesh is as exact as its triangles are small.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pftwin.base.errors import InputError
+from pftwin.geometry.mesh.mesh import SurfaceMesh
+
+Points = NDArray[np.float64]
+Body = Callable[[Points], NDArray[np.float64]]  # (n, 3) [mm] -> (n,) [mm], positive inside
+
+_CORNERS = np.stack(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij"), axis=-1).reshape(-1, 3)
+_STEP = 1e-3  # of central differences [mm]
+_NEWTON_STEPS = 8
+_LONGEST = 0.5  # of a Newton step, by the spacing
+_CLOSE = 1e-5  # [mm] a vertex is on the surface
+
+
+def smallest(*values: NDArray[np.float64], blend: float) -> NDArray[np.float64]:
+    """A smooth minimum: bodies intersect. Below it by at most `blend` times the logarithm of their number."""
+    least = np.min(values, axis=0)
+    return least - blend * np.log(np.sum([np.exp((least - v) / blend) for v in values], axis=0))
+
+
+def largest(*values: NDArray[np.float64], blend: float) -> NDArray[np.float64]:
+    """A smooth maximum: bodies unite."""
+    return -smallest(*(-v for v in values), blend=blend)
+
+
+def smooth_step(x: NDArray[np.float64]) -> NDArray[np.float64]:
+    """From 0 below 0 to 1 above 1, with continuous curvature."""
+    t = np.clip(x, 0.0, 1.0)
+    return t**3 * (10 - 15 * t + 6 * t * t)
+
+
+def mesh_of(body: Body, low: tuple[float, ...], high: tuple[float, ...], spacing: float, source: str) -> SurfaceMesh:
+    """The surface of a body [m], closed, its triangles about as large as the spacing.
+
+    Args:
+        body: positive inside, smooth near its surface [mm].
+        low, high: corners of a box that holds it with room to spare [mm].
+        spacing: edge of the grid's cubes [mm].
+        source: what the mesh is called.
+
+    Raises:
+        InputError: a body that reaches out of the box, or that is too fine for the spacing.
+    """
+    if not 0.1 <= spacing <= 5:
+        raise InputError(f"found {spacing!r}", where="resolution_mm", expected="0.1 to 5 mm")
+    axes = [np.arange(a, b + spacing, spacing) for a, b in zip(low, high, strict=True)]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    value = body(grid.reshape(-1, 3)).reshape(grid.shape[:3])
+    inside = value > 0
+    if inside[[0, -1]].any() or inside[:, [0, -1]].any() or inside[:, :, [0, -1]].any() or not inside.any():
+        raise InputError("the body does not fit in its box", where=source)
+    vertices, number = _vertices(value, inside, axes, spacing)
+    faces = _faces(inside, number)
+    mesh = SurfaceMesh(_projected(body, vertices, spacing) * 1e-3, faces, source)
+    if not mesh.is_closed:
+        raise InputError(
+            f"a spacing of {spacing:g} mm is too coarse for it", where=source, remedy="a finer resolution_mm"
+        )
+    return mesh
+
+
+def _vertices(
+    value: NDArray[np.float64], inside: NDArray[np.bool_], axes: list[Points], spacing: float
+) -> tuple[Points, NDArray[np.int64]]:
+    """In each cube that is crossed the mean of where its edges are; and the number of each cube's vertex, or -1."""
+    shape = tuple(n - 1 for n in inside.shape)
+    corner = [_shifted(value, c, shape) for c in _CORNERS]
+    total, count = np.zeros((*shape, 3)), np.zeros(shape)
+    for a in range(8):
+        for b in range(a + 1, 8):
+            if np.abs(_CORNERS[a] - _CORNERS[b]).sum() != 1:
+                continue
+            crossed = (corner[a] > 0) != (corner[b] > 0)
+            gap = np.where(crossed, corner[a] - corner[b], 1.0)
+            at = _CORNERS[a] + (corner[a] / gap)[..., None] * (_CORNERS[b] - _CORNERS[a])
+            total += np.where(crossed[..., None], at, 0.0)
+            count += crossed
+    found = np.argwhere(count > 0)
+    number = np.full(shape, -1, dtype=np.int64)
+    number[tuple(found.T)] = np.arange(len(found))
+    middle = total[tuple(found.T)] / count[tuple(found.T)][:, None]
+    return np.array([a[0] for a in axes]) + spacing * (found + middle), number
+
+
+def _shifted(value: NDArray, corner: NDArray, shape: tuple[int, ...]) -> NDArray:
+    return value[tuple(slice(c, c + n) for c, n in zip(corner, shape, strict=True))]
+
+
+def _faces(inside: NDArray[np.bool_], number: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Two triangles for each grid edge that is crossed, turning counter-clockwise seen from outside."""
+    faces = []
+    for axis in range(3):
+        other = [(axis + 1) % 3, (axis + 2) % 3]
+        first, second = np.moveaxis(inside, axis, 0)[:-1], np.moveaxis(inside, axis, 0)[1:]
+        edges = np.argwhere(np.moveaxis(first != second, 0, axis))
+        leaving = inside[tuple(edges.T)]  # from inside to outside along the axis
+        around = []
+        for da, db in ((-1, -1), (0, -1), (0, 0), (-1, 0)):
+            cube = edges.copy()
+            cube[:, other[0]] += da
+            cube[:, other[1]] += db
+            around.append(number[tuple(cube.T)])
+        quad = np.stack(around, axis=1)
+        quad = np.where(leaving[:, None], quad, quad[:, ::-1])
+        faces += [quad[:, [0, 1, 2]], quad[:, [0, 2, 3]]]
+    return np.concatenate(faces)
+
+
+def _projected(body: Body, points: Points, spacing: float) -> Points:
+    """The points moved onto the surface along its normals."""
+    for _ in range(_NEWTON_STEPS):
+        value = body(points)
+        if np.abs(value).max() < _CLOSE:
+            break
+        slope = gradient(body, points)
+        step = -(value / np.maximum((slope**2).sum(axis=1), 1e-12))[:, None] * slope
+        size = np.linalg.norm(step, axis=1, keepdims=True)
+        points = points + step * np.minimum(1.0, _LONGEST * spacing / np.maximum(size, 1e-12))
+    return points
+
+
+def gradient(body: Body, points: Points) -> Points:
+    """By central differences (n, 3)."""
+    change = [body(points + _STEP * e) - body(points - _STEP * e) for e in np.eye(3)]
+    return np.stack(change, axis=1) / (2 * _STEP)

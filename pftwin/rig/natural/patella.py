@@ -1,0 +1,74 @@
+"""The patella as a smooth body: two facets that meet in a ridge, a dome-like front, an outline with an apex.
+
+Patellar axes (x proximal, y lateral, z anterior), millimetres. The origin lies on the ridge, half way up the articular
+surface.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pftwin.rig.natural.anatomy import Anatomy
+from pftwin.rig.natural.implicit import Points, smallest
+
+Values = NDArray[np.float64]
+
+ARTICULAR = 0.76  # share of the height that is articular (32.7 of 43 mm)
+RIDGE_RADIUS = 6.0  # of the ridge's rounding, across [mm]
+BLEND = 0.8  # of the surfaces at their edges [mm]
+EDGE = 7.0  # thickness of the patella's border [mm]
+
+
+class PatellaBody:
+    """Positive inside the patella."""
+
+    def __init__(self, anatomy: Anatomy) -> None:
+        a = self.anatomy = anatomy
+        share = a.wiberg_ratio / (1 + a.wiberg_ratio)
+        self.lateral, self.medial = share * a.patella_width_mm, (1 - share) * a.patella_width_mm
+        half = 0.5 * ARTICULAR * a.patella_height_mm
+        self.top, self.bottom = half, half - a.patella_height_mm
+
+    def __call__(self, points: Points) -> Values:
+        """At points (n, 3) [mm]."""
+        x, y, z = points.T
+        behind = z - self.articular(y) - 0.008 * np.maximum(-x - self.top, 0.0) ** 3
+        return smallest(behind, self._front(x, y) - z, self._outline(x, y), blend=BLEND)
+
+    def box(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+        """Corners of a box that holds it."""
+        return (self.bottom - 5, -self.medial - 5, -5.0), (self.top + 5, self.lateral + 5, self.thickness + 5)
+
+    @property
+    def thickness(self) -> float:
+        """From ridge to front [mm]."""
+        return self.anatomy.patella_thickness_mm
+
+    def articular(self, y: Values) -> Values:
+        """Of the articular surface before the ridge [mm]: hyperbola whose flanks enclose the ridge angle.
+
+        Both facets are inclined alike: the ridge angle's bisector points forward.
+        """
+        slope = 1 / math.tan(math.radians(0.5 * self.anatomy.ridge_angle_deg))
+        rounding = RIDGE_RADIUS * slope
+        return slope * (np.sqrt(y * y + rounding**2) - rounding)
+
+    def _front(self, x: Values, y: Values) -> Values:
+        middle_x, middle_y = 0.5 * (self.top + self.bottom), 0.5 * (self.lateral - self.medial)
+        u = (x - middle_x) / (0.5 * self.anatomy.patella_height_mm)
+        v = (y - middle_y) / (0.5 * self.anatomy.patella_width_mm)
+        edge = self.articular(np.asarray(self.anatomy.patella_width_mm * 0.5)) + EDGE
+        return self.thickness - (self.thickness - edge) * (0.6 * u * u + v * v)
+
+    def _outline(self, x: Values, y: Values) -> Values:
+        """A rounded shield: wide above, an apex below."""
+        a = self.anatomy
+        middle_x, middle_y = 0.5 * (self.top + self.bottom), 0.5 * (self.lateral - self.medial)
+        u = (x - middle_x) / (0.5 * a.patella_height_mm)
+        low = np.clip(-u, 0.0, 1.0)
+        half = 0.5 * a.patella_width_mm * (1 - 0.45 * low**2)
+        v = (y - middle_y) / half
+        return 0.5 * a.patella_width_mm * (1 - (np.abs(u) ** 2.4 + np.abs(v) ** 2.4 + 1e-12) ** (1 / 2.4))

@@ -45,7 +45,7 @@ class Anatomy:
     ridge_angle_deg: float = _number(132.0, 100.0, 175.0, "between the patellar facets, Wiberg 1941; range a choice")
     wiberg_ratio: float = _number(1.4, 0.8, 4.0, "lateral by medial patellar facet: types I to III, Wiberg 1941")
     patellar_cartilage_mm: float = _number(4.1, 1.0, 8.0, "4.1 (1.3), 43 adults, Bone Joint J 95-B Suppl 14")
-    trochlear_cartilage_mm: float = _number(2.5, 0.5, 6.0, "knee's plates 1.6 to 2.4, patella's more, Hudelmaier 2001")
+    trochlear_cartilage_mm: float = _number(2.5, 0.5, 6.0, "mean of a knee 1.6 to 2.4, PubMed 11237657")
     insall_salvati: float = _number(1.02, 0.6, 1.7, "tendon by patella: 1.02 (0.13) Insall & Salvati 1971")
     tt_tg_mm: float = _number(12.7, -2.0, 30.0, "12.7 (3.4), in dislocators 19.8 (1.6), Dejour 1994")
 

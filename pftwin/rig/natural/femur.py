@@ -19,7 +19,12 @@ Values = NDArray[np.float64]
 
 SHAFT_LENGTH = 110.0  # above the trochlear axis [mm]
 SHAFT_WIDTH, SHAFT_DEPTH = 28.0, 27.0  # of the shaft [mm]
+# Of the condyles' circles, on which the tibia turns: below and behind the trochlear axis (x, z) [mm]. A choice.
+FLEXION_AXIS = -5.0, -8.0
 NOTCH_FLOOR = 9.0  # of the notch from the axis [mm]
+# Distal of anterior, where they begin and over how much: the groove sinks into the notch, the ridges' heights become
+# those of the condyles, and the ridges part towards the condyles' crests [deg].
+TO_NOTCH, TO_CONDYLE, TO_CREST = (45.0, 60.0), (30.0, 65.0), (50.0, 60.0)
 CONDYLE_HALF_WIDTH = 13.0  # from a condyle's crest to its side [mm]
 GROOVE_ROUNDING, RIDGE_ROUNDING = 0.30, 0.25  # share of a facet's width in which it bends at either end
 SIDE_POWER = 2.5  # of the superellipse from ridge to side: no curvature where it begins
@@ -39,7 +44,7 @@ class _Profile(NamedTuple):
     half_width: Values  # of the condyles
 
 
-class FemurBody:
+class FemurShape:
     """Positive inside the femur."""
 
     def __init__(self, anatomy: Anatomy) -> None:
@@ -53,9 +58,15 @@ class FemurBody:
     def box(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
         """Corners of a box that holds it."""
         a = self.anatomy
-        reach = max(a.condyle_radius_mm, a.trochlear_radius_mm + max(a.lateral_height_mm, a.medial_height_mm)) + 8
+        reach = (
+            max(
+                a.condyle_radius_mm - FLEXION_AXIS[0],
+                a.trochlear_radius_mm + max(a.lateral_height_mm, a.medial_height_mm),
+            )
+            + 8
+        )
         wide = 0.5 * a.epicondylar_width_mm + 6
-        back = max(a.condyle_radius_mm, SHAFT_DEPTH + a.prominence_mm - a.trochlear_radius_mm) + 8
+        back = max(a.condyle_radius_mm - FLEXION_AXIS[1], SHAFT_DEPTH + a.prominence_mm - a.trochlear_radius_mm) + 8
         return (-reach, -wide, -back), (SHAFT_LENGTH + 6, wide, reach + max(0.0, -a.prominence_mm))
 
     def _joint(self, points: Points) -> Values:
@@ -78,20 +89,23 @@ class FemurBody:
         """By the angle from anterior over distal to posterior [deg], and the height above the axis."""
         a = self.anatomy
         radius, half = a.trochlear_radius_mm, 0.5 * a.epicondylar_width_mm - EPICONDYLE
-        receding = self._recession(x)
+        receding = self.recession(x)
         rounded = np.where(back, np.cos(np.minimum(x / a.condyle_radius_mm, 1.4)), 1.0)  # the condyles' upper ends
         fading = 1 - smooth_step((x - 6) / (TROCHLEA_TOP - 6))
-        to_notch, to_condyle = smooth_step((angle - 45) / 55), smooth_step((angle - 5) / 80)
+        to_notch, to_condyle, to_crest = (
+            smooth_step((angle - first) / width) for first, width in (TO_NOTCH, TO_CONDYLE, TO_CREST)
+        )
+        condyles = _distance_to_circle(angle, a.condyle_radius_mm)
         crest = half - CONDYLE_HALF_WIDTH
 
-        def blended(anterior: Values, behind: float, share: Values) -> Values:
+        def blended(anterior: Values, behind: Values | float, share: Values) -> Values:
             return rounded * ((1 - share) * anterior + share * behind)
 
         def ridge(height: float) -> Values:
-            return blended(radius - receding + height * fading, a.condyle_radius_mm, to_condyle)
+            return blended(radius - receding + height * fading, condyles, to_condyle)
 
         def aside(width: float) -> Values:
-            return width + (crest - width) * to_condyle
+            return width + (crest - width) * to_crest
 
         narrowing = (half - 0.5 * SHAFT_WIDTH - 8) * smooth_step(x / TROCHLEA_TOP)
         width = np.maximum(half - narrowing, max(a.lateral_facet_mm, a.medial_facet_mm) + 4)
@@ -99,7 +113,7 @@ class FemurBody:
         floor = blended(radius - receding, NOTCH_FLOOR, to_notch)
         return _Profile(floor, ridge(a.lateral_height_mm), ridge(a.medial_height_mm), lateral, medial, width)
 
-    def _recession(self, x: Values) -> Values:
+    def recession(self, x: Values) -> Values:
         """How far the groove's floor lies behind its foremost point, above the axis: circular at first [mm]."""
         a = self.anatomy
         t = np.clip(x / TROCHLEA_TOP, 0.0, 1.0)
@@ -112,13 +126,20 @@ class FemurBody:
         cortex = a.trochlear_radius_mm - a.prominence_mm
         rise, taper = smooth_step((x - 6) / 30), smooth_step((x + 4) / 72)
         front = cortex - 12 * (1 - rise)
-        back = (2 - a.condyle_radius_mm) * (1 - taper) + (cortex - SHAFT_DEPTH) * taper
+        back = (6 - a.condyle_radius_mm + FLEXION_AXIS[1]) * (1 - taper) + (cortex - SHAFT_DEPTH) * taper
         half_width = 0.5 * a.epicondylar_width_mm * (1 - taper) + 0.5 * SHAFT_WIDTH * taper
         half_depth = 0.5 * (front - back)
         middle = 0.5 * (front + back)
         level = ((np.abs(y) / half_width) ** 2.5 + (np.abs(z - middle) / half_depth) ** 2.5) ** 0.4
         round_about = np.minimum(half_width, half_depth) * (1 - level)
         return smallest(round_about, x + 9, SHAFT_LENGTH - x, blend=BLEND)
+
+
+def _distance_to_circle(angle: Values, radius: float) -> Values:
+    """From the trochlear axis to the condyles' circle, at an angle from anterior over distal [deg]."""
+    x, z = FLEXION_AXIS
+    along = -x * np.sin(np.radians(angle)) + z * np.cos(np.radians(angle))
+    return along + np.sqrt(radius**2 - x * x - z * z + along**2)
 
 
 def facet(t: Values) -> Values:

@@ -22,7 +22,7 @@ BLEND = 0.8  # of the surfaces at their edges [mm]
 EDGE = 7.0  # thickness of the patella's border [mm]
 
 
-class PatellaBody:
+class PatellaShape:
     """Positive inside the patella."""
 
     def __init__(self, anatomy: Anatomy) -> None:
@@ -47,6 +47,11 @@ class PatellaBody:
         """From ridge to front [mm]."""
         return self.anatomy.patella_thickness_mm
 
+    @property
+    def middle(self) -> float:
+        """Of the outline, lateral of the ridge [mm]."""
+        return 0.5 * (self.lateral - self.medial)
+
     def articular(self, y: Values) -> Values:
         """Of the articular surface before the ridge [mm]: hyperbola whose flanks enclose the ridge angle.
 
@@ -57,7 +62,7 @@ class PatellaBody:
         return slope * (np.sqrt(y * y + rounding**2) - rounding)
 
     def _front(self, x: Values, y: Values) -> Values:
-        middle_x, middle_y = 0.5 * (self.top + self.bottom), 0.5 * (self.lateral - self.medial)
+        middle_x, middle_y = 0.5 * (self.top + self.bottom), self.middle
         u = (x - middle_x) / (0.5 * self.anatomy.patella_height_mm)
         v = (y - middle_y) / (0.5 * self.anatomy.patella_width_mm)
         edge = self.articular(np.asarray(self.anatomy.patella_width_mm * 0.5)) + EDGE
@@ -66,7 +71,7 @@ class PatellaBody:
     def _outline(self, x: Values, y: Values) -> Values:
         """A rounded shield: wide above, an apex below."""
         a = self.anatomy
-        middle_x, middle_y = 0.5 * (self.top + self.bottom), 0.5 * (self.lateral - self.medial)
+        middle_x, middle_y = 0.5 * (self.top + self.bottom), self.middle
         u = (x - middle_x) / (0.5 * a.patella_height_mm)
         low = np.clip(-u, 0.0, 1.0)
         half = 0.5 * a.patella_width_mm * (1 - 0.45 * low**2)

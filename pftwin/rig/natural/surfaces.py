@@ -2,15 +2,25 @@
 
 from __future__ import annotations
 
+import dataclasses
 from functools import lru_cache
 from typing import NamedTuple
 
-from pftwin.geometry.mesh.mesh import SurfaceMesh
+import numpy as np
+
+from pftwin.base.program_cache import cached
+from pftwin.geometry.mesh.mesh import SurfaceMesh, compacted
 from pftwin.rig.natural.anatomy import Anatomy
-from pftwin.rig.natural.femur import FemurBody
+from pftwin.rig.natural.femur import FemurShape
 from pftwin.rig.natural.implicit import mesh_of
-from pftwin.rig.natural.patella import PatellaBody
-from pftwin.rig.natural.tibia import TibiaBody
+from pftwin.rig.natural.patella import PatellaShape
+from pftwin.rig.natural.tibia import TibiaShape
+
+_SHAPES: dict[str, type[FemurShape] | type[PatellaShape] | type[TibiaShape]] = {
+    "femur": FemurShape,
+    "patella": PatellaShape,
+    "tibia": TibiaShape,
+}
 
 
 class Bones(NamedTuple):
@@ -27,10 +37,30 @@ def bones(anatomy: Anatomy, resolution_mm: float = 1.5) -> Bones:
 
     Args:
         anatomy: its numbers.
-        resolution_mm: size of the triangles, 0.1 to 5 mm.
+        resolution_mm: size of the triangles, 0.1 to 5 mm; the patella's are half as large.
 
     Raises:
         InputError: a resolution out of range, or too coarse for the anatomy.
     """
-    parts = (("femur", FemurBody(anatomy)), ("patella", PatellaBody(anatomy)), ("tibia", TibiaBody(anatomy)))
-    return Bones(*(mesh_of(body, *body.box(), resolution_mm, f"natural {name}") for name, body in parts))
+    fine = {"femur": resolution_mm, "patella": 0.5 * resolution_mm, "tibia": resolution_mm}
+    numbers = dataclasses.asdict(anatomy)
+    return Bones(**{n: SurfaceMesh(*cached(_meshed, n, numbers, fine[n], files=()), f"natural {n}") for n in _SHAPES})
+
+
+def articular(made: Bones) -> tuple[SurfaceMesh, SurfaceMesh]:
+    """Of femur and patella what can touch: trochlea, condyles and the front of the shaft; the patella's back."""
+    femur, patella = made.femur, made.patella
+    x, _, z = femur.vertices[femur.faces].mean(axis=1).T
+    angle = np.degrees(np.arctan2(x, z))
+    reached = (angle > -120) & (angle < 90) & (x < 0.055)
+    back = patella.area_vectors[:, 2] < -0.5 * patella.face_areas
+    return (
+        compacted(SurfaceMesh(femur.vertices, femur.faces[reached], "femoral cartilage")),
+        compacted(SurfaceMesh(patella.vertices, patella.faces[back], "patellar cartilage")),
+    )
+
+
+def _meshed(name: str, numbers: dict[str, float], spacing: float) -> tuple[np.ndarray, np.ndarray]:
+    body = _SHAPES[name](Anatomy(**numbers))
+    mesh = mesh_of(body, *body.box(), spacing, f"natural {name}")
+    return mesh.vertices, mesh.faces

@@ -9,24 +9,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pftwin.rig.natural.anatomy import Anatomy
+from pftwin.rig.natural.femur import FLEXION_AXIS
 from pftwin.rig.natural.implicit import Points, largest, smallest, smooth_step
 
 Values = NDArray[np.float64]
 
 GAP = 5.0  # between condyles and plateau: cartilage and menisci [mm]
-TUBEROSITY_BELOW = 27.0  # the plateau [mm]
-TUBEROSITY_BEFORE = 33.0  # the trochlear axis [mm]
+TUBEROSITY_BELOW = 22.0  # the plateau [mm]
+TUBEROSITY_BEFORE = 24.0  # the trochlear axis [mm]
 LENGTH = 120.0  # below the plateau [mm]
 SHAFT_WIDTH = 27.0  # [mm]
 BLEND = 1.5  # [mm]
 
 
-class TibiaBody:
+class TibiaShape:
     """Positive inside the tibia."""
 
     def __init__(self, anatomy: Anatomy) -> None:
         self.anatomy = anatomy
-        self.plateau = -anatomy.condyle_radius_mm - GAP  # height [mm]
+        self.plateau = FLEXION_AXIS[0] - anatomy.condyle_radius_mm - GAP  # height [mm]
 
     @property
     def tuberosity(self) -> tuple[float, float, float]:
@@ -42,17 +43,17 @@ class TibiaBody:
     def box(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
         """Corners of a box that holds it."""
         wide = 0.5 * self.anatomy.epicondylar_width_mm + 6
-        return (self.plateau - LENGTH - 6, -wide, -36.0), (self.plateau + 8, wide, TUBEROSITY_BEFORE + 8)
+        return (self.plateau - LENGTH - 6, -wide, -40.0), (self.plateau + 8, wide, TUBEROSITY_BEFORE + 8)
 
     def _shaft(self, x: Values, y: Values, z: Values) -> Values:
         below = self.plateau - x
         taper = smooth_step((below + 6) / 62)
         half_width = 0.5 * (self.anatomy.epicondylar_width_mm - 3) * (1 - taper) + 0.5 * SHAFT_WIDTH * taper
-        front, back = 24 * (1 - taper) + 22 * taper, -26 * (1 - taper) - 6 * taper
+        front, back = 22 * (1 - taper) + 20 * taper, -30 * (1 - taper) - 8 * taper
         half_depth, middle = 0.5 * (front - back), 0.5 * (front + back)
         level = ((np.abs(y) / half_width) ** 2.3 + (np.abs(z - middle) / half_depth) ** 2.3 + 1e-12) ** (1 / 2.3)
-        eminence = 5 * np.exp(-((y / 7) ** 2) - ((z + 2) / 11) ** 2)
-        hollow = 1.5 * np.exp(-(((np.abs(y) - 21) / 11) ** 2) - ((z + 2) / 15) ** 2)
+        eminence = 5 * np.exp(-((y / 7) ** 2) - ((z + 6) / 11) ** 2)
+        hollow = 1.5 * np.exp(-(((np.abs(y) - 21) / 11) ** 2) - ((z + 6) / 15) ** 2)
         round_about = np.minimum(half_width, half_depth) * (1 - level)
         return smallest(round_about, below + eminence - hollow, LENGTH - below, blend=BLEND)
 

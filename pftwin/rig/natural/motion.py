@@ -1,0 +1,73 @@
+"""What a natural knee does: flexion over time, the tibia's rotation with it, the femur's place, and the muscles' pull.
+
+A squat, down and up again, femur and tibia inclined alike. The knee is before the line from hip to ankle by as much as
+the sine of half its flexion, and so the moment that the quadriceps holds rises with it. The tibia turns about the
+condyles' axis, and inward over the first 30 deg of flexion (screw-home, reported with 6 to 17 deg: Kim et al. 2015,
+Clin Orthop Surg 7:303).
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pftwin.base.errors import InputError
+from pftwin.rig.natural.femur import FLEXION_AXIS
+
+if TYPE_CHECKING:
+    from pftwin.model.motion import KneeMotion
+
+STRAIGHT, BENT = 15.0, 90.0  # flexion between which it goes [deg]
+SCREW_HOME, SCREWED = 8.0, 30.0  # inward turn of the tibia, and the flexion at which it is complete [deg]
+RATE = 60.0  # frames in a second
+
+
+class Activity(NamedTuple):
+    """What is prescribed, at each frame."""
+
+    motion: KneeMotion
+    flexion: NDArray[np.float64]  # (n,) of the knee [deg]
+    inclined: NDArray[np.float64]  # (n,) the femur backward from its place in full extension [deg]
+    pull: NDArray[np.float64]  # (n,) of all the quadriceps, as a share of its largest
+    gravity: tuple[float, float, float]  # in the world [m/s^2]
+
+
+def squat(duration: float) -> Activity:
+    """A squat that takes so long [s].
+
+    Raises:
+        InputError: a duration that is no time for it.
+    """
+    if not 0.2 <= duration <= 60:
+        raise InputError(f"found {duration!r}", where="duration", expected="0.2 to 60 s")
+    times = np.arange(round(duration * RATE) + 1) / RATE
+    flexion = STRAIGHT + (BENT - STRAIGHT) * (0.5 - 0.5 * np.cos(2 * np.pi * times / times[-1]))
+    inclined = 0.5 * flexion
+    pull = np.sin(np.radians(inclined)) / np.sin(np.radians(0.5 * BENT))
+    return Activity(_motion(times, inclined, flexion), flexion, inclined, pull, (-9.81, 0.0, 0.0))
+
+
+def internal_rotation(flexion: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Of the tibia, from none in full extension [deg]."""
+    t = np.clip(flexion / SCREWED, 0.0, 1.0)
+    return SCREW_HOME * t**3 * (10 - 15 * t + 6 * t * t)
+
+
+def _motion(times: NDArray, inclined: NDArray, flexion: NDArray) -> KneeMotion:
+    from scipy.spatial.transform import Rotation
+
+    from pftwin.files.mocap.poses import PoseSeries
+    from pftwin.model.motion import KneeMotion
+
+    femur = Rotation.from_euler("Y", inclined[:, None], degrees=True)
+    angles = np.stack([-flexion, 0 * flexion, internal_rotation(flexion)], axis=1)
+    tibia = femur * Rotation.from_euler("YZX", angles, degrees=True)
+    axis = 1e-3 * np.array([FLEXION_AXIS[0], 0.0, FLEXION_AXIS[1]])
+    places = {"femur": np.zeros((times.size, 3)), "tibia": femur.apply(axis) - tibia.apply(axis)}
+    femoral, tibial = (
+        PoseSeries(times, places[bone], turn.as_quat(scalar_first=True), source=f"squat, {bone}")
+        for bone, turn in (("femur", femur), ("tibia", tibia))
+    )
+    return KneeMotion.from_poses(femoral, tibial)

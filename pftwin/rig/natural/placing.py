@@ -1,0 +1,116 @@
+"""Where muscles, tendon and retinacula of a natural knee are attached, and where its patella lies at first.
+
+Millimetres and degrees; frames of femur, patella and tibia.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+from scipy.spatial.transform import Rotation
+
+from pftwin.base.errors import InputError
+from pftwin.rig.natural.anatomy import Anatomy
+from pftwin.rig.natural.femur import EPICONDYLE, FLEXION_AXIS, FemurShape
+from pftwin.rig.natural.motion import internal_rotation
+from pftwin.rig.natural.patella import PatellaShape
+from pftwin.rig.natural.tibia import TibiaShape
+
+Points = NDArray[np.float64]
+
+STRANDS = {"patellar_tendon": 5, "mpfl": 3, "lpfl": 3}
+TENDON_WIDTH = 24.0  # of the patellar tendon at the patella; at the tuberosity two thirds of it
+REACH = 200.0  # from a muscle's insertion to where its line ends on the femur
+# Of the quadriceps: share of the pull by cross-sections, and the angle to the femur's shaft, lateral positive [deg].
+# Farahmand, Senavongse & Amis 1998, J Orthop Res 16:136; long and oblique heads are taken together.
+QUADRICEPS = {
+    "vastus_medialis": (0.23, -27.0),
+    "vastus_lateralis": (0.42, 18.5),
+    "vastus_intermedius": (0.20, 0.0),
+    "rectus_femoris": (0.15, 0.0),
+}
+
+
+class Ends(NamedTuple):
+    """Of lines of force, (n, 3) each."""
+
+    patella: Points
+    body: Points
+
+
+def muscles(anatomy: Anatomy) -> Ends:
+    """The four parts of the quadriceps, in the order of `QUADRICEPS`, as they lie in full extension."""
+    shape = PatellaShape(anatomy)
+    front = 0.6 * anatomy.patella_thickness_mm
+    patella = np.array(
+        [
+            (0.5 * shape.top, 0.6 * -shape.medial, front),
+            (0.8 * shape.top, 0.6 * shape.lateral, front),
+            (shape.top - 2, 0.0, front - 2),
+            (shape.top - 1, 0.0, front + 2),
+        ]
+    )
+    place, turn = rest_pose(anatomy, 0.0)
+    angle = np.radians([a for _, a in QUADRICEPS.values()])
+    way = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+    return Ends(patella, place + turn.apply(patella) + REACH * way)
+
+
+def patellar_tendon(anatomy: Anatomy) -> Ends:
+    """Its strands, from the apex to the tuberosity."""
+    shape = PatellaShape(anatomy)
+    across = np.linspace(-0.5, 0.5, STRANDS["patellar_tendon"])
+    aside = np.stack([0 * across, TENDON_WIDTH * across, 0 * across], axis=1)
+    apex = np.array([shape.bottom, shape.middle, 0.5 * anatomy.patella_thickness_mm])
+    apex = apex + np.outer(4 * (2 * across) ** 2, [1.0, 0.0, 0.0])  # the border rises beside it
+    return Ends(apex + aside, np.array(TibiaShape(anatomy).tuberosity) + 2 / 3 * aside)
+
+
+def retinaculum(anatomy: Anatomy, name: str) -> Ends:
+    """The strands of "mpfl" or "lpfl": a fan from the patella's border to beside the epicondyle."""
+    shape = PatellaShape(anatomy)
+    side, border = (-1, shape.medial) if name == "mpfl" else (1, shape.lateral)
+    up = np.linspace(0.0, 0.7, STRANDS[name])
+    flat = np.ones_like(up)
+    height = 0.35 * anatomy.patella_thickness_mm
+    patella = np.stack([shape.top * up, side * (border - 2) * flat, height * flat], axis=1)
+    aside = side * (0.5 * anatomy.epicondylar_width_mm - EPICONDYLE)
+    femur = np.stack([6 * up, aside * flat, -6 * flat], axis=1)
+    return Ends(patella, femur)
+
+
+def rest_pose(anatomy: Anatomy, flexion: float) -> tuple[Points, Rotation]:
+    """Of the patella in the femur: its ridge in the groove, the patellar tendon as long as when slack.
+
+    Raises:
+        InputError: a tendon so long or so short that the patella cannot lie on the trochlea.
+    """
+    body, ends = FemurShape(anatomy), patellar_tendon(anatomy)
+    bent = Rotation.from_euler("YZX", [-flexion, 0.0, float(internal_rotation(np.array(flexion)))], degrees=True)
+    axis = np.array([FLEXION_AXIS[0], 0.0, FLEXION_AXIS[1]])
+    tuberosity = axis + bent.apply(ends.body.mean(axis=0) - axis)
+
+    def at(angle: float) -> tuple[Points, Rotation]:
+        radius = anatomy.trochlear_radius_mm
+        if angle < 0:
+            place = radius * np.array([np.sin(angle), 0.0, np.cos(angle)])
+        else:
+            height = radius * angle
+            place = np.array([height, 0.0, radius - float(body.recession(np.array(height)))])
+        return place, Rotation.from_euler("Y", min(angle, 0.0))
+
+    def excess(angle: float) -> float:
+        place, turn = at(angle)
+        return float(np.linalg.norm(place + turn.apply(ends.patella.mean(axis=0)) - tuberosity))
+
+    low, high, length = -np.radians(flexion), 1.6, anatomy.tendon_length_mm  # at the least its apex points at the tibia
+    if not excess(low) < length < excess(high):
+        raise InputError(
+            f"a patellar tendon of {length:.0f} mm holds the patella nowhere on the trochlea",
+            where="insall_salvati",
+            expected=f"a tendon of {excess(low):.0f} to {excess(high):.0f} mm at {flexion:g} deg of flexion",
+        )
+    return at(float(brentq(lambda a: excess(a) - length, low, high)))

@@ -1,0 +1,158 @@
+"""The natural knee as a scene: cartilage on cartilage, the quadriceps in four parts, tendon and retinacula."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pftwin.base.errors import InputError
+from pftwin.base.leaves import number, vector
+from pftwin.base.spatial import Pose, Quaternion, Vec3
+from pftwin.geometry.contact.depth_sides import pressing_surface
+from pftwin.geometry.contact.distance_grid import distance_grid
+from pftwin.geometry.mesh.mesh import SurfaceMesh
+from pftwin.geometry.patch.charts import CylindricalChart
+from pftwin.geometry.patch.closest import Surface
+from pftwin.geometry.patch.fit import fit_spline
+from pftwin.model.effects.base import Effect
+from pftwin.model.effects.damping import LinearDamping
+from pftwin.model.effects.elastic_foundation import ElasticFoundation
+from pftwin.model.effects.foundation_law import LinearFoundation, checked_layer
+from pftwin.model.effects.gravity import Gravity
+from pftwin.model.effects.tendon import StrandGroup
+from pftwin.model.effects.tension import PrescribedTension
+from pftwin.model.scene import PatellaBody, Scene
+from pftwin.rig.natural import placing
+from pftwin.rig.natural.anatomy import Anatomy
+from pftwin.rig.natural.motion import RATE, Activity, squat
+from pftwin.rig.natural.surfaces import articular, bones
+
+MODULUS, POISSON = 5e6, 0.45  # of cartilage [Pa], [-]: the model of Lenhart et al. 2015, Ann Biomed Eng 43:2675
+LAYER_DAMPING = 2e-3  # of cartilage [s]
+DENSITY = 1300.0  # of the patella [kg/m^3]
+DRAG = 5.0, 5e-3  # [N s/m], [N m s/rad]
+# Stiffness of the patellar tendon [N per unit strain]: 660 MPa (Johnson et al. 1994, J Orthop Res 12:796) on 100 mm^2.
+TENDON_STIFFNESS = 66e3
+RETINACULA = {"mpfl": 42.5e3, "lpfl": 16.0e3}  # [N/m]; sources in `pftwin.rig.retinacula`
+TOE_STRAIN = {"patellar_tendon": 0.03, "mpfl": 0.06, "lpfl": 0.06}
+DAMPING_TIME = 3e-3  # of tendon and retinacula [s]
+TOGETHER = 4  # triangles of the patella that are taken for one
+GROOVE_ANGLES, GROOVE_HALF_WIDTH = (-75.0, 45.0), 22e-3  # of the smooth stand-in [deg], [m]
+GROOVE_TOLERANCE = 0.05e-3  # [m]
+TABLE = 1e-3  # cubes of the femur's table of depths [m]
+
+
+def knee(
+    anatomy: Anatomy | None = None,
+    *,
+    quadriceps: float = 700.0,
+    duration: float = 2.0,
+    resolution_mm: float = 1.5,
+) -> Scene:
+    """A natural knee that squats, from 15 to 90 deg of flexion and back. Motion and loads are made up: `synthetic`.
+
+    Args:
+        anatomy: the knee's numbers; by default a normal knee's.
+        quadriceps: largest pull of its four parts together, 20 to 5000 N.
+        duration: of the motion [s].
+        resolution_mm: size of the triangles, 0.5 to 2 mm; the patella's are half as large.
+
+    Raises:
+        InputError: a number out of range, a resolution too coarse for the anatomy.
+    """
+    for name, value, (low, high) in (
+        ("quadriceps", quadriceps, (20.0, 5000.0)),
+        ("resolution_mm", resolution_mm, (0.5, 2.0)),
+    ):
+        if not low <= value <= high:
+            raise InputError(f"found {value!r}", where=name, expected=f"{low:g} to {high:g}")
+    anatomy, done = anatomy or Anatomy(), squat(duration)
+    made = bones(anatomy, resolution_mm)
+    body = _patella_body(made.patella)
+    effects = (
+        Gravity(body.mass, vector(done.gravity)),
+        _quadriceps(anatomy, quadriceps, done),
+        _strands(anatomy, "patellar_tendon"),
+        *(_strands(anatomy, name) for name in RETINACULA),
+        _cartilage(anatomy, *articular(made)),
+        LinearDamping(*(number(c) for c in DRAG), body="femur"),
+    )
+    return Scene(body, effects, done.motion, _start(anatomy, done), "natural knee, squat", synthetic=True)
+
+
+def _start(anatomy: Anatomy, done: Activity) -> Pose:
+    """In the world, at the first frame."""
+    from scipy.spatial.transform import Rotation
+
+    place, turn = placing.rest_pose(anatomy, done.flexion[0])
+    femur = Rotation.from_euler("Y", done.inclined[0], degrees=True)
+    quaternion = (femur * turn).as_quat(scalar_first=True)
+    return Pose(vector(1e-3 * femur.apply(place)), Quaternion(*(number(q) for q in quaternion)))
+
+
+def _patella_body(mesh: SurfaceMesh) -> PatellaBody:
+    """Of the density throughout; its principal axes are taken for the patella's."""
+    import trimesh
+
+    solid = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
+    inertia = DENSITY * np.diag(solid.moment_inertia)
+    return PatellaBody(number(DENSITY * mesh.volume), vector(inertia), vector(solid.center_mass))
+
+
+def _cartilage(anatomy: Anatomy, femur: SurfaceMesh, patella: SurfaceMesh) -> Effect:
+    layers = (
+        checked_layer(MODULUS, POISSON, 1e-3 * t)
+        for t in (anatomy.trochlear_cartilage_mm, anatomy.patellar_cartilage_mm)
+    )
+    lateral = femur.vertices[femur.faces].mean(axis=1)[:, 1] > 0
+    sides = distance_grid(femur, TABLE, lateral.astype(int)), pressing_surface(patella, TOGETHER)
+    law, origin = LinearFoundation(*layers), vector((0.0, 0.0, 0.0))
+    return ElasticFoundation(*sides, law, origin, number(LAYER_DAMPING), surface=_groove(anatomy, femur))
+
+
+def _groove(anatomy: Anatomy, femur: SurfaceMesh) -> Surface:
+    """A spline through the trochlea, by which results tell how far the patella is from its groove."""
+    x, y, z = femur.vertices.T
+    angle = np.degrees(np.arctan2(x, z))
+    region = (angle > GROOVE_ANGLES[0]) & (angle < GROOVE_ANGLES[1]) & (np.abs(y) < GROOVE_HALF_WIDTH)
+    axes = Quaternion.identity().rotation()
+    chart = CylindricalChart(Vec3.zero(), axes, number(1e-3 * anatomy.trochlear_radius_mm))
+    return fit_spline(femur, chart=chart, region=region, tolerance=GROOVE_TOLERANCE).patch
+
+
+def _quadriceps(anatomy: Anatomy, largest: float, done: Activity) -> Effect:
+    ends = placing.muscles(anatomy)
+    shares = np.array([share for share, _ in placing.QUADRICEPS.values()])
+    frames = len(done.pull)
+    return PrescribedTension(
+        number(largest * np.outer(done.pull, shares)),
+        vector(1e-3 * np.tile(ends.body, (frames, 1, 1))),
+        vector(1e-3 * ends.patella),
+        start_time=0.0,
+        interval=1 / RATE,
+        body="femur",
+        name="quadriceps",
+    )
+
+
+def _strands(anatomy: Anatomy, name: str) -> Effect:
+    """The patellar tendon, as long as the Insall-Salvati ratio says; or a retinaculum, taut in full extension."""
+    if name == "patellar_tendon":
+        ends, body = placing.patellar_tendon(anatomy), "tibia"
+        slack = np.full(len(ends.body), 1e-3 * anatomy.tendon_length_mm)
+        stiffness = TENDON_STIFFNESS / len(slack) * np.ones_like(slack)
+    else:
+        ends, body = placing.retinaculum(anatomy, name), "femur"
+        place, turn = placing.rest_pose(anatomy, 0.0)
+        slack = 1e-3 * np.linalg.norm(place + turn.apply(ends.patella) - ends.body, axis=1)
+        stiffness = RETINACULA[name] / len(slack) * slack
+    one = np.ones_like(slack)
+    return StrandGroup(
+        number(stiffness),
+        number(slack),
+        number(TOE_STRAIN[name] * one),
+        number(DAMPING_TIME * one),
+        vector(1e-3 * ends.patella),
+        vector(1e-3 * ends.body),
+        body,
+        name=name,
+    )

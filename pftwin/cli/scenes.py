@@ -1,4 +1,4 @@
-"""The scene that a command works on: a file, or one of the virtual rig's cases."""
+"""The scene that a command works on: a file, one of the virtual rig's cases, or the natural knee."""
 
 from __future__ import annotations
 
@@ -28,6 +28,15 @@ SceneArgument = Annotated[
 ]
 CaseOption = Annotated[
     int | None, Option("--case", metavar="N", min=1, max=4, help="A case of the virtual rig instead of a scene file.")
+]
+_TROCHLEAE = "normal|A|B|C|D"
+NaturalOption = Annotated[
+    str | None,
+    Option(
+        "--knee",
+        metavar=_TROCHLEAE,
+        help="The natural knee in a squat instead of a scene file: normal, or with a trochlea of Dejour's types.",
+    ),
 ]
 # Whether scene files may name files outside their folders: --allow-outside, set before each command by the program.
 allow_outside: ContextVar[bool] = ContextVar("allow_outside", default=False)
@@ -92,12 +101,17 @@ def chosen_scene(
     contact: str | None,
     motion: Path | None = None,
     rate: float | None = None,
+    *,
+    natural: str | None = None,
 ) -> Chosen:
-    """Loads the scene file or the rig's case, with another contact or motion if one is named; InputError where it
-    cannot."""
-    if (scene is None) == (case is None):
-        found = "both a scene file and --case" if scene is not None else "neither a scene file nor --case"
+    """Loads the scene file, the rig's case or the natural knee, with another contact or motion if one is named;
+    InputError where it cannot."""
+    given = [name for name, value in (("a scene file", scene), ("--case", case), ("--knee", natural)) if value]
+    if len(given) != 1:
+        found = f"both {' and '.join(given)}" if given else "neither a scene file nor --case"
         raise InputError(f"{found} given", expected="one of them", remedy="pftwin simulate --case 1 -o case1.nc")
+    if natural is not None:
+        return _natural(natural, contact, motion)
     if contact is not None:
         from pftwin.rig.contacts import ON_MESHES, parse_contact
 
@@ -129,17 +143,33 @@ def chosen_scene(
         return Chosen(rig.case(case, contact=name), name)
 
 
+def _natural(trochlea: str, contact: str | None, motion: Path | None) -> Chosen:
+    """The natural knee; InputError for no such trochlea, or for what it cannot have."""
+    if trochlea not in _TROCHLEAE.split("|"):
+        raise InputError(f"found {trochlea!r}", where="--knee", expected=f"one of: {_TROCHLEAE.replace('|', ', ')}")
+    for option, value in (("--contact", contact), ("--motion", motion)):
+        if value is not None:
+            raise InputError("given with --knee", where=option, expected="a scene file or --case")
+    start_computing()
+    from pftwin import rig
+
+    with spinner("making the natural knee"):
+        anatomy = rig.Anatomy() if trochlea == "normal" else rig.Anatomy.dejour(trochlea)
+        return Chosen(rig.knee(anatomy), None)
+
+
 @dataclass(frozen=True)
 class SceneOptions:
     """The options that say which scene a command works on; see `on_scene`."""
 
     scene: SceneArgument = None
     case: CaseOption = None
+    natural: NaturalOption = None
     contact: ContactOption = None
 
     def load(self) -> Chosen:
         """Loads the scene; InputError where it cannot."""
-        return chosen_scene(self.scene, self.case, self.contact)
+        return chosen_scene(self.scene, self.case, self.contact, natural=self.natural)
 
 
 @dataclass(frozen=True)
@@ -162,7 +192,7 @@ class RecordingOptions(SceneOptions):
         """Loads the scene; InputError where it cannot."""
         if self.rate is not None and self.motion is None:
             raise InputError("a rate without --motion", where="--rate", expected="both")
-        return chosen_scene(self.scene, self.case, self.contact, self.motion, self.rate)
+        return chosen_scene(self.scene, self.case, self.contact, self.motion, self.rate, natural=self.natural)
 
 
 TrialsArgument = Annotated[

@@ -234,6 +234,12 @@ def test_bad_input_is_one_message_and_nothing_is_written(toy: Path, tmp_path: Pa
 def test_one_scene_is_needed(toy: Path) -> None:
     assert "neither a scene file nor --case given" in refused("equilibrium")
     assert "both a scene file and --case given" in refused("equilibrium", toy, "--case", 1)
+    assert "both --case and --knee given" in refused("equilibrium", "--case", 1, "--knee", "B")
+
+
+def test_the_natural_knee_has_one_contact() -> None:
+    assert "--knee: found 'E'; expected: one of: normal, A, B, C, D" in refused("equilibrium", "--knee", "E")
+    assert "--contact: given with --knee" in refused("equilibrium", "--knee", "normal", "--contact", "P5")
 
 
 def test_validate_needs_measurements(toy: Path) -> None:

@@ -84,7 +84,7 @@ def show_limits(written: list[str] | None) -> list[str] | None:
 
     rows = tuple((name, ", ".join(u or "number" for u in units), words) for name, units, words in limitable())
     note = 'a limit: name, <= or >=, number and unit, in quotes: "dislocation_margin>=3 mm"'
-    show(Sheet("outcomes that take a limit", ("name", "units", "meaning"), rows, notes=(note,)))
+    show(Sheet("outcomes that take a limit", ("name", "units", "meaning"), rows, words=(0, 2), notes=(note,)))
     raise typer.Exit
 
 

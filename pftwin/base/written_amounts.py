@@ -34,17 +34,17 @@ def units_beside(unit: str) -> dict[str, float]:
 
 
 def amounts_in(parts: list[str], unit: str) -> list[float]:
-    """Numbers in a unit, of which each may have one of its own; those without have that of the last.
+    """Numbers in a unit, of which each may have one of its own; those without have the last unit that stands in any part.
 
     Args:
-        parts: such as "0", "2", "0.4 cm".
+        parts: such as "0", "2 cm", "0.4".
         unit: of the answer, and of parts where none has a unit.
 
     Returns:
         An empty list if a part is no finite number or has a unit of another kind.
     """
     found = [number_and_unit(part) for part in parts]
-    last = found[-1][1] if found and found[-1] else ""
+    last = next((pair[1] for pair in reversed(found) if pair and pair[1]), "")
     sizes = {"": 1.0, **units_beside(unit)}
     written = [(number, own or last) for number, own in (pair or (math.nan, "?") for pair in found)]
     return [number * sizes[own] for number, own in written] if all(own in sizes for _, own in written) else []

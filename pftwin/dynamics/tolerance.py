@@ -99,7 +99,10 @@ def parse_tolerance(given: str | float) -> Tolerance:
     written = number_and_unit(given) if isinstance(given, str) else (given, "m")
     number, unit = written or (math.nan, "m")
     kind = "N" if unit in UNITS["N"] else "m"
-    value = number * UNITS[kind].get(unit, math.nan)
+    try:
+        value = float(number) * UNITS[kind].get(unit, math.nan)
+    except (TypeError, ValueError):
+        value = math.nan
     if not (math.isfinite(value) and value > 0):
         expected = 'a length such as "0.05 mm", or a force such as "0.5 N"'
         raise InputError(f"found {given!r}", where="tolerance", expected=expected)

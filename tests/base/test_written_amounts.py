@@ -52,13 +52,16 @@ def test_bounds_are_in_the_options_unit():
     [
         ("0:20:4", [0, 20, 4]),
         ("0:2:0.4 cm", [0, 20, 4]),
-        ("0 mm:2 cm:4", [0, 20, 4]),
+        ("0:2 cm:0.4", [0, 20, 4]),
+        ("0 cm:2:4 mm", [0, 2, 4]),
+        ("0 mm:2 cm:0.4", [0, 20, 4]),
+        ("0 cm:20", [0, 200]),
         ("0:20 mm:0.4 cm", [0, 20, 4]),
         ("0:2 m:20 N", []),
         ("0:x:1 cm", []),
     ],
 )
-def test_parts_without_a_unit_have_that_of_the_last(text, expected):
+def test_parts_without_a_unit_have_the_last_that_is_written(text, expected):
     assert amounts_in(text.split(":"), "mm") == pytest.approx(expected)
 
 

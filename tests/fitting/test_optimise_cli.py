@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import re
 from pathlib import Path
 
 import pytest
@@ -95,9 +94,7 @@ def test_limits_are_listed_with_their_units(command, option):
     """Without all else that the command needs; each unit that is listed is taken, with the size that it has."""
     result = pftwin(command, option, "help")
     assert result.exit_code == 0, result.output
-    rows = [
-        [cell.strip() for cell in re.split(r"\s{2,}", line.strip(), maxsplit=2)] for line in result.stdout.splitlines()
-    ]
+    rows = [[cell.strip() for cell in line.strip("│").split("│")] for line in result.stdout.splitlines()]
     listed = {row[0]: row[1].split(", ") for row in rows if row[0] in MEASURES}
     assert set(listed) == set(MEASURES) - set(NO_NUMBER)
     sizes = {"mm": 1e-3, "cm": 1e-2, "m": 1, "um": 1e-6, "deg": math.pi / 180, "rad": 1, "N": 1, "mN": 1e-3, "%": 0.01}
@@ -106,6 +103,13 @@ def test_limits_are_listed_with_their_units(command, option):
             plain = unit == "number"
             limit = Limit.parsed(f"{name}<=2{'' if plain else unit}")
             assert limit.at_most == pytest.approx(2 * (1 if plain else sizes[unit]))
+
+
+def test_limits_are_listed_with_their_units_unbroken_at_80_columns():
+    listed = CliRunner().invoke(app, ["optimise", "--limit", "help"], env={"COLUMNS": "80"}).stdout.splitlines()
+    assert max(map(len, listed)) <= 80
+    assert any("mm, cm, m, um" in line for line in listed)
+    assert any("number, %" in line for line in listed)
 
 
 def test_ranges_may_have_units():

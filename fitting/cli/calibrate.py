@@ -67,7 +67,7 @@ def calibrate(
     marker_noise: Annotated[
         str, Option(metavar="LENGTH", help="Of each coordinate of a recorded marker [m].")
     ] = "0.2 mm",
-    force_noise: Annotated[float, Option(metavar="NEWTONS", help="Of a load cell.")] = 0.15,
+    force_noise: Annotated[str, Option(metavar="FORCE", help="Of a load cell [N].")] = "0.15 N",
     reading_noise: Annotated[
         list[str] | None,
         Option(metavar="READING=SD", help="Of another reading by its name in the scene; may be repeated."),
@@ -110,6 +110,10 @@ def calibrate(
         check_suffix(widen, [".npz"], "trained posteriors are files of NumPy's")
     asked = {"free": names_in(free), "bounds": bounds_of(bounds), "noise": noise_levels(noise), "nuisance": nuisance}
     asked |= {"use": channels_in(use), "varies": deviations_between(varies)}
+    errors = {
+        "marker_noise": amount(marker_noise, "m", "--marker-noise", least=0),
+        "force_noise": amount(force_noise, "N", "--force-noise", least=0),
+    }
     _check_what(trained, method, asked, widen)
     check_outputs(output, widen, json)
     from fitting.calibration.calibrate import calibrate as run
@@ -123,8 +127,7 @@ def calibrate(
         found = f"no plants {strange[0]!r}" if chosen else "none named"
         raise InputError(found, where="--kinds", expected=f"some of: {', '.join(known)}")
     lab = Laboratory(
-        marker_noise=amount(marker_noise, "m", "--marker-noise"),
-        force_noise=force_noise,
+        **errors,
         cutoff=cutoff or None,
         readings=noise_levels(reading_noise, "--reading-noise", "contact.force_medial=0.2") or {},
     )

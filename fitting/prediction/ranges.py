@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from pftwin.base.errors import InputError
-from pftwin.base.written_amounts import amounts_in, units_beside
+from pftwin.base.written_amounts import amounts_in, listed, units_beside
 
 _MOST_VALUES = 1_000_000
 
@@ -21,7 +21,7 @@ def values(text: str, where: str, unit: str = "") -> list[float]:
     Raises:
         InputError: anything else.
     """
-    parts = amounts_in(text.split(":" if ":" in text else ","), unit)
+    parts = amounts_in(text.split(":"), unit) if ":" in text else listed(text, unit, where)
     if not parts or (":" in text and len(parts) not in (2, 3)):
         expected = f"FROM:TO:STEP, or values such as 0,5,10{units_in_words(unit)}"
         raise InputError(f"found {text!r}", where=where, expected=expected)

@@ -14,6 +14,7 @@ UNITS = {  # by SI unit: the units that an amount may have, with their sizes
     "1": {"": 1.0, "%": 0.01},
 }
 _WRITTEN = re.compile(r"\s*([-+.\deE]+)\s*([^\W\d_]*|%)\s*")
+_DECIMAL_COMMA = re.compile(r"\s*([-+]?\d+),(\d+)\s*([^\W\d_]+|%)\s*")
 _SMALL = str.maketrans("µμ", "uu")  # micro sign, Greek letter
 
 
@@ -48,6 +49,19 @@ def amounts_in(parts: list[str], unit: str) -> list[float]:
     sizes = {"": 1.0, **units_beside(unit)}
     written = [(number, own or last) for number, own in (pair or (math.nan, "?") for pair in found)]
     return [number * sizes[own] for number, own in written] if all(own in sizes for _, own in written) else []
+
+
+def listed(text: str, unit: str, where: str) -> list[float]:
+    """Numbers in a unit, from "0,5,10 mm"; an empty list as in `amounts_in`.
+
+    Raises:
+        InputError: "1,5 cm", which may be meant as one number.
+    """
+    if found := _DECIMAL_COMMA.fullmatch(text):
+        whole, rest, own = found.groups()
+        expected = f"a decimal point, {whole}.{rest} {own}, or two amounts with a unit each, {whole} {own},{rest} {own}"
+        raise InputError(f"found {text!r}", where=where, expected=expected)
+    return amounts_in(text.split(","), unit)
 
 
 def amount(text: str, unit: str, where: str, *, least: float = -math.inf, most: float = math.inf) -> float:

@@ -9,7 +9,7 @@ from typer import Option
 
 from pftwin.base.errors import InputError
 from pftwin.base.signed_axes import Direction, axis_named
-from pftwin.base.written_amounts import amount, amounts_in
+from pftwin.base.written_amounts import amount, listed
 from pftwin.cli import terminal
 from pftwin.cli.exchange import RateOption
 from pftwin.cli.exit_codes import Interrupted, exit_flagged, report_written_on_interrupt
@@ -68,8 +68,11 @@ def contact_map(
     terminal.check_outputs(output, figure, json)
     largest_gap = 1e-3 * amount(proximity, "mm", "--proximity", least=0, most=10)
     outwards = None if lateral is None else _axis(lateral)
+    options = {"--modulus-mpa": (modulus, 1e6, ""), "--poisson": (poisson, 1.0, "")}
+    options |= {"--thickness": (thickness, 1e-3, "mm")}
+    numbers = [_two(option, *given) for option, given in options.items()]
     terminal.start_computing()
-    rule = _law(law, modulus, poisson, thickness)
+    rule = _law(law, numbers)
     from pftwin import __version__
     from pftwin.files.result_files import save_dataset
     from pftwin.geometry.contact.depth_sides import pressed_surface, pressing_surface
@@ -93,7 +96,7 @@ def contact_map(
         "law": law,
         "modulus_MPa": modulus,
         "poisson_ratio": poisson,
-        "thickness_mm": ",".join(f"{t:g}" for t in amounts_in(thickness.split(","), "mm")),
+        "thickness_mm": ",".join(f"{t:g}" for t in listed(thickness, "mm", "--thickness")),
     }
     if missing:
         settings["title"] = f"contact at given poses (interrupted: {found.times.size} of {relative.times.size} frames)"
@@ -120,14 +123,12 @@ def contact_map(
         exit_flagged(f"in {deep} of {found.times.size} frames one part is deeper in the other than any joint bears")
 
 
-def _law(name: str, modulus: str, poisson: str, thickness: str) -> FoundationLaw:
+def _law(name: str, numbers: list[list[float]]) -> FoundationLaw:
+    """From the layers' moduli, Poisson ratios and thicknesses, the femur's first, in SI units."""
     from pftwin.model.effects.foundation_law import LAWS, checked_layer
 
     if name not in LAWS:
         raise InputError(f"no law {name!r}", where="--law", expected=" or ".join(LAWS))
-    options = {"--modulus-mpa": (modulus, 1e6, ""), "--poisson": (poisson, 1.0, "")}
-    options |= {"--thickness": (thickness, 1e-3, "mm")}
-    numbers = [_two(option, *given) for option, given in options.items()]
     layers = [
         checked_layer(*(pair[k] for pair in numbers), where=f"{body} layer")
         for k, body in enumerate(("femur's", "patella's"))
@@ -138,7 +139,7 @@ def _law(name: str, modulus: str, poisson: str, thickness: str) -> FoundationLaw
 def _two(option: str, text: str, factor: float, unit: str) -> list[float]:
     """One number for both layers, or one each for femur and patella, in SI units; `unit`: of lengths, which may say
     it."""
-    values = [factor * value for value in amounts_in(text.split(","), unit)]
+    values = [factor * value for value in listed(text, unit, option)]
     if len(values) not in (1, 2):
         raise InputError(f"found {text!r}", where=option, expected="a number, or two: femur's,patella's")
     return values * 2 if len(values) == 1 else values

@@ -55,6 +55,7 @@ def fit_surface(
     terminal.check_figure(output)
     terminal.check_outputs(output, json)
     names, asked = _patches(kind, degree, tolerance)
+    half = 1e-3 * amount(half_width, "mm", "--half-width", least=0)
     directions = {"anterior": _direction(anterior, "anterior"), "proximal": _direction(proximal, "proximal")}
     if chart not in (None, "plane", "cylinder"):
         raise InputError(f"no chart {chart!r}", where="--chart", expected="plane or cylinder")
@@ -69,7 +70,7 @@ def fit_surface(
         surface = load_mesh(mesh, units=units)
     with terminal.spinner("looking for the trochlea"):
         limits = float(np.radians(angles[0])), float(np.radians(angles[1]))
-        wanted: dict[str, Any] = {"half_width": 1e-3 * amount(half_width, "mm", "--half-width"), "angles": limits}
+        wanted: dict[str, Any] = {"half_width": half, "angles": limits}
         try:
             region = trochlear_region(surface, **directions, **wanted)
         except InputError as error:
@@ -113,7 +114,9 @@ def _patches(kind: str, degree: str | None, tolerance: str | None) -> tuple[list
     if kind == SPLINE:
         if degree is not None:
             raise InputError("a spline has no degree to choose", where="--degree", remedy="leave it out")
-        return [SPLINE], {} if tolerance is None else {"tolerance": 1e-3 * amount(tolerance, "mm", "--tolerance")}
+        return [SPLINE], {} if tolerance is None else {
+            "tolerance": 1e-3 * amount(tolerance, "mm", "--tolerance", least=0)
+        }
     if tolerance is not None:
         raise InputError("polynomials reach what they reach", where="--tolerance", remedy="--kind spline")
     return [parse_name(name) for name in (degree or "P2,P4,P5").split(",")], {}

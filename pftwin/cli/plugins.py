@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from importlib.metadata import entry_points
 from typing import Annotated, Any, NamedTuple
 
-from typer import Option
+from typer import Context, Option
 from typer.models import OptionInfo
 
 from pftwin.base.errors import InputError
@@ -96,22 +96,24 @@ def with_former_names(names: Mapping[str, str]) -> Callable[[Callable[..., Any]]
     def decorated(command: Callable[..., Any]) -> Callable[..., Any]:
         signature = inspect.signature(command, eval_str=True)
         own = list(signature.parameters.values())
+        asking = inspect.Parameter("context", inspect.Parameter.KEYWORD_ONLY, annotation=Context)
         former = {p.name: (names[flag], _hidden(p, names[flag])) for p in own if (flag := _flag(p)) in names}
 
         @functools.wraps(command)
         def run(*arguments: Any, **given: Any) -> Any:
+            context = given.pop(asking.name)
             for p in own:
                 if p.name not in former:
                     continue
                 name, hidden = former[p.name]
                 written = given.pop(hidden.name, None)
-                if written is not None and given.get(p.name, p.default) != p.default:
+                if written is not None and context.get_parameter_source(p.name).name == "COMMANDLINE":
                     raise InputError(f"{name} and {_flag(p)} given", expected="one of them: it is the same option")
                 if written is not None:
                     given[p.name] = written
             return command(*arguments, **given)
 
-        parameters = [*own, *(hidden for _, hidden in former.values())]
+        parameters = [*own, *(hidden for _, hidden in former.values()), asking]
         run.__signature__ = signature.replace(parameters=parameters)  # pyright: ignore[reportAttributeAccessIssue]
         return run
 

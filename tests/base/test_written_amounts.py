@@ -7,7 +7,7 @@ import math
 import pytest
 
 from pftwin.base.errors import InputError
-from pftwin.base.written_amounts import amount, amounts_in, number_and_unit, units_beside
+from pftwin.base.written_amounts import amount, amounts_in, listed, number_and_unit, units_beside
 
 
 @pytest.mark.parametrize(
@@ -63,6 +63,15 @@ def test_bounds_are_in_the_options_unit():
 )
 def test_parts_without_a_unit_have_the_last_that_is_written(text, expected):
     assert amounts_in(text.split(":"), "mm") == pytest.approx(expected)
+
+
+def test_a_list_with_what_looks_like_a_decimal_comma_is_refused():
+    for text in ("1,5 cm", "-0,25mm", "12,5 mm "):
+        with pytest.raises(InputError, match=r"--gap: found .*a decimal point, -?\d+\.\d+ .m, or two amounts"):
+            listed(text, "mm", "--gap")
+    for text in ("1, 5 cm", "1 cm,5 cm", "10,50", "1.0,5 cm"):
+        assert listed(text, "mm", "--gap") == pytest.approx([10, 50]), text
+    assert listed("0,1 cm,5 mm", "mm", "--gap") == pytest.approx([0, 10, 5])
 
 
 def test_an_option_without_a_unit_takes_plain_numbers_alone():

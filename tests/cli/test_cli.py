@@ -181,6 +181,10 @@ def test_fit_surface_refuses(toy: Path, tmp_path: Path) -> None:
     assert "implausible" in refused("fit-surface", mesh, "--units", "mm")
     assert "unknown length unit 'furlong'" in refused("fit-surface", mesh, "--units", "furlong")
     assert "no polynomial 'P99'" in refused("fit-surface", mesh, "--units", "m", "--degree", "P2,P99")
+    nowhere = ("fit-surface", tmp_path / "femurs.stl", "--units", "m")  # amounts are read before the mesh
+    assert "--half-width: found '3N'" in refused(*nowhere, "--half-width", "3N")
+    assert "--half-width: found '-3 mm'" in refused(*nowhere, "--half-width", "-3 mm")
+    assert "--tolerance: found '-1 mm'" in refused(*nowhere, "--kind", "spline", "--tolerance", "-1 mm")
     assert "--chart: no chart 'cone'" in refused("fit-surface", mesh, "--units", "m", "--chart", "cone")
     assert "--anterior: found 'up'" in refused("fit-surface", mesh, "--units", "m", "--anterior", "up")
     bad_figure = refused("fit-surface", mesh, "--units", "m", "-o", tmp_path / "a.gif")

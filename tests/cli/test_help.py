@@ -105,8 +105,9 @@ def test_an_option_can_be_written_by_the_name_that_it_had():
     for arguments in ([], ["--gap", "2"], ["--gap-mm", "3"]):
         assert CliRunner().invoke(program, arguments).exit_code == 0
     assert seen == ["1 mm", "2", "3"]
-    both = CliRunner().invoke(program, ["--gap", "2", "--gap-mm", "3"])
-    assert "--gap-mm and --gap given" in str(both.exception)
+    for gap in ("2", "1 mm"):  # the default too
+        both = CliRunner().invoke(program, ["--gap", gap, "--gap-mm", "3"])
+        assert "--gap-mm and --gap given" in str(both.exception)
     assert "--gap-mm" not in CliRunner().invoke(program, ["--help"]).stdout
 
 

@@ -182,7 +182,24 @@ def test_lengths_and_forces(given, value, unit):
 
 
 @pytest.mark.parametrize(
-    "given", ["0.05", "mm", "0.05 deg", "-1 mm", "0 mm", "nan mm", float("inf"), 0.0, "1 mm 2", "-1 N", "1 n", "1 kN m"]
+    "given",
+    [
+        "0.05",
+        "mm",
+        "0.05 deg",
+        "-1 mm",
+        "0 mm",
+        "nan mm",
+        float("inf"),
+        0.0,
+        "1 mm 2",
+        "-1 N",
+        "1 n",
+        "1 kN m",
+        [0.05],
+        b"1 mm",
+        None,
+    ],
 )
 def test_what_is_neither_length_nor_force(given):
     with pytest.raises(InputError, match=r'"0\.05 mm", or a force such as "0\.5 N"'):

@@ -114,6 +114,8 @@ def test_mistakes_at_the_command_line(toy, tmp_path):
         assert f"{option}: {value.split('=')[0]!r} is given twice" in twice
     readings = refused("calibrate", toy, "-o", tmp_path / "c.json", "--method", "least_squares", "--reading-noise", "a")
     assert "--reading-noise: found 'a'" in readings
+    for option, text in (("--marker-noise", "0.2 N"), ("--force-noise", "-1 N"), ("--force-noise", "1 mm")):
+        assert f"{option}: found {text!r}" in refused("calibrate", toy, "-o", tmp_path / "c.json", option, text)
     assert 'such as "0:0.5"' in refused("fit", toy, "-o", tmp_path / "fit.json", "--during", "0.5")
     assert "spans of the recording" in refused("fit", toy, "-o", tmp_path / "fit.json", "--during", "7:8")
     assert "FROM:TO" in refused("fit", toy, "-o", tmp_path / "fit.json", "--during", "0.1:0.05")

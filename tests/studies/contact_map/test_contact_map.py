@@ -88,6 +88,8 @@ def test_a_stiffer_layer_and_the_logarithmic_law_bear_more(files):
         ({}, ("--law", "cubic"), "linear or logarithmic"),
         ({}, ("--poisson", "0.5"), "Poisson ratio 0.5"),
         ({}, ("--modulus-mpa", "1,2,3"), "a number, or two"),
+        ({"femur": "missing.stl"}, ("--thickness", "2,5 mm"), "a decimal point, 2.5 mm"),
+        ({"femur": "missing.stl"}, ("--thickness", "3 N"), "a number, or two"),
         ({}, ("--proximity", "-1"), "at least 0 and at most 10"),
         ({}, ("--figure", "map.docx"), "unknown kind of figure"),
         ({}, ("--from", "7"), "no frame between"),

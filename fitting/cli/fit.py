@@ -28,7 +28,7 @@ BoundsOption = Annotated[
         "--bounds",
         metavar="BOUNDS",
         help="To either side, as a share of the nominal value (0.3 if left out); or NAME=LOW:HIGH of one parameter,"
-        " in its unit: may be repeated.",
+        " in its unit, as in K1=100:200: may be repeated.",
     ),
 ]
 UseOption = Annotated[
@@ -47,7 +47,7 @@ NuisanceOption = Annotated[
         "--nuisance",
         metavar="NAME",
         help="What the scene lacks or knows roughly, fitted besides: rig, mocap, mri; or standard deviations by name,"
-        " as in friction=0.05; several with commas.",
+        " as in friction=0.05; several with commas, as in rig,damping=0.5.",
     ),
 ]
 VariesOption = Annotated[
@@ -98,7 +98,7 @@ def fit(
         str,
         Option(
             metavar="NAME",
-            help="How the best parameters, or the posterior, are found: one of those above.",
+            help='One of the methods that stand at the top of this help, behind "Methods".',
         ),
     ] = "least_squares",
     objective: Annotated[str, Option(metavar="NAME", help="likelihood or paper.")] = "likelihood",

@@ -12,6 +12,7 @@ together, for a stated share of the draws.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -90,10 +91,11 @@ def optimise_treatment(
     amounts = amounts[np.argsort(np.linalg.norm(amounts / scale, axis=1), kind="stable")]
     options: dict[str, Any] = {"dt": dt, "threshold": threshold, "chunk": CHUNK}
 
-    def told(done: int, of: int) -> None:
-        progress(done, of, "the whole range")
+    def told(what: str, before: int, whole: int, done: int, _: int) -> None:
+        progress(before + done, whole, what)
 
-    coarse = predict(scene, search.treated(amounts), estimate, progress=told, **options)
+    of_range = partial(told, "the whole range", 0, len(amounts))
+    coarse = predict(scene, search.treated(amounts), estimate, progress=of_range, **options)
     room = smallest_margin(coarse, wanted)
     fine = np.flatnonzero(room >= 0)
     simulated = len(amounts)
@@ -105,8 +107,8 @@ def optimise_treatment(
         outcomes = search.outcomes(at)
         count = simulated + search.count
         treated, trust = search.treated(at), search.trust(at)
-        told = (NOT_KNOWN if estimate is None else estimate.coverage).plans
-        return TreatmentPlan(met, treated, outcomes, wanted, count, samples, confidence, share, doubt, told, trust)
+        sure = (NOT_KNOWN if estimate is None else estimate.coverage).plans
+        return TreatmentPlan(met, treated, outcomes, wanted, count, samples, confidence, share, doubt, sure, trust)
 
     if not fine.size:
         return plan(False, amounts[int(np.argmax(room))])
@@ -116,11 +118,8 @@ def optimise_treatment(
         shares = np.ones(len(part))
         if samples:
             draws = 1 + samples
-
-            def drawn(done: int, of: int, before: int = i * draws, whole: int = len(fine) * draws) -> None:
-                progress(before + done, whole, "draws")
-
-            of_draws: dict[str, Any] = {"samples": samples, "seed": seed, "progress": drawn}
+            of_draws: dict[str, Any] = {"samples": samples, "seed": seed}
+            of_draws["progress"] = partial(told, "draws", i * draws, len(fine) * draws)
             data = predict(scene, search.treated(amounts[part]), estimate, **options, **of_draws)
             shares = (smallest_margin(data, wanted)[:, 1:] >= 0).mean(axis=1)
             simulated += len(part) * (1 + samples)

@@ -23,14 +23,23 @@ class Sheet(NamedTuple):
     def tables(self, width: int) -> list[Table]:
         """For a terminal of that width: one below the other, where the columns do not fit beside each other.
 
-        No word and no number is broken, unless it is wider than the terminal alone. Each part begins with `keys`.
+        No word and no number is broken, unless one is too wide for the terminal beside the first column. Each part
+        begins with the key columns; where several of them leave no room, with the number of the row in their place.
         """
         texts = zip(self.headings, *self.rows, strict=True)
         columns = [_Column.of(heading, cells, self._left(i)) for i, (heading, *cells) in enumerate(texts)]
+        if self.keys > 1 and any(_least([*columns[: self.keys], c]) > width for c in columns[self.keys :]):
+            return self._numbered().tables(width)
         return [
             self._table(part, [columns[i] for i in part], width, title=self.title if k == 0 else "")
             for k, part in enumerate(_parts(columns, self.keys, width))
         ]
+
+    def _numbered(self) -> Sheet:
+        """With the row's number as its only key."""
+        rows = tuple((str(i), *row) for i, row in enumerate(self.rows, 1))
+        words = None if self.words is None else tuple(i + 1 for i in self.words)
+        return self._replace(headings=("row", *self.headings), rows=rows, words=words, keys=1)
 
     def _left(self, column: int) -> bool:
         return self.words is None or column in self.words
@@ -45,7 +54,9 @@ class Sheet(NamedTuple):
         widths = [c.whole for c in columns] if framed else _widths(columns, width - _beside(len(part)))
         out = Table(title=escape(title), **looks)
         for i, column, own in zip(part, columns, widths, strict=True):
-            heading = "\n".join(textwrap.fill(line, own) for line in column.heading.splitlines())
+            heading = "\n".join(
+                textwrap.fill(line, own, break_on_hyphens=False) for line in column.heading.splitlines()
+            )
             out.add_column(escape(heading), justify="left" if self._left(i) else "right", width=own, overflow="fold")
         groups = self.groups or ("",) * len(self.rows)
         for row, group, before in zip(self.rows, groups, (None, *groups), strict=False):
@@ -91,13 +102,18 @@ def _beside(columns: int) -> int:
     return 2 * columns + 1
 
 
+def _least(columns: list[_Column]) -> int:
+    """The width of a table that has these columns."""
+    return sum(c.least for c in columns) + _beside(len(columns))
+
+
 def _parts(columns: list[_Column], keys: int, width: int) -> list[list[int]]:
     """Columns of tables that fit a width, each with the keys; a column that does not fit beside them comes alone."""
     first = list(range(keys))
     parts = [first]
     for i in range(keys, len(columns)):
         wanted = [*parts[-1], i]
-        if parts[-1] != first and sum(columns[j].least for j in wanted) + _beside(len(wanted)) > width:
+        if parts[-1] != first and _least([columns[j] for j in wanted]) > width:
             parts.append([*first, i])
         else:
             parts[-1] = wanted

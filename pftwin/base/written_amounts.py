@@ -35,7 +35,7 @@ def units_beside(unit: str) -> dict[str, float]:
 
 
 def amounts_in(parts: list[str], unit: str) -> list[float]:
-    """Numbers in a unit, of which each may have one of its own; those without have the last unit that stands in any part.
+    """Numbers in a unit, of which each may have one of its own; the last unit written counts for those without.
 
     Args:
         parts: such as "0", "2 cm", "0.4".

@@ -15,7 +15,7 @@ from rich.console import Console
 from pftwin.base.sheet import Sheet
 
 ROOT = Path(__file__).resolve().parents[2]
-WORDS = st.text("abcdefghij.[]_", min_size=1, max_size=18)
+WORDS = st.text("abcdefghij.[]_-", min_size=1, max_size=18)
 CELLS = st.lists(WORDS, max_size=6).map(" ".join)
 NUMBERS = st.sampled_from(["0", "-12.34", "1.23 ± 0.05", "51.6 (50.1 to 52.0)", "lateral at 15 deg", "-"])
 
@@ -28,8 +28,8 @@ def printed(sheet: Sheet, width: int) -> str:
 
 @st.composite
 def sheets(draw: st.DrawFn) -> Sheet:
-    """Up to 14 columns, of words or of numbers."""
-    n, keys = draw(st.integers(2, 14)), draw(st.integers(1, 2))
+    """Up to 14 columns, of words or of numbers; up to five of them name the row."""
+    n, keys = draw(st.integers(6, 14)), draw(st.integers(1, 5))
     left = tuple(i for i in range(n) if draw(st.booleans()))
     rows = draw(st.lists(st.tuples(*(CELLS if i in left else NUMBERS for i in range(n))), max_size=4))
     headings = draw(st.lists(CELLS, min_size=n, max_size=n))
@@ -62,18 +62,29 @@ def test_nothing_is_cut_broken_or_lost_at_80_columns(sheet):
 def test_each_table_begins_with_the_columns_that_name_its_rows(sheet):
     parts = sheet.tables(80)
     headings = [[" ".join(str(c.header).replace("\\", "").split()) for c in table.columns] for table in parts]
-    keys = [" ".join(h.replace("\\", "").split()) for h in sheet.headings]
-    assert all(part[: sheet.keys] == keys[: sheet.keys] for part in headings)
-    assert keys == [*keys[: sheet.keys], *(h for part in headings for h in part[sheet.keys :])]
+    names = [" ".join(h.replace("\\", "").split()) for h in sheet.headings]
+    numbered = headings[0][0] == "row"
+    keys, rest = (["row"], names) if numbered else (names[: sheet.keys], names[sheet.keys :])
+    assert all(part[: len(keys)] == keys for part in headings)
+    assert rest == [h for part in headings for h in part[len(keys) :]]
     assert {table.row_count for table in parts} == {len(sheet.rows)}
 
 
 def test_a_table_with_room_is_one_in_a_frame():
-    sheet = Sheet("what came out", ("case", "force [N]"), (("1", "20.5"), ("2", "3")), words=(0,))
+    sheet = Sheet("what came out", ("case", "force [N]", "depth"), (("1", "20.5", "3"), ("2", "3", "1")), words=(0,))
     [table] = sheet.tables(80)
-    assert printed(sheet, 80).splitlines()[3:5] == ["┡━━━━━━╇━━━━━━━━━━━┩", "│ 1    │      20.5 │"]
+    assert printed(sheet, 80).splitlines()[3:5] == ["┡━━━━━━╇━━━━━━━━━━━╇━━━━━━━┩", "│ 1    │      20.5 │     3 │"]
     assert table.title == "what came out"
-    assert [t.title for t in sheet.tables(14)] == ["what came out", ""][: len(sheet.tables(14))]
+    assert [t.title for t in sheet.tables(14)] == ["what came out", ""]
+
+
+def test_rows_are_numbered_where_what_names_them_leaves_no_room():
+    keys = ("external_rotation", "patellar_tendon_length", "tuberosity_transfer_medial")
+    sheet = Sheet("", (*keys, "offset [mm]"), (("1", "2", "3", "-5.1 (-6.2 to -3.1)"),), words=(), keys=3)
+    assert [str(t.columns[0].header) for t in sheet.tables(120)] == ["external_rotation"]
+    lines = [re.sub("[│┃]", "", line).split() for line in printed(sheet, 80).splitlines()]
+    assert [line for line in lines if "-5.1" in line] == [["1", "-5.1", "(-6.2", "to", "-3.1)"]]
+    assert [line for line in lines if "row" in line] == [["row", *keys], ["row", "offset", "[mm]"]]
 
 
 def test_a_word_wider_than_the_terminal_is_broken_and_kept():

@@ -14,7 +14,8 @@ from packaging.requirements import Requirement
 from packaging.specifiers import SpecifierSet
 
 ROOT = Path(__file__).resolve().parents[1]
-PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+PYPROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
+PROJECT = PYPROJECT["project"]
 RECIPE = yaml.safe_load((ROOT / "conda" / "recipe.yaml").read_text("utf-8"))
 CITATION = yaml.safe_load((ROOT / "CITATION.cff").read_text("utf-8"))
 PAPER = (ROOT / "docs" / "paper" / "paper.md").read_text("utf-8")
@@ -38,14 +39,25 @@ def test_the_archive_says_what_the_citation_says() -> None:
     assert [r["identifier"] for r in archive["related_identifiers"]] == dois
 
 
+def bounds_by_name(lines: list[str]) -> dict[str, SpecifierSet]:
+    """Of lines such as "numpy >=2.0"."""
+    return {name: SpecifierSet(bounds) for name, _, bounds in (line.partition(" ") for line in lines)}
+
+
 def test_the_recipe_needs_what_the_project_needs() -> None:
     """Names apart that are other ones in conda; Python's own line stands in both."""
     wanted = {IN_CONDA.get(r.name, r.name): r.specifier for r in map(Requirement, PROJECT["dependencies"])}
     context = RECIPE["context"]
     lines = [line.replace("${{ python_min }}", context["python_min"]) for line in RECIPE["requirements"]["run"]]
-    found = {name: SpecifierSet(bounds) for name, _, bounds in (line.partition(" ") for line in lines)}
+    found = bounds_by_name(lines)
     assert found.pop("python") == SpecifierSet(PROJECT["requires-python"])
     assert found == wanted
+    built_with = {r.name: r.specifier for r in map(Requirement, PYPROJECT["build-system"]["requires"])}
+    host = RECIPE["requirements"]["host"]
+    assert bounds_by_name([line for line in host if not line.startswith("python ")]) == {
+        **built_with,
+        "pip": SpecifierSet(),
+    }
     assert context["version"] == PROJECT["version"]
     assert RECIPE["about"]["license"] == PROJECT["license"]
     assert RECIPE["build"]["python"]["entry_points"] == [f"{n} = {at}" for n, at in PROJECT["scripts"].items()]

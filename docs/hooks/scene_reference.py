@@ -36,10 +36,10 @@ explains one. This page is made from the models that read the file, so it has ev
   `..`, by an absolute path or by a link, is refused unless you trust it and say so, by
   `pftwin --allow-outside COMMAND ...` or `load_scene(..., allow_outside=True)`.
 - A table may be written `[contact]`, or, where there are several, `[[contact]]`.
-- **JSON Schema.** [scene-1.schema.json](scene-1.schema.json) says the same to programs: with a first line
-  `#:schema scene-1.schema.json` an editor that knows TOML checks a scene while it is typed. Its number is that of
-  `schema = 1`. `pftwin.files.scene_file.json_schema.scene_json_schema()` makes it, with effects of your own where there
-  are any.
+- **JSON Schema.** [scene-1.schema.json](scene-1.schema.json) says the same to programs: save it beside
+  the scene, and with a first line `#:schema scene-1.schema.json` an editor that knows TOML checks the scene while it
+  is typed. Its number is that of `schema = 1`. `pftwin.files.scene_file.json_schema.scene_json_schema()` makes it,
+  with effects of your own where there are any.
 """
 _PARTS = (
     ("## The file itself", "What stands at the top, before any table.", ("",)),

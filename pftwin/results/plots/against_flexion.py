@@ -58,8 +58,8 @@ def against_flexion(
     A stroke is a movement in one direction; a result of three cycles has three of bending and three of straightening.
     A mean is of the strokes that come to a flexion: the line is broken where their set changes, as at the ends of a
     recording; where there is one stroke alone there is no band. Strokes in which the patella dislocates
-    (`Result.dislocations`) are never averaged: each is a thin line, dotted while the patella is out of its groove, with
-    a cross where it leaves.
+    (`Result.dislocations`), be it where the knee turns, are never averaged: each is a thin line, dotted while the
+    patella is out of its groove, with a cross where it leaves.
 
     Args:
         results: one result, several that are one group (variants, draws), or groups by their names in the legend.

@@ -34,10 +34,11 @@ class Course(NamedTuple):
 
 
 class Stroke(NamedTuple):
-    """Frames of one movement in one direction, the flexion strictly rising or falling along them."""
+    """One movement in one direction."""
 
-    frames: NDArray[np.int64]
+    frames: NDArray[np.int64]  # along which the flexion strictly rises or falls
     bending: bool
+    whole: slice  # all its frames: also those that go back, and those held at its ends, which its neighbours share
 
 
 class Band(NamedTuple):
@@ -56,7 +57,7 @@ class Band(NamedTuple):
 
 
 def strokes_of(flexion: Floats, where: str = "motion") -> list[Stroke]:
-    """The strokes of a motion.
+    """The strokes of a motion; every frame is in one of them, as a whole.
 
     Args:
         flexion: of the knee at the frames (n,) [deg].
@@ -76,13 +77,15 @@ def strokes_of(flexion: Floats, where: str = "motion") -> list[Stroke]:
             remedy="draw over time: result.plot.compared(measured), or the columns of result.to_dataset()",
         )
     turns = _turning_points(flexion, max(LEAST, _SHARE * reach))
-    found = []
+    advancing, ways = [], []
     for first, last in pairwise(turns):
-        bending = bool(flexion[last] > flexion[first])
-        part = flexion[first : last + 1] if bending else -flexion[first : last + 1]
+        ways.append(bool(flexion[last] > flexion[first]))
+        part = flexion[first : last + 1] if ways[-1] else -flexion[first : last + 1]
         before = np.concatenate([[-np.inf], np.maximum.accumulate(part)[:-1]])
-        found.append(Stroke(first + np.flatnonzero(part > before), bending))
-    return found
+        advancing.append(first + np.flatnonzero(part > before))
+    begins = [0, *(int(frames[-2]) + 1 for frames in advancing[:-1])]
+    ends = [*(int(frames[1]) for frames in advancing[1:]), flexion.size]
+    return [Stroke(*each) for each in zip(advancing, ways, map(slice, begins, ends), strict=True)]
 
 
 def _turning_points(flexion: Floats, least: float) -> list[int]:
@@ -122,10 +125,13 @@ def common_grid(flexions: Sequence[Floats]) -> Floats:
 
 
 class Averaged(NamedTuple):
-    """The strokes of one way of moving, by outcome: a mean across a dislocation is of no knee."""
+    """The strokes of one way of moving, by outcome: a mean across a dislocation is of no knee.
 
-    band: Band  # of those in which the patella keeps to its groove
-    alone: list[Course]  # the others, in the order of time
+    A patella that is out while the knee turns, or is held where it turns, is so in both strokes.
+    """
+
+    band: Band  # of those in which the patella keeps to its groove in every frame
+    alone: list[Course]  # the others, with all their frames, in the order of time
 
 
 def by_outcome(courses: Sequence[Course], grid: Floats, way: Strokes = "apart") -> dict[str, Averaged]:
@@ -139,10 +145,10 @@ def by_outcome(courses: Sequence[Course], grid: Floats, way: Strokes = "apart") 
     kept: dict[str, list[tuple[Floats, Floats]]] = {words: [] for words, _ in WAYS[way]}
     alone: dict[str, list[Course]] = {words: [] for words, _ in WAYS[way]}
     for flexion, values, out, name in courses:
-        for frames, bending in strokes_of(flexion, name):
+        for frames, bending, whole in strokes_of(flexion, name):
             for words in (words for words, which in WAYS[way] if bending in which):
-                if out[frames].any():
-                    alone[words].append(Course(flexion[frames], values[frames], out[frames], name))
+                if out[whole].any():
+                    alone[words].append(Course(flexion[whole], values[whole], out[whole], name))
                 else:
                     rising = frames if bending else frames[::-1]
                     kept[words].append((flexion[rising], values[rising]))

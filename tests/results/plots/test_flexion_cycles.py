@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -109,3 +111,31 @@ def test_both_ways_together_are_apart_by_outcome():
     out = np.arange(121) > 100
     found = by_outcome([Course(flexion, flexion, out, "walk")], np.arange(61.0), "together")[""]
     assert len(found.band.there) == len(found.alone) == 1
+
+
+def ramps(*flexions):
+    """Knee flexion from one to the next by a degree a frame; one that comes twice is held for 20 frames."""
+    parts = [np.full(20, float(a)) if a == b else np.arange(a, b, np.sign(b - a)) for a, b in pairwise(flexions)]
+    return np.concatenate([*parts, [float(flexions[-1])]])
+
+
+@pytest.mark.parametrize(
+    ("flexion", "out", "averaged"),
+    [
+        (ramps(0, 60, 60, 0), slice(61, 80), (0, 0)),  # only while it is held: of both, whose ends it is
+        (ramps(0, 30, 22, 60, 0), slice(32, 38), (0, 1)),  # only while it goes back for a moment
+        (ramps(0, 60, 0), slice(60, 61), (0, 0)),  # only in the frame that both share
+        (ramps(0, 60, 0, 0), slice(125, 130), (1, 0)),  # only when the movement is over
+        (ramps(0, 0, 60, 0), slice(5, 10), (0, 1)),  # only before it begins
+        (ramps(0, 60, 0), slice(0, 0), (1, 1)),
+    ],
+)
+def test_no_frame_out_of_the_groove_is_overlooked(flexion, out, averaged):
+    outside = np.zeros(flexion.size, dtype=bool)
+    outside[out] = True
+    found = by_outcome([Course(flexion, flexion, outside, "walk")], np.arange(61.0)).values()
+    assert tuple(len(f.band.there) for f in found) == averaged
+    assert [len(f.alone) for f in found] == [1 - n for n in averaged]
+    for course in (course for f in found for course in f.alone):
+        assert course.out.sum() == outside.sum()
+        np.testing.assert_array_equal(course.flexion[course.out], flexion[out])

@@ -84,24 +84,21 @@ def against_flexion(
     if measured is not None:
         validate(everything[0], measured, tibial=None, femoral=None)  # refuses other frames
     grid = common_grid([knee_flexion(r) for r in everything])
+    sources = [] if measured is None else [(measured.label, "black", [_Source(everything[0], measured)])]
+    for i, (name, group) in enumerate(groups.items()):
+        sources.append((name, COLOURS[i % len(COLOURS)], [_Source(r, None) for r in group]))
     with house_style():
         if own is None:
             figure, own = panels_in_rows(len(panels), 2, height=2.3)
-            names = dict.fromkeys(r.scene_name for r in everything)
-            name_figure(figure, title or "; ".join(names))
-            out = any(
-                _dislocated(*pair).any() for pair in [(everything[0], measured), *((r, None) for r in everything)]
-            )
-            footer(figure, _MEANING, _ALONE if out else None, provenance(*everything))
+        alone = False
         for ax, quantity in zip(own, panels.values(), strict=True):
-            if measured is not None:
-                courses = _courses(quantity, everything[:1], measured)
-                _draw(ax, courses, grid, strokes, measured.label, "black")
-            for i, (name, group) in enumerate(groups.items()):
-                _draw(ax, _courses(quantity, group), grid, strokes, name, COLOURS[i % len(COLOURS)])
+            for name, colour, group in sources:
+                alone |= _draw(ax, [source.course(quantity) for source in group], grid, strokes, name, colour)
             ax.set(xlabel="knee flexion [deg]", ylabel=quantity.label)
             ax.yaxis.label.set_fontsize(SMALL)
         if axes is None:
+            name_figure(figure, title or "; ".join(dict.fromkeys(r.scene_name for r in everything)))
+            footer(figure, _MEANING, _ALONE if alone else None, provenance(*everything))
             legend_below(figure, *legend_entries(own), most=2)
     return figure_of(own[0])
 
@@ -128,15 +125,18 @@ def knee_flexion(result: Result) -> Floats:
     return np.degrees(np.asarray(result.knee.flexion, dtype=np.float64))
 
 
-def _courses(quantity: PlottedQuantity, group: list[Result], measured: Measured | None = None) -> list[Course]:
-    """The quantity of every result that has it, or of the measurements."""
-    out = []
-    for result in group:
-        values = quantity.simulated(result) if measured is None else quantity.measured(measured)
-        flexion = knee_flexion(result)  # a knee that does not bend is refused whatever is drawn
-        shown = np.full_like(flexion, np.nan) if values is None else values
-        out.append(Course(flexion, shown, _dislocated(result, measured), result.scene_name))
-    return out
+class _Source:
+    """A result, or measurements of its motion."""
+
+    def __init__(self, result: Result, measured: Measured | None) -> None:
+        self._result, self._measured = result, measured
+        self._flexion, self._out = knee_flexion(result), _dislocated(result, measured)
+
+    def course(self, quantity: PlottedQuantity) -> Course:
+        """Of a quantity; NaN if there is none of it."""
+        values = quantity.simulated(self._result) if self._measured is None else quantity.measured(self._measured)
+        shown = np.full_like(self._flexion, np.nan) if values is None else values
+        return Course(self._flexion, shown, self._out, self._result.scene_name)
 
 
 def _dislocated(result: Result, measured: Measured | None) -> NDArray[np.bool_]:
@@ -150,7 +150,9 @@ def _dislocated(result: Result, measured: Measured | None) -> NDArray[np.bool_]:
     return np.zeros(result.times.size, dtype=bool) if found is None else found.dislocated
 
 
-def _draw(ax: Axes, courses: list[Course], grid: Floats, way: Strokes, name: str, colour: str) -> None:
+def _draw(ax: Axes, courses: list[Course], grid: Floats, way: Strokes, name: str, colour: str) -> bool:
+    """Draws the courses of one colour; whether strokes that dislocate are among them."""
+    apart = False
     for words, (found, alone) in by_outcome(courses, grid, way).items():
         dashes = _DASHED.get(words, "-")
         if np.isfinite(found.mean).any():
@@ -160,6 +162,8 @@ def _draw(ax: Axes, courses: list[Course], grid: Floats, way: Strokes, name: str
                 ax.fill_between(x, mean - sd, mean + sd, color=colour, **BAND)
         if any(np.isfinite(course.values).any() for course in alone):
             _draw_alone(ax, alone, f"{name}{words}, dislocates (n = {len(alone)})", dashes, colour)
+            apart = True
+    return apart
 
 
 def _draw_alone(ax: Axes, strokes: list[Course], label: str, dashes: Any, colour: str) -> None:

@@ -149,7 +149,7 @@ def test_a_stroke_that_dislocates_stands_alone_dotted_from_a_cross_on(variants):
     one = variants[0]
     knee = np.degrees(one.knee.flexion)
     top, low = int(np.argmax(knee)), knee.size - 1  # it straightens to the last frame
-    leaves = (top + low) // 2
+    leaves = (top + low) // 2  # well after the turn: it bends within its groove
     dislocating = displaced(one, slice(leaves, low + 1), 0.030)
     assert dislocating.dislocations().dislocated[leaves : low + 1].all()
     figure = against_flexion([one, variants[1], dislocating], show=("shift",), strokes="straightening")
@@ -173,6 +173,14 @@ def test_a_stroke_that_dislocates_stands_alone_dotted_from_a_cross_on(variants):
     said = footer_of(figure)
     assert "each by itself" in said
     assert "each by itself" not in footer_of(against_flexion(variants, show=("shift",)))
+    assert "each by itself" not in footer_of(against_flexion(dislocating, show=("shift",), strokes="bending"))
+
+
+def test_dislocations_are_looked_for_once_in_each_result(variants, monkeypatch):
+    asked = []
+    monkeypatch.setattr(type(variants[0]), "dislocations", lambda result: asked.append(result))
+    against_flexion(variants)
+    assert [id(result) for result in asked] == [id(result) for result in variants]
 
 
 def test_measured_strokes_are_apart_by_their_own_outcome(variants):

@@ -56,16 +56,16 @@ class BandSources(NamedTuple):
         from pftwin.results.plots.style import COLOURS, PAGE, SMALL, footer, house_style, title
 
         with house_style():
-            figure = Figure(figsize=(PAGE, 1.1 + 0.3 * len(self.sources)))
+            figure = Figure(figsize=(PAGE, 1.3 + 0.3 * len(self.sources)))
             panels = np.ravel(figure.subplots(1, len(self.outcomes), sharey=True))
             for ax, name, column in zip(panels, self.outcomes, self.narrower.T, strict=True):
                 ax.barh(self.sources, 100 * column, color=COLOURS[0])
                 ax.set_title(name.replace("_", " "), fontsize=SMALL)
                 ax.set_xlim(0, 100)
+                ax.set_xlabel("bands narrower,\nif it were known [%]", fontsize=SMALL)
             panels[0].invert_yaxis()
             title(figure, f"sources of the bands of {self.title}" if self.title else "sources of the bands")
-            below = footer(figure, self.note)
-            figure.supxlabel("bands narrower, if it were known [%]", y=below, va="bottom", fontsize="medium")
+            footer(figure, self.note)
         return figure
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,8 @@ from made_estimates import made_estimate
 
 from fitting.estimate import Estimate
 from fitting.parameters import ASKED
-from fitting.prediction.band_sources import ALL, band_sources
+from fitting.prediction.band_sources import ALL, BandSources, band_sources
+from fitting.prediction.plots import PANELS
 from pftwin.base.errors import InputError
 
 OUTCOMES = ("mean_tilt", "peak_contact_force")
@@ -82,6 +84,19 @@ def test_words_and_figures_say_the_same(tmp_path):
     assert found.facts()[ASKED]["mean_tilt"] == pytest.approx(1.0)
     bars = [patch.get_width() for patch in found.figure().axes[0].patches]
     np.testing.assert_allclose(bars, 100 * found.narrower[:, 0])
+
+
+def test_the_figures_texts_lie_apart():
+    note = "95 % bands hold the uncertainty of the fitted parameters alone, and nothing of the model's own error."
+    sources = (ASKED, "damping", "attachments", "friction", ALL)
+    narrower = np.linspace(0, 1, 20).reshape(5, 4)
+    figure = BandSources(sources, tuple(name for name, _, _ in PANELS), narrower, "case 2 of the rig", note).figure()
+    figure.draw_without_rendering()
+    texts = [t for ax in figure.axes for t in (ax.title, ax.xaxis.label, *ax.get_xticklabels())]
+    boxes = [t.get_window_extent() for t in [*texts, *figure.texts] if t.get_text()]
+    assert len(boxes) > 12
+    assert not [(a, b) for a, b in combinations(boxes, 2) if a.overlaps(b)]
+    assert all(figure.bbox.x0 <= box.x0 and box.x1 <= figure.bbox.x1 for box in boxes)
 
 
 def test_draws_that_failed_are_left_out():

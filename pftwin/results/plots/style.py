@@ -150,20 +150,19 @@ def title(figure: Any, *lines: str | None) -> None:
     figure.suptitle("\n".join(_wrapped(figure, lines, TEXT)), fontsize=TEXT)
 
 
-def footer(figure: Any, *lines: str | None) -> float:
+def footer(figure: Any, *lines: str | None) -> None:
     """What has to be said of it, small, below everything else: how to read it, and where its data come from.
 
-    Before the legend, which stands on it; None: nothing to say. Returns its share of the figure's height.
+    Before the legend, which stands on it; None: nothing to say.
     """
     wrapped = _wrapped(figure, lines, TINY)
     if not wrapped:
-        return 0.0
+        return
     height = (TINY * _SPACING * len(wrapped) + _MARGIN) / (72 * figure.get_figheight())
     left, bottom = (_MARGIN / (72 * size) for size in (figure.get_figwidth(), figure.get_figheight()))
     look: dict[str, Any] = {"fontsize": TINY, "color": FAINT, "linespacing": _SPACING, "va": "bottom"}
     figure.text(left, bottom, "\n".join(wrapped), gid="footer", **look)
     figure.get_layout_engine().set(rect=(0, height, 1, 1 - height))
-    return height
 
 
 def _wrapped(figure: Any, lines: Sequence[str | None], size: float) -> list[str]:

@@ -45,7 +45,8 @@ def contact_map(
     start: Annotated[float | None, Option("--from", help="First time [s].")] = None,
     end: Annotated[float | None, Option("--to", help="Last time [s].")] = None,
     lateral: Annotated[
-        str | None, Option("--lateral", metavar="AXIS", help="The femur's mesh: axis that points laterally, as in -z.")
+        str | None,
+        Option("--lateral", metavar="AXIS", help="Of --figure: the femur's axis that points laterally, as in -z."),
     ] = None,
     proximity: Annotated[
         str, Option("--proximity", metavar="LENGTH", help="Largest gap that is reported [mm].")
@@ -67,6 +68,9 @@ def contact_map(
     terminal.check_figure(figure)
     terminal.check_outputs(output, figure, json)
     largest_gap = 1e-3 * amount(proximity, "mm", "--proximity", least=0, most=10)
+    if lateral is not None and figure is None:
+        problem = "names the sides of a figure, and none is drawn"
+        raise InputError(problem, where="--lateral", remedy="--figure OUT.png")
     outwards = None if lateral is None else _axis(lateral)
     options = {"--modulus-mpa": (modulus, 1e6, ""), "--poisson": (poisson, 1.0, "")}
     options |= {"--thickness": (thickness, 1e-3, "mm")}

@@ -186,9 +186,9 @@ def legend_below(figure: Any, handles: list[Any], labels: list[str], most: int =
         legend.remove()
 
 
-def legend_above(axes: Any, **more: Any) -> None:
-    """A legend on top of a panel, in the place of its title."""
+def legend_above(axes: Any, title: str | None = None, **more: Any) -> None:
+    """A legend on top of a panel, below the panel's title."""
     axes.legend(
         loc="lower left", bbox_to_anchor=(0.0, 1.0), borderaxespad=0.2, borderpad=0.0, fontsize=SMALL,
-        handlelength=1.8, **more,
+        handlelength=1.8, title=title, title_fontsize=TEXT, alignment="left", **more,
     )  # fmt: skip

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from pftwin.base.attributes import about
 from pftwin.geometry.mesh.mesh import SurfaceMesh
-from pftwin.results.plots.style import COLOURS, TEXT, WIDE, house_style, legend_above
+from pftwin.results.plots.style import COLOURS, WIDE, house_style, legend_above
 from pftwin.results.plots.style import title as name_figure
 from pftwin.studies.contact_map.mapping import ContactMap, status
 
@@ -55,11 +55,13 @@ def map_figure(
 
 
 def _maps(figure: Any, panels: dict[str, Any], found: ContactMap, button: SurfaceMesh, lateral: Any) -> None:
-    """Seen along the button's own axis, from outside."""
+    """The button, seen from where it is pressed: its normals there point towards the viewer."""
     from matplotlib import colormaps
     from matplotlib.collections import PolyCollection
 
-    across, up = _plane(button.area_vectors.sum(axis=0))
+    pressed = found.pressure.sum(axis=0, dtype=np.float64)
+    outwards = (pressed if pressed.any() else np.ones_like(pressed)) @ button.area_vectors
+    across, up = _plane(outwards)
     corners = 1e3 * button.vertices[button.faces]
     frames = np.flatnonzero(found.touching)
     shown = frames[np.linspace(0, len(frames) - 1, _SHOWN).round().astype(int)] if len(frames) else np.arange(_SHOWN)
@@ -78,7 +80,8 @@ def _maps(figure: Any, panels: dict[str, Any], found: ContactMap, button: Surfac
         axes.plot(place[across], place[up], marker="+", color="black", markersize=8)
         axes.autoscale_view()
         axes.set_aspect("equal")
-        axes.set(title=f"{found.times[frame]:.2f} s", xlabel=f"patella {_AXES[across]} [mm]{_ends(across, lateral)}")
+        axes.set_title(f"{found.times[frame]:.2f} s")
+        _seen_from(outwards, axes, "patella", across, up, lateral)
         if k == 0:
             axes.set_ylabel(f"patella {_AXES[up]} [mm]")
     maps = [panels[f"map{k}"] for k in range(_SHOWN)]
@@ -96,15 +99,17 @@ def _path(axes: Axes, found: ContactMap, femur: SurfaceMesh, lateral: Any) -> No
     axes.plot(center[:, across], center[:, up], color="0.3", linewidth=0.6, zorder=2)
     axes.figure.colorbar(dots, ax=axes, label="time [s]", shrink=0.7)
     axes.set_aspect("equal")
-    axes.set(
-        title="Centre of pressure on the femur",
-        ylabel=f"femur {_AXES[up]} [mm]",
-    )
+    axes.set(title="Centre of pressure on the femur", ylabel=f"femur {_AXES[up]} [mm]")
+    _seen_from(towards, axes, "femur", across, up, lateral)
+
+
+def _seen_from(towards: NDArray[np.float64], axes: Axes, body: str, across: int, up: int, lateral: Any) -> None:
+    """Names the horizontal axis, and has it run leftwards where it does so for a viewer on that side."""
     unit = np.eye(3)
-    mirrored = np.cross(unit[across], unit[up]) @ towards < 0
+    mirrored = bool(np.cross(unit[across], unit[up]) @ towards < 0)
     if mirrored:
         axes.invert_xaxis()
-    axes.set_xlabel(f"femur {_AXES[across]} [mm]{_ends(across, lateral, mirrored=bool(mirrored))}")
+    axes.set_xlabel(f"{body} {_AXES[across]} [mm]{_ends(across, lateral, mirrored=mirrored)}")
 
 
 def _surface(axes: Axes, mesh: SurfaceMesh, across: int, up: int, towards: NDArray[np.float64]) -> None:
@@ -125,7 +130,7 @@ def _surface(axes: Axes, mesh: SurfaceMesh, across: int, up: int, towards: NDArr
     axes.autoscale_view()
 
 
-def _ends(across: int, lateral: Any, *, mirrored: bool = False) -> str:
+def _ends(across: int, lateral: Any, *, mirrored: bool) -> str:
     """A second line of the horizontal axis' label: which end is medial, which lateral; empty where it is not known."""
     if lateral is None or abs(lateral[across]) < _NAMED:
         return ""
@@ -139,15 +144,13 @@ def _courses(panels: dict[str, Any], found: ContactMap) -> None:
     force.plot(t, np.linalg.norm(found.force, axis=1), color="black", label="size")
     for k, name in enumerate(_AXES):
         force.plot(t, found.force[:, k], color=COLOURS[k], label=name, linewidth=0.9)
-    legend_above(
-        force, ncols=4, title="contact force on the patella, femur axes", alignment="left", title_fontsize=TEXT
-    )
+    legend_above(force, ncols=4, title="Contact force on the patella, femur axes")
     force.set(ylabel="force [N]", xlabel="time [s]")
     area.plot(t, 1e6 * found.area, color=COLOURS[0])
     area.set(title="Contact area", ylabel="area [mm²]", xlabel="time [s]")
     pressure.plot(t, found.max_pressure / 1e6, color=COLOURS[1], label="maximum")
     pressure.plot(t, found.mean_pressure / 1e6, color=COLOURS[0], label="mean")
-    legend_above(pressure, ncols=2)
+    legend_above(pressure, ncols=2, title="Pressure")
     pressure.set(ylabel="pressure [MPa]", xlabel="time [s]")
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from height_meshes import grid
@@ -13,6 +15,7 @@ from pftwin.cli.contact_map import _in_both
 from pftwin.cli.program import app
 from pftwin.files.mocap.poses import PoseSeries
 from pftwin.geometry.mesh.mesh import SurfaceMesh
+from pftwin.results.plots.style import TEXT
 from pftwin.studies.contact_map.figures import map_figure
 from pftwin.studies.contact_map.mapping import ContactMap
 
@@ -59,9 +62,29 @@ def test_sides_are_named_as_they_are_seen(towards, right):
     assert on_femur.get_xlabel().splitlines()[0] == "femur x [mm]"
     assert on_femur.get_xlabel().endswith(right)
     assert on_femur.xaxis_inverted() == (right == "medial")
-    assert panel(figure, "patella").get_xlabel().endswith("medial")  # there +x is medial
+    assert panel(figure, "patella").xaxis_inverted()  # the disc looks along -z
+    assert panel(figure, "patella").get_xlabel().endswith("lateral")  # there +x is medial, and to the left
     plain = map_figure(made_up(towards), FEMUR, BUTTON, "made up")
     assert not [ax for ax in plain.axes if "medial" in ax.get_xlabel()]
+
+
+@pytest.mark.parametrize("closed", [False, True])
+@pytest.mark.parametrize("angles", [(0, 0), (180, 0), (90, 0), (-90, 0), (0, 90), (0, -90)])
+def test_the_button_is_seen_from_the_side_that_is_pressed(angles, closed):
+    """Corners of its cap run counter-clockwise about normals towards the viewer, and must do so on the paper."""
+    turn = Rotation.from_euler("xy", angles, degrees=True)
+    cap = BUTTON.faces
+    behind = cap[:, ::-1] if closed else cap[:0]  # the same triangles, from below: its area vectors sum to nothing
+    button = SurfaceMesh(turn.apply(BUTTON.vertices), np.concatenate([cap, behind]), "turned")
+    found = made_up()
+    pressure = np.concatenate([found.pressure, np.zeros((5, len(behind)), dtype=np.float32)], axis=1)
+    figure = map_figure(dataclasses.replace(found, pressure=pressure), FEMUR, button, "made up")
+    ax = panel(figure, "patella")
+    figure.draw_without_rendering()
+    (cells,) = ax.collections
+    for path in cells.get_paths()[: len(cap)]:
+        (ax_, ay), (bx, by), (cx, cy) = ax.transData.transform(path.vertices[:3])
+        assert (bx - ax_) * (cy - ay) - (by - ay) * (cx - ax_) > 0
 
 
 def test_a_direction_in_the_patellas_frame():
@@ -78,12 +101,20 @@ def test_legends_lie_above_their_panels():
     found = [(ax.get_legend().get_window_extent(), ax.get_window_extent()) for ax in figure.axes if ax.get_legend()]
     assert len(found) == 2
     assert all(legend.y0 >= box.y1 for legend, box in found)
+    legends = [ax.get_legend().get_title() for ax in figure.axes if ax.get_legend()]
+    assert {t.get_fontsize() for t in legends} == {TEXT}  # as the titles of the other panels
+    titles = [ax.get_title("left") for ax in figure.axes]
+    assert [t.get_text() for t in legends] == ["Contact force on the patella, femur axes", "Pressure"]
+    assert {"Contact area", "Centre of pressure on the femur"} < set(titles)
 
 
 def test_an_axis_that_is_none_is_refused(tmp_path):
     names = ("--femur", "--patella", "--poses")
     files = [x for name in names for x in (name, str(tmp_path / "absent"))]
-    told = CliRunner().invoke(app, ["contact-map", *files, "--units", "m", "--lateral", "sideways"])
+    command = ["contact-map", *files, "--units", "m"]
+    told = CliRunner().invoke(app, [*command, "--lateral", "sideways", "--figure", str(tmp_path / "map.png")])
     assert told.exit_code == 2
-    assert "--lateral" in told.output
-    assert "sideways" in told.output
+    assert "--lateral: found 'sideways'" in told.output
+    told = CliRunner().invoke(app, [*command, "--lateral=-z"])
+    assert told.exit_code == 2
+    assert "--lateral: names the sides of a figure, and none is drawn" in told.output

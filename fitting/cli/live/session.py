@@ -105,9 +105,12 @@ class Session:
 
     def compare(self, visible: bool) -> None:
         """Shows or hides the untreated knee, its curves and its numbers."""
-        with self._lock, self._client.atomic():
-            self._page.compare(visible)
-            self._frame(self._now, numbers=True)
+        with self._lock:
+            if self._closed:
+                return
+            with self._client.atomic():
+                self._page.compare(visible)
+                self._frame(self._now, numbers=True)
 
     def refuse(self, why: str) -> None:
         """Says why nothing new is drawn."""

@@ -260,6 +260,21 @@ def test_a_client_that_leaves_frees_its_things(server):
     until(freed)
 
 
+def test_nothing_is_written_to_a_client_who_has_left(server, monkeypatch):
+    gone(server)
+    with PageClient(server.address) as client:
+        client.wait_for("Dislocation: no")
+        until(lambda: server.sessions)
+        (session,) = server.sessions
+    gone(server)
+    asked = []
+    monkeypatch.setattr(session._page, "compare", asked.append)
+    monkeypatch.setattr(session._page, "frame", asked.append)
+    session.compare(True)
+    session.pause()
+    assert not asked
+
+
 def test_a_port_that_is_taken_is_no_mistake(server):
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]

@@ -70,7 +70,8 @@ def courses(material: Material) -> Picture | str:
     except InputError as error:
         return f"No courses against knee flexion: {error}"
     alternative = f"Tilt, shift, rotation and contact force against knee flexion: {names}. Ranges are under Scene."
-    return Picture(figure, alternative, f"Against knee flexion: {names}. Bending solid, straightening dashed.")
+    lines = "Bending solid, straightening dashed, dotted while the patella is out of its groove."
+    return Picture(figure, alternative, f"Against knee flexion: {names}. {lines}")
 
 
 def over_the_trochlea(material: Material) -> list[Picture]:

@@ -82,6 +82,8 @@ def test_a_run_from_a_file_is_drawn_apart_where_it_dislocates(tmp_path):
     drawn = figures.courses(Material(tmp_path, "", runs=[run]))
     labels = drawn.figure.axes[1].get_legend_handles_labels()[1]
     assert labels == ["from a file, bending (n = 1)", "from a file, straightening, dislocates (n = 1)"]
+    assert drawn.figure.axes[1].get_lines()[-1].get_linestyle() == ":"
+    assert drawn.caption.endswith("dotted while the patella is out of its groove.")
 
 
 def test_the_fits_way_and_its_correlations_are_the_estimates(material):

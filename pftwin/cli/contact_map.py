@@ -68,10 +68,7 @@ def contact_map(
     terminal.check_figure(figure)
     terminal.check_outputs(output, figure, json)
     largest_gap = 1e-3 * amount(proximity, "mm", "--proximity", least=0, most=10)
-    if lateral is not None and figure is None:
-        problem = "names the sides of a figure, and none is drawn"
-        raise InputError(problem, where="--lateral", remedy="--figure OUT.png")
-    outwards = None if lateral is None else _axis(lateral)
+    outwards = None if lateral is None else _axis(lateral, figure)
     options = {"--modulus-mpa": (modulus, 1e6, ""), "--poisson": (poisson, 1.0, "")}
     options |= {"--thickness": (thickness, 1e-3, "mm")}
     numbers = [_two(option, *given) for option, given in options.items()]
@@ -162,8 +159,11 @@ def _poses(path: Path, bodies: str, rate: float | None, start: float | None, end
     return relative.between(first if start is None else start, last if end is None else end)
 
 
-def _axis(text: str) -> Direction:
-    """An axis of the femur's mesh, by name; InputError for another text."""
+def _axis(text: str, figure: Path | None) -> Direction:
+    """An axis of the femur's mesh, by name; InputError for another text, or without a figure whose sides it names."""
+    if figure is None:
+        problem = "names the sides of a figure, and none is drawn"
+        raise InputError(problem, where="--lateral", remedy="--figure OUT.png")
     found = axis_named(text)
     if found is None:
         raise InputError(

@@ -86,6 +86,10 @@ class PressedSurface(eqx.Module):
         normal = jax.tree.map(lambda a, n: jnp.where(apart, scale * a, n), away, outward)
         return -normal.dot(away), normal, self.rim[feature]
 
+    def bend(self, place: Array, point: Vec3, vector: Vec3) -> Vec3:
+        """Slopes of the normals' components along vectors (k,), by the points: none, for normals jump between faces."""
+        return point * jnp.zeros((), point.x.dtype)
+
     def facet(self, place: Array, point: Vec3) -> Array | None:
         """Labels (k,) of the triangles in some places, nearest to points; None where the mesh has none."""
         return None if self.label is None else self.label[self.triangle[place]]

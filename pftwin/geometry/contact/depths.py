@@ -36,6 +36,7 @@ class Depths(NamedTuple):
     normal: Vec3  # unit, out of the femur: minus the depth's gradient with respect to the point
     area: Scalar  # of the triangle, projected along the normal [m^2]
     tilting: Vec3  # minus that area's change for each radian that the button turns about an axis of its own [m^2]
+    sliding: Vec3  # and for each metre that the centroid moves; zero where the normal jumps from face to face [m]
     facet: Array | None  # int32: the label of the femur's nearest triangle
 
 
@@ -102,5 +103,6 @@ def depths_in(
         normal=normal,
         area=facing * projected,
         tilting=(0.5 * facing) * along.cross(vector),
+        sliding=(-0.5 * facing) * femur.bend(place, point, rotation.apply(vector)),
         facet=femur.facet(place, point),
     )

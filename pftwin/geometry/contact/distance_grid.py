@@ -71,6 +71,10 @@ class DistanceGrid(eqx.Module):
         size = jnp.sqrt(jnp.maximum(slope.squared_norm(), 1e-6))
         return depth, (-1 / size) * slope, (self._code(point) & _RIM) > 0
 
+    def bend(self, place: Array, point: Vec3, vector: Vec3) -> Vec3:
+        """Slopes of the normals' components along vectors (k,), by the points: the surface's curvature."""
+        return jax.vjp(lambda p: self.below(place, p)[1], point)[1](vector)[0]
+
     def facet(self, place: Array, point: Vec3) -> Array | None:
         """Labels (k,) of the triangles nearest to points; None where the mesh has none."""
         return None if self.exact.label is None else (self._code(point) & _LATERAL).astype(jnp.int32)

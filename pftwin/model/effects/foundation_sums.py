@@ -131,10 +131,10 @@ def _sums_over_leaves(at: Bedded, found: TouchingLeaves, start: Array) -> Sums:
     force = elastic - at.damping_time * stiffness * (at.twist @ rows)
     kept = jnp.where(force > 0, stored, 0.0)
     force, elastic, stiffness = (jnp.where(force > 0, a, 0.0) for a in (force, elastic, stiffness))
-    tilting = jnp.concatenate([jnp.zeros(3, kept.dtype), jnp.sum(kept[:, None] * d.tilting.array(), axis=0)])
+    turning = _area_wrench(at, d, kept)
     forces = Forces(
-        force=rows @ force + tilting,
-        elastic=rows @ elastic + tilting,
+        force=rows @ force + turning,
+        elastic=rows @ elastic + turning,
         stiffness=(rows * stiffness[None, :]) @ rows.T,
         size=jnp.sum(force),
         energy=jnp.sum(d.area * stored),
@@ -147,7 +147,7 @@ def _sums_over_leaves(at: Bedded, found: TouchingLeaves, start: Array) -> Sums:
         area=jnp.sum(jnp.where(touching, d.area, 0.0)),
         borne=jnp.sum(borne_on, axis=1),
         moment=borne_on @ d.point.array(),
-        facets=jnp.sum(jnp.where(on[:, None, :], force[None, :] * d.normal.array().T, 0.0), axis=2),
+        facets=jnp.sum(jnp.where(on[:, None, :], (force * d.normal + kept * d.sliding).array().T, 0.0), axis=2),
         most=jnp.max(pressure),
         deepest=jnp.max(jnp.where(touching, d.depth, 0.0)),
     )
@@ -156,7 +156,23 @@ def _sums_over_leaves(at: Bedded, found: TouchingLeaves, start: Array) -> Sums:
 
 def _unit_wrenches(at: Bedded, d: Depths) -> Array:
     """(6, triangles): force along the normal in world axes and its moment about the centre of mass, patella axes."""
+    return _wrenches(at, d, d.normal)
+
+
+def _area_wrench(at: Bedded, d: Depths, energy: Scalar) -> Array:
+    """(6,): what changes of the projected areas add, so that forces and moments are the energy's slopes.
+
+    Args:
+        at, d: the triangles.
+        energy: per area of each [J/m^2].
+    """
+    moved = _wrenches(at, d, d.sliding) @ energy
+    return moved + jnp.concatenate([jnp.zeros(3, energy.dtype), energy @ d.tilting.array()])
+
+
+def _wrenches(at: Bedded, d: Depths, forces: Vec3) -> Array:
+    """(6, triangles) of forces at the centroids, in femur axes: as of `_unit_wrenches`."""
     arm = d.local + Vec3(*(jnp.broadcast_to(a, d.depth.shape) for a in (at.origin.x, at.origin.y, at.origin.z)))
-    moment = arm.cross(at.rotation.unapply(d.normal))
-    direction = d.normal if at.world is None else at.world.apply(d.normal)
+    moment = arm.cross(at.rotation.unapply(forces))
+    direction = forces if at.world is None else at.world.apply(forces)
     return jnp.concatenate([direction.array(), moment.array()], axis=-1).T

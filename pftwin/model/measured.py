@@ -15,7 +15,7 @@ from pftwin.base.rotations import PatellarAngles, patellar_angles, patellar_orie
 from pftwin.base.spatial import Quaternion
 from pftwin.files.mocap.tables import increasing_times
 
-SYNTHETIC = "the motion is synthetic: computed, not recorded of a knee"  # said wherever such data are shown
+SYNTHETIC = "the motion is synthetic: computed, not recorded from a knee"  # said wherever such data are shown
 _UNIT_TOLERANCE = 1e-3
 _FORCES = ("contact_force", "tibial_spring_force", "femoral_spring_force")
 

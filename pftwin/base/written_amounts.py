@@ -39,14 +39,14 @@ def amounts_in(parts: list[str], unit: str) -> list[float]:
 
     Args:
         parts: such as "0", "2 cm", "0.4".
-        unit: of the answer, and of parts where none has a unit.
+        unit: of the answer, and of parts where none has a unit; empty where none may have one.
 
     Returns:
         An empty list if a part is no finite number or has a unit of another kind.
     """
     found = [number_and_unit(part) for part in parts]
     last = next((pair[1] for pair in reversed(found) if pair and pair[1]), "")
-    sizes = {"": 1.0, **units_beside(unit)}
+    sizes = {"": 1.0, **(units_beside(unit) if unit else {})}
     written = [(number, own or last) for number, own in (pair or (math.nan, "?") for pair in found)]
     return [number * sizes[own] for number, own in written] if all(own in sizes for _, own in written) else []
 

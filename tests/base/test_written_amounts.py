@@ -77,6 +77,7 @@ def test_a_list_with_what_looks_like_a_decimal_comma_is_refused():
 def test_an_option_without_a_unit_takes_plain_numbers_alone():
     assert amounts_in(["1", "2"], "") == [1, 2]
     assert amounts_in(["1 mm"], "") == []
+    assert amounts_in(["46 %"], "") == []
 
 
 def test_parts_of_an_amount():

@@ -14,6 +14,7 @@ from pftwin.dynamics.status import Status
 from pftwin.model.motion_on_host import tibia_orientation
 from pftwin.rig.natural import motion, placing
 from pftwin.rig.natural.anatomy import Anatomy
+from pftwin.rig.natural.femur import FemurShape
 
 NORMAL = Anatomy()
 
@@ -26,6 +27,10 @@ def test_the_tibia_moves_as_prescribed():
     np.testing.assert_allclose(flexion[[0, len(flexion) // 2, -1]], [15, 90, 15], atol=1e-4)
     assert rotation[flexion > 30.1] == pytest.approx(8, abs=1e-3)
     assert rotation[flexion < 16].max() < 5  # the last degrees of extension turn it outward
+
+
+def test_frames_are_even_so_that_one_is_at_the_deepest():
+    assert motion.squat(0.35).flexion.max() == pytest.approx(90, abs=1e-9)
 
 
 def test_the_squat_leans_thigh_and_shank_alike_and_pulls_with_the_sine():
@@ -56,14 +61,20 @@ def test_the_four_parts_share_the_pull_and_leave_at_their_angles():
 def test_at_first_the_patella_lies_in_the_groove_at_its_height(ratio, flexion):
     anatomy = Anatomy(insall_salvati=ratio)
     place, turn = placing.rest_pose(anatomy, flexion)
-    ends = placing.patellar_tendon(anatomy)
+    apex, tuberosity = (points[2] for points in placing.patellar_tendon(anatomy))  # of the middle strand
     inward = 8.0 if flexion > 30 else (0.0 if flexion == 0 else 4.0)  # half of it at half of 30 deg
     tibia = Rotation.from_euler("YZX", [-flexion, 0, inward], degrees=True)
     axis = np.array([-5.0, 0.0, -8.0])  # about which it turns
-    line = place + turn.apply(ends.patella.mean(axis=0)) - axis - tibia.apply(ends.body.mean(axis=0) - axis)
+    line = place + turn.apply(apex) - axis - tibia.apply(tuberosity - axis)
     assert np.linalg.norm(line) == pytest.approx(ratio * anatomy.patella_height_mm)
-    if place[0] < 0:
-        assert np.hypot(place[0], place[2]) == pytest.approx(anatomy.trochlear_radius_mm)
+    assert FemurShape(anatomy)(place[None]).item() == pytest.approx(0, abs=0.05)
+
+
+def test_a_ratio_that_is_refused_is_made_good_by_what_the_message_says():
+    with pytest.raises(InputError, match=r"expected: a ratio of 1.31 to 2.48 for this height") as said:
+        placing.rest_pose(Anatomy(patella_height_mm=30.0), 0.0)
+    assert said.value.where == "insall_salvati, patella_height_mm"
+    placing.rest_pose(Anatomy(patella_height_mm=30.0, insall_salvati=1.31), 0.0)
 
 
 @pytest.mark.parametrize(
@@ -93,17 +104,32 @@ def test_the_squat_is_valid_and_in_its_groove(squat):
 
 @pytest.mark.slow
 def test_the_patella_flexes_more_slowly_than_the_knee(squat):
-    """It lags by 30 to 40 % (review: J Healthc Eng 2019:9159267), and tracks within millimetres."""
+    """By 5 to 40 % over the whole squat, 15 % at the least where bent: bounds as wide as published knees differ."""
     knee, patella = squat.knee.flexion, squat.angles.flexion
     deep, bent = int(np.argmax(knee)), np.degrees(knee) > 40
     assert 0.6 < (patella[deep] - patella[0]) / (knee[deep] - knee[0]) < 0.95
     assert np.all((patella / knee)[bent] < 0.85)
+
+
+@pytest.mark.slow
+def test_the_patella_stays_within_millimetres_and_degrees(squat):
     assert np.abs(squat.shift).max() < 6e-3
     assert np.abs(np.degrees(squat.angles.tilt)).max() < 15
 
 
 @pytest.mark.slow
-def test_forces_are_in_the_proportions_that_were_measured(squat):
+def test_the_strands_of_the_tendon_share_its_pull_in_full_extension():
+    """Equal stiffness per strain, slack at the lengths of full extension: stretched alike they pull alike."""
+    tendon = rig.knee(duration=0.5, resolution_mm=2.0).effect("patellar_tendon")
+    ends = placing.patellar_tendon(NORMAL)
+    place, turn = placing.rest_pose(NORMAL, 0.0)
+    length = 1e-3 * np.linalg.norm(place + turn.apply(ends.patella) - ends.body, axis=1)
+    np.testing.assert_allclose(np.asarray(tendon.slack_length), length, rtol=1e-5)
+    np.testing.assert_allclose(np.asarray(tendon.stiffness), 660e6 * 100e-6 / 5)  # Johnson et al. 1994, 100 mm2
+
+
+@pytest.mark.slow
+def test_tendon_and_contact_by_quadriceps_lie_in_wide_bounds_and_change_as_measured(squat):
     """Patellar tendon to quadriceps about 1 near extension and less as the knee bends; contact rises with flexion."""
     pull = squat.effects["quadriceps"]["tension"]
     tendon = squat.effects["patellar_tendon"]["tension"] / pull
@@ -119,9 +145,10 @@ def test_forces_are_in_the_proportions_that_were_measured(squat):
 
 
 @pytest.mark.slow
-def test_the_medial_ligament_is_taut_near_extension_alone(squat):
+def test_the_medial_ligament_pulls_near_extension_alone(squat):
     """If at all: Amis et al. 2003, Knee 10:215."""
     bent = np.degrees(squat.knee.flexion) > 45
+    assert squat.effects["mpfl"]["tension"][0] > 0
     assert squat.effects["mpfl"]["tension"][bent].max() < 5
 
 

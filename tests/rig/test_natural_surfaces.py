@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 from pftwin.base.errors import InputError
 from pftwin.geometry.mesh.doctor import examine
@@ -11,6 +12,7 @@ from pftwin.geometry.mesh.mesh import SurfaceMesh
 from pftwin.rig.natural.anatomy import Anatomy
 from pftwin.rig.natural.femur import FemurShape
 from pftwin.rig.natural.implicit import mesh_of
+from pftwin.rig.natural.patella import PatellaShape
 from pftwin.rig.natural.surfaces import bones
 
 KNEES = {
@@ -34,6 +36,7 @@ KNEES = {
     **{kind: Anatomy.dejour(kind) for kind in "ABCD"},
 }
 RESOLUTION = 1.5
+WIDE = {"sulcus_angle_deg": 168, "lateral_inclination_deg": 6, "facet_ratio": 0.25}
 
 
 @pytest.fixture(scope="module", params=["normal", "other", "D"])
@@ -146,6 +149,20 @@ def test_the_tuberosity_is_lateral_of_the_groove_by_tt_tg(knee):
     assert p[:, 0].max() < -anatomy.condyle_radius_mm - 3  # the eminence reaches into the notch, no condyle
 
 
+def test_wide_facets_and_a_lateral_tuberosity_keep_the_size_asked_for():
+    facets = bones(Anatomy(**WIDE, trochlear_depth_mm=2.29), 2.0).femur
+    assert 1e3 * np.ptp(facets.vertices[:, 1]) == pytest.approx(82, abs=1.2)
+    tibia = bones(Anatomy(tt_tg_mm=30, epicondylar_width_mm=74), 2.0).tibia
+    assert 1e3 * tibia.vertices[:, 1].max() == pytest.approx(30 + 14, abs=1.5)  # its bump is 28 mm wide
+
+
+@pytest.mark.parametrize("ratio", [0.8, 1.4, 4.0])
+def test_the_patella_is_as_thick_as_asked_for_over_its_ridge(ratio):
+    shape = PatellaShape(Anatomy(wiberg_ratio=ratio))
+    behind, before = (brentq(lambda z: shape(np.array([[0.0, 0.0, z]])).item(), c - 3, c + 3) for c in (0, 25))
+    assert before - behind == pytest.approx(25, abs=1e-3)
+
+
 def test_the_trochlea_is_smooth():
     """Normals turn by little from triangle to triangle where the patella runs, the less the finer they are."""
     import trimesh
@@ -175,7 +192,10 @@ def test_vertices_are_on_a_known_surface_and_outside_is_out():
         ({"sulcus_angle_deg": 100}, r"sulcus_angle_deg: found 100; expected: 115 to 179"),
         ({"insall_salvati": float("nan")}, r"insall_salvati: found nan"),
         ({"sulcus_angle_deg": 165, "lateral_inclination_deg": 20}, r"nothing for the medial facet"),
-        ({"trochlear_depth_mm": 9, "sulcus_angle_deg": 150, "lateral_inclination_deg": 15}, r"do not fit"),
+        ({"sulcus_angle_deg": "138"}, r"sulcus_angle_deg: found '138'; expected: 115 to 179"),
+        ({"tt_tg_mm": None}, r"tt_tg_mm: found None"),
+        # 35 mm each side: (41 - 2 - 4) (1 + 0.25) tan(6 deg) / 2 = 2.2991
+        (WIDE | {"trochlear_depth_mm": 2.3}, r"does not fit .* expected: at most 2.29 mm"),
     ],
 )
 def test_what_is_no_knee_is_refused(numbers, words):
@@ -186,8 +206,10 @@ def test_what_is_no_knee_is_refused(numbers, words):
 def test_what_cannot_be_made_is_refused():
     with pytest.raises(InputError, match=r"no type 'E' of trochlear dysplasia; expected: one of: A, B, C, D"):
         Anatomy.dejour("E")
-    with pytest.raises(InputError, match=r"resolution_mm: found 9; expected: 0.1 to 5 mm"):
+    with pytest.raises(InputError, match=r"resolution_mm: found 9; expected: 0.4 to 5 mm"):
         bones(Anatomy(), 9)
+    with pytest.raises(InputError, match=r"patella_thickness_mm: .* thicker than 18 mm at its border; .* 27.5 mm"):
+        bones(Anatomy(patella_width_mm=58, patella_thickness_mm=18, ridge_angle_deg=100))
     with pytest.raises(InputError, match=r"does not fit in its box"):
         mesh_of(lambda p: 10 - np.linalg.norm(p, axis=1), (-9.0,) * 3, (12.0,) * 3, 1.0, "ball")
 

@@ -3,7 +3,7 @@
 Angles and lengths are as a radiologist reads them, in the units of their names. Four numbers make the trochlea's axial
 section at the height of the trochlear axis, some 3 cm above the joint line: with the deepest point in the origin, the
 lateral facet climbs to its ridge at `lateral_inclination_deg`, the medial one at what is left of 180 deg less the
-sulcus angle; the facets' lengths are as `facet_ratio` says, and the mean height of both ridges is the depth.
+sulcus angle; the facets' widths are as `facet_ratio` says, and the mean height of both ridges is the depth.
 """
 
 from __future__ import annotations
@@ -11,9 +11,13 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass, field
+from numbers import Real
 from typing import Any
 
 from pftwin.base.errors import InputError
+
+EPICONDYLE = 2.0  # by which they stand out beside the condyles [mm]
+RIDGE_TO_SIDE = 4.0  # at the least, from a ridge of the trochlea to the condyle's side [mm]
 
 
 def _number(default: float, low: float, high: float, source: str) -> Any:
@@ -24,8 +28,8 @@ def _number(default: float, low: float, high: float, source: str) -> Any:
 class Anatomy:
     """A knee's anatomy; the defaults are those of a normal adult knee. A number outside its range is refused.
 
-    Ranges hold what has been measured in normal and in dysplastic knees (mean plus or minus three standard deviations
-    where a source gives them). `Anatomy.ranges()` gives them with their sources.
+    Ranges hold what has been measured in normal and in dysplastic knees; some are choices. `Anatomy.ranges()` gives
+    them with their sources.
 
     Raises:
         InputError: a number outside its range, or numbers that make no trochlea.
@@ -34,7 +38,9 @@ class Anatomy:
     sulcus_angle_deg: float = _number(138.0, 115.0, 179.0, "138 (6) Merchant 1974; 146 (5.5) Shih 2004")
     lateral_inclination_deg: float = _number(22.0, 0.5, 35.0, "20 (5) Shih 2004; below 11 dysplastic, Carrillon 2000")
     facet_ratio: float = _number(0.65, 0.05, 1.0, "medial by lateral facet; below 0.4 dysplastic, Pfirrmann 2000")
-    trochlear_depth_mm: float = _number(5.2, 0.1, 10.0, "6.0 in CT (PMC5134791); below 3 dysplastic, Pfirrmann 2000")
+    trochlear_depth_mm: float = _number(
+        5.2, 0.1, 10.0, "a choice; 6.0 in CT (PMC5134791); below 3 dysplastic, Pfirrmann 2000"
+    )
     trochlear_radius_mm: float = _number(23.0, 15.0, 35.0, "sagittal, of the groove: 23 (4) Iranpour 2010")
     prominence_mm: float = _number(-0.8, -9.0, 9.0, "floor before the cortex: -0.8 (2.9), > 3 dysplastic, Dejour 1994")
     condyle_radius_mm: float = _number(23.0, 16.0, 32.0, "like the groove's, Monk 2014; range a choice")
@@ -45,14 +51,14 @@ class Anatomy:
     ridge_angle_deg: float = _number(132.0, 100.0, 175.0, "between the patellar facets, Wiberg 1941; range a choice")
     wiberg_ratio: float = _number(1.4, 0.8, 4.0, "lateral by medial patellar facet: types I to III, Wiberg 1941")
     patellar_cartilage_mm: float = _number(4.1, 1.0, 8.0, "4.1 (1.3), 43 adults, Bone Joint J 95-B Suppl 14")
-    trochlear_cartilage_mm: float = _number(2.5, 0.5, 6.0, "mean of a knee 1.6 to 2.4, PubMed 11237657")
+    trochlear_cartilage_mm: float = _number(2.4, 0.5, 6.0, "mean of a knee 1.6 to 2.4, PubMed 11237657")
     insall_salvati: float = _number(1.02, 0.6, 1.7, "tendon by patella: 1.02 (0.13) Insall & Salvati 1971")
     tt_tg_mm: float = _number(12.7, -2.0, 30.0, "12.7 (3.4), in dislocators 19.8 (1.6), Dejour 1994")
 
     def __post_init__(self) -> None:
         for name, (low, high, source) in self.ranges().items():
             value = getattr(self, name)
-            if not low <= value <= high:  # NaN, too
+            if not (isinstance(value, Real) and low <= value <= high):  # NaN, too
                 raise InputError(f"found {value!r}", where=name, expected=f"{low:g} to {high:g} ({source})")
         if self.medial_inclination_deg <= 0:
             raise InputError(
@@ -61,12 +67,14 @@ class Anatomy:
                 where="sulcus_angle_deg",
                 expected=f"less than {180 - self.lateral_inclination_deg:g} deg",
             )
-        if self.lateral_facet_mm + self.medial_facet_mm > 0.8 * self.epicondylar_width_mm:
+        room = 0.5 * self.epicondylar_width_mm - EPICONDYLE - RIDGE_TO_SIDE  # the lateral facet is never the narrower
+        if self.lateral_facet_mm > room:
+            deepest = self.trochlear_depth_mm * room / self.lateral_facet_mm
             raise InputError(
-                f"facets {self.lateral_facet_mm:.1f} and {self.medial_facet_mm:.1f} mm wide do not fit on a femur of "
+                f"a lateral facet {self.lateral_facet_mm:.1f} mm wide does not fit on a femur of "
                 f"{self.epicondylar_width_mm:g} mm",
                 where="trochlear_depth_mm",
-                expected=f"less than {self.trochlear_depth_mm:g} mm at these inclinations",
+                expected=f"at most {math.floor(100 * deepest) / 100:g} mm at these inclinations",
             )
 
     @staticmethod
@@ -79,7 +87,7 @@ class Anatomy:
     def dejour(kind: str) -> Anatomy:
         """A dysplastic trochlea of Dejour's type A, B, C or D.
 
-        A is shallow; B flat with a prominence; C asymmetric, its medial facet hypoplastic; D both, with a cliff.
+        A is shallow; B flat with a prominence; C asymmetric, its medial facet hypoplastic; D both, without its cliff.
         (D. Dejour & Le Coultre 2007, Sports Med Arthrosc 15:39.) The numbers are choices by these words and by the
         limits of dysplasia named in the ranges; they are no means of patients.
 
@@ -98,7 +106,9 @@ class Anatomy:
     @property
     def lateral_facet_mm(self) -> float:
         """Width of the lateral facet, from the groove to its ridge."""
-        lateral, medial = (math.tan(math.radians(a)) for a in (self.lateral_inclination_deg, self._medial))
+        lateral, medial = (
+            math.tan(math.radians(a)) for a in (self.lateral_inclination_deg, self.medial_inclination_deg)
+        )
         return 2 * self.trochlear_depth_mm / (lateral + self.facet_ratio * medial)
 
     @property
@@ -114,16 +124,12 @@ class Anatomy:
     @property
     def medial_height_mm(self) -> float:
         """Of the medial ridge."""
-        return self.medial_facet_mm * math.tan(math.radians(self._medial))
+        return self.medial_facet_mm * math.tan(math.radians(self.medial_inclination_deg))
 
     @property
     def tendon_length_mm(self) -> float:
         """Of the patellar tendon."""
         return self.insall_salvati * self.patella_height_mm
-
-    @property
-    def _medial(self) -> float:
-        return self.medial_inclination_deg
 
 
 _DEJOUR: dict[str, dict[str, float]] = {

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pftwin.rig.natural.anatomy import Anatomy
+from pftwin.rig.natural.anatomy import EPICONDYLE, RIDGE_TO_SIDE, Anatomy
 from pftwin.rig.natural.implicit import Points, largest, smallest, smooth_step
 
 Values = NDArray[np.float64]
@@ -29,7 +29,6 @@ CONDYLE_HALF_WIDTH = 13.0  # from a condyle's crest to its side [mm]
 GROOVE_ROUNDING, RIDGE_ROUNDING = 0.30, 0.25  # share of a facet's width in which it bends at either end
 SIDE_POWER = 2.5  # of the superellipse from ridge to side: no curvature where it begins
 BLEND = 1.5  # of trochlea and shaft: below a micrometre where the patella runs [mm]
-EPICONDYLE = 2.0  # by which they stand out beside the condyles [mm]
 TROCHLEA_TOP = 32.0  # where the facets have run out, above the axis [mm]
 
 
@@ -108,8 +107,8 @@ class FemurShape:
             return width + (crest - width) * to_crest
 
         narrowing = (half - 0.5 * SHAFT_WIDTH - 8) * smooth_step(x / TROCHLEA_TOP)
-        width = np.maximum(half - narrowing, max(a.lateral_facet_mm, a.medial_facet_mm) + 4)
-        lateral, medial = (np.minimum(aside(w), width - 4) for w in (a.lateral_facet_mm, a.medial_facet_mm))
+        width = np.maximum(half - narrowing, max(a.lateral_facet_mm, a.medial_facet_mm) + RIDGE_TO_SIDE)
+        lateral, medial = (np.minimum(aside(w), width - RIDGE_TO_SIDE) for w in (a.lateral_facet_mm, a.medial_facet_mm))
         floor = blended(radius - receding, NOTCH_FLOOR, to_notch)
         return _Profile(floor, ridge(a.lateral_height_mm), ridge(a.medial_height_mm), lateral, medial, width)
 

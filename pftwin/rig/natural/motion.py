@@ -2,8 +2,8 @@
 
 A squat, down and up again, femur and tibia inclined alike. The knee is before the line from hip to ankle by as much as
 the sine of half its flexion, and so the moment that the quadriceps holds rises with it. The tibia turns about the
-condyles' axis, and inward over the first 30 deg of flexion (screw-home, reported with 6 to 17 deg: Kim et al. 2015,
-Clin Orthop Surg 7:303).
+condyles' axis, and inward over the first 30 deg of flexion (screw-home: 17 deg in gait, Kim et al. 2015,
+Clin Orthop Surg 7:303; 8 is a choice).
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from pftwin.base.errors import InputError
 from pftwin.rig.natural.femur import FLEXION_AXIS
+from pftwin.rig.natural.implicit import smooth_step
 
 if TYPE_CHECKING:
     from pftwin.model.motion import KneeMotion
@@ -35,14 +36,14 @@ class Activity(NamedTuple):
 
 
 def squat(duration: float) -> Activity:
-    """A squat that takes so long [s].
+    """A squat that takes so long [s], to the next even number of frames: one of them is at the deepest.
 
     Raises:
         InputError: a duration that is no time for it.
     """
     if not 0.2 <= duration <= 60:
         raise InputError(f"found {duration!r}", where="duration", expected="0.2 to 60 s")
-    times = np.arange(round(duration * RATE) + 1) / RATE
+    times = np.arange(2 * round(0.5 * duration * RATE) + 1) / RATE
     flexion = STRAIGHT + (BENT - STRAIGHT) * (0.5 - 0.5 * np.cos(2 * np.pi * times / times[-1]))
     inclined = 0.5 * flexion
     pull = np.sin(np.radians(inclined)) / np.sin(np.radians(0.5 * BENT))
@@ -51,8 +52,7 @@ def squat(duration: float) -> Activity:
 
 def internal_rotation(flexion: NDArray[np.float64]) -> NDArray[np.float64]:
     """Of the tibia, from none in full extension [deg]."""
-    t = np.clip(flexion / SCREWED, 0.0, 1.0)
-    return SCREW_HOME * t**3 * (10 - 15 * t + 6 * t * t)
+    return SCREW_HOME * smooth_step(flexion / SCREWED)
 
 
 def _motion(times: NDArray, inclined: NDArray, flexion: NDArray) -> KneeMotion:

@@ -11,6 +11,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from pftwin.base.errors import InputError
 from pftwin.rig.natural.anatomy import Anatomy
 from pftwin.rig.natural.implicit import Points, smallest
 
@@ -23,7 +24,11 @@ EDGE = 7.0  # thickness of the patella's border [mm]
 
 
 class PatellaShape:
-    """Positive inside the patella."""
+    """Positive inside the patella.
+
+    Raises:
+        InputError: facets so steep or wide that the patella would be thickest at its border.
+    """
 
     def __init__(self, anatomy: Anatomy) -> None:
         a = self.anatomy = anatomy
@@ -31,6 +36,14 @@ class PatellaShape:
         self.lateral, self.medial = share * a.patella_width_mm, (1 - share) * a.patella_width_mm
         half = 0.5 * ARTICULAR * a.patella_height_mm
         self.top, self.bottom = half, half - a.patella_height_mm
+        self.edge = float(self.articular(np.asarray(0.5 * a.patella_width_mm))) + EDGE  # before the ridge
+        if self.edge > a.patella_thickness_mm:
+            raise InputError(
+                f"a patella {a.patella_width_mm:g} mm wide whose facets enclose {a.ridge_angle_deg:g} deg is thicker "
+                f"than {a.patella_thickness_mm:g} mm at its border",
+                where="patella_thickness_mm",
+                expected=f"at least {math.ceil(10 * self.edge) / 10:g} mm",
+            )
 
     def __call__(self, points: Points) -> Values:
         """At points (n, 3) [mm]."""
@@ -62,11 +75,10 @@ class PatellaShape:
         return slope * (np.sqrt(y * y + rounding**2) - rounding)
 
     def _front(self, x: Values, y: Values) -> Values:
-        middle_x, middle_y = 0.5 * (self.top + self.bottom), self.middle
-        u = (x - middle_x) / (0.5 * self.anatomy.patella_height_mm)
-        v = (y - middle_y) / (0.5 * self.anatomy.patella_width_mm)
-        edge = self.articular(np.asarray(self.anatomy.patella_width_mm * 0.5)) + EDGE
-        return self.thickness - (self.thickness - edge) * (0.6 * u * u + v * v)
+        """Foremost over the origin, where the thickness is measured."""
+        u = x / np.where(x > 0, self.top, -self.bottom)
+        v = y / np.where(y > 0, self.lateral, self.medial)
+        return self.thickness - (self.thickness - self.edge) * (0.6 * u * u + v * v)
 
     def _outline(self, x: Values, y: Values) -> Values:
         """A rounded shield: wide above, an apex below."""

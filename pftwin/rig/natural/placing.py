@@ -13,8 +13,8 @@ from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
 from pftwin.base.errors import InputError
-from pftwin.rig.natural.anatomy import Anatomy
-from pftwin.rig.natural.femur import EPICONDYLE, FLEXION_AXIS, FemurShape
+from pftwin.rig.natural.anatomy import EPICONDYLE, Anatomy
+from pftwin.rig.natural.femur import FLEXION_AXIS, FemurShape
 from pftwin.rig.natural.motion import internal_rotation
 from pftwin.rig.natural.patella import PatellaShape
 from pftwin.rig.natural.tibia import TibiaShape
@@ -25,10 +25,11 @@ STRANDS = {"patellar_tendon": 5, "mpfl": 3, "lpfl": 3}
 TENDON_WIDTH = 24.0  # of the patellar tendon at the patella; at the tuberosity two thirds of it
 REACH = 200.0  # from a muscle's insertion to where its line ends on the femur
 # Of the quadriceps: share of the pull by cross-sections, and the angle to the femur's shaft, lateral positive [deg].
-# Farahmand, Senavongse & Amis 1998, J Orthop Res 16:136; long and oblique heads are taken together.
+# Farahmand, Senavongse & Amis 1998, J Orthop Res 16:136: long and oblique heads are taken together, and the 35 % of
+# the two in the middle are split by choice.
 QUADRICEPS = {
-    "vastus_medialis": (0.23, -27.0),
-    "vastus_lateralis": (0.42, 18.5),
+    "vastus_medialis": (0.25, -27.0),
+    "vastus_lateralis": (0.40, 18.5),
     "vastus_intermedius": (0.20, 0.0),
     "rectus_femoris": (0.15, 0.0),
 }
@@ -83,15 +84,16 @@ def retinaculum(anatomy: Anatomy, name: str) -> Ends:
 
 
 def rest_pose(anatomy: Anatomy, flexion: float) -> tuple[Points, Rotation]:
-    """Of the patella in the femur: its ridge in the groove, the patellar tendon as long as when slack.
+    """Of the patella in the femur: its ridge in the groove, the tendon's middle strand as long as the anatomy says.
 
     Raises:
         InputError: a tendon so long or so short that the patella cannot lie on the trochlea.
     """
     body, ends = FemurShape(anatomy), patellar_tendon(anatomy)
+    apex, insertion = (points[STRANDS["patellar_tendon"] // 2] for points in ends)
     bent = Rotation.from_euler("YZX", [-flexion, 0.0, float(internal_rotation(np.array(flexion)))], degrees=True)
     axis = np.array([FLEXION_AXIS[0], 0.0, FLEXION_AXIS[1]])
-    tuberosity = axis + bent.apply(ends.body.mean(axis=0) - axis)
+    tuberosity = axis + bent.apply(insertion - axis)
 
     def at(angle: float) -> tuple[Points, Rotation]:
         radius = anatomy.trochlear_radius_mm
@@ -104,13 +106,15 @@ def rest_pose(anatomy: Anatomy, flexion: float) -> tuple[Points, Rotation]:
 
     def excess(angle: float) -> float:
         place, turn = at(angle)
-        return float(np.linalg.norm(place + turn.apply(ends.patella.mean(axis=0)) - tuberosity))
+        return float(np.linalg.norm(place + turn.apply(apex) - tuberosity))
 
     low, high, length = -np.radians(flexion), 1.6, anatomy.tendon_length_mm  # at the least its apex points at the tibia
     if not excess(low) < length < excess(high):
+        least, most = 100 * np.array([excess(low), excess(high)]) / anatomy.patella_height_mm
         raise InputError(
-            f"a patellar tendon of {length:.0f} mm holds the patella nowhere on the trochlea",
-            where="insall_salvati",
-            expected=f"a tendon of {excess(low):.0f} to {excess(high):.0f} mm at {flexion:g} deg of flexion",
+            f"a ratio of {anatomy.insall_salvati:g} and a patella {anatomy.patella_height_mm:g} mm high make a tendon "
+            f"of {length:.0f} mm, which holds the patella nowhere on the trochlea at {flexion:g} deg of flexion",
+            where="insall_salvati, patella_height_mm",
+            expected=f"a ratio of {np.ceil(least) / 100:g} to {np.floor(most) / 100:g} for this height",
         )
     return at(float(brentq(lambda a: excess(a) - length, low, high)))

@@ -135,17 +135,13 @@ def _quadriceps(anatomy: Anatomy, largest: float, done: Activity) -> Effect:
 
 
 def _strands(anatomy: Anatomy, name: str) -> Effect:
-    """The patellar tendon, as long as the Insall-Salvati ratio says; or a retinaculum, taut in full extension."""
-    if name == "patellar_tendon":
-        ends, body = placing.patellar_tendon(anatomy), "tibia"
-        slack = np.full(len(ends.body), 1e-3 * anatomy.tendon_length_mm)
-        stiffness = TENDON_STIFFNESS / len(slack) * np.ones_like(slack)
-    else:
-        ends, body = placing.retinaculum(anatomy, name), "femur"
-        place, turn = placing.rest_pose(anatomy, 0.0)
-        slack = 1e-3 * np.linalg.norm(place + turn.apply(ends.patella) - ends.body, axis=1)
-        stiffness = RETINACULA[name] / len(slack) * slack
+    """The patellar tendon or a retinaculum; each strand is just slack in full extension, in `rest_pose`."""
+    tendon = name == "patellar_tendon"
+    ends = placing.patellar_tendon(anatomy) if tendon else placing.retinaculum(anatomy, name)
+    place, turn = placing.rest_pose(anatomy, 0.0)
+    slack = 1e-3 * np.linalg.norm(place + turn.apply(ends.patella) - ends.body, axis=1)
     one = np.ones_like(slack)
+    stiffness = (TENDON_STIFFNESS * one if tendon else RETINACULA[name] * slack) / len(slack)
     return StrandGroup(
         number(stiffness),
         number(slack),
@@ -153,6 +149,6 @@ def _strands(anatomy: Anatomy, name: str) -> Effect:
         number(DAMPING_TIME * one),
         vector(1e-3 * ends.patella),
         vector(1e-3 * ends.body),
-        body,
+        "tibia" if tendon else "femur",
         name=name,
     )

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pftwin.base.errors import InputError
 from pftwin.base.program_cache import cached
 from pftwin.geometry.mesh.mesh import SurfaceMesh, compacted
 from pftwin.rig.natural.anatomy import Anatomy
@@ -37,11 +38,13 @@ def bones(anatomy: Anatomy, resolution_mm: float = 1.5) -> Bones:
 
     Args:
         anatomy: its numbers.
-        resolution_mm: size of the triangles, 0.1 to 5 mm; the patella's are half as large.
+        resolution_mm: size of the triangles, 0.4 to 5 mm; the patella's are half as large.
 
     Raises:
-        InputError: a resolution out of range, or too coarse for the anatomy.
+        InputError: a resolution out of range, or too coarse for the anatomy; an anatomy that makes no patella.
     """
+    if not 0.4 <= resolution_mm <= 5:
+        raise InputError(f"found {resolution_mm!r}", where="resolution_mm", expected="0.4 to 5 mm")
     fine = {"femur": resolution_mm, "patella": 0.5 * resolution_mm, "tibia": resolution_mm}
     numbers = dataclasses.asdict(anatomy)
     return Bones(**{n: SurfaceMesh(*cached(_meshed, n, numbers, fine[n], files=()), f"natural {n}") for n in _SHAPES})

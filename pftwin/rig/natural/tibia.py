@@ -17,6 +17,7 @@ Values = NDArray[np.float64]
 GAP = 5.0  # between condyles and plateau: cartilage and menisci [mm]
 TUBEROSITY_BELOW = 22.0  # the plateau [mm]
 TUBEROSITY_BEFORE = 24.0  # the trochlear axis [mm]
+TUBEROSITY_HALF_WIDTH = 14.0  # [mm]
 LENGTH = 120.0  # below the plateau [mm]
 SHAFT_WIDTH = 27.0  # [mm]
 BLEND = 1.5  # [mm]
@@ -42,7 +43,7 @@ class TibiaShape:
 
     def box(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
         """Corners of a box that holds it."""
-        wide = 0.5 * self.anatomy.epicondylar_width_mm + 6
+        wide = max(0.5 * self.anatomy.epicondylar_width_mm, self.anatomy.tt_tg_mm + TUBEROSITY_HALF_WIDTH) + 6
         return (self.plateau - LENGTH - 6, -wide, -40.0), (self.plateau + 8, wide, TUBEROSITY_BEFORE + 8)
 
     def _shaft(self, x: Values, y: Values, z: Values) -> Values:
@@ -60,5 +61,5 @@ class TibiaShape:
     def _bump(self, x: Values, y: Values, z: Values) -> Values:
         """An ellipsoid whose front is the tuberosity."""
         height, aside, before = self.tuberosity
-        u, v, w = (x - height + 4) / 26, (y - aside) / 14, (z - before + 11) / 11
+        u, v, w = (x - height + 4) / 26, (y - aside) / TUBEROSITY_HALF_WIDTH, (z - before + 11) / 11
         return 11 * (1 - np.sqrt(u * u + v * v + w * w + 1e-12))

@@ -20,6 +20,7 @@ from scipy.spatial.transform import Rotation
 from pftwin import rig
 from pftwin.geometry.mesh.mesh import SurfaceMesh
 from pftwin.rig.natural.femur import FLEXION_AXIS
+from pftwin.rig.natural.motion import internal_rotation
 from pftwin.rig.natural.placing import rest_pose
 
 FLEXION = 45.0
@@ -56,7 +57,8 @@ def assembled(anatomy: rig.Anatomy) -> list[tuple[NDArray, SurfaceMesh, tuple]]:
     """The bones in the femur's frame, bent [mm]."""
     made = rig.bones(anatomy, 1.0)
     axis = np.array([FLEXION_AXIS[0], 0.0, FLEXION_AXIS[1]])
-    tibia = axis + Rotation.from_euler("Y", -FLEXION, degrees=True).apply(1e3 * made.tibia.vertices - axis)
+    bent = Rotation.from_euler("YZX", [-FLEXION, 0.0, float(internal_rotation(np.array(FLEXION)))], degrees=True)
+    tibia = axis + bent.apply(1e3 * made.tibia.vertices - axis)
     place, turn = rest_pose(anatomy, FLEXION)
     patella = place + turn.apply(1e3 * made.patella.vertices)
     parts = ((1e3 * made.femur.vertices, made.femur, BONE), (tibia, made.tibia, BONE))

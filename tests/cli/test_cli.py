@@ -246,6 +246,14 @@ def test_the_natural_knee_has_one_contact() -> None:
     assert "--contact: given with --knee" in refused("equilibrium", "--knee", "normal", "--contact", "P5")
 
 
+@pytest.mark.slow
+def test_the_natural_knee_finds_its_equilibrium(tmp_path: Path) -> None:
+    result = pftwin("equilibrium", "--knee", "B", "--json", tmp_path / "o.json")
+    assert result.exit_code == 0, result.output
+    facts = json.loads((tmp_path / "o.json").read_text())
+    assert facts["converged"]
+
+
 def test_validate_needs_measurements(toy: Path) -> None:
     bare = toy.with_name("bare.toml")
     bare.write_text(SCENE)

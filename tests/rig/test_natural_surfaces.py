@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 from scipy.optimize import brentq
@@ -201,6 +204,18 @@ def test_vertices_are_on_a_known_surface_and_outside_is_out():
 def test_what_is_no_knee_is_refused(numbers, words):
     with pytest.raises(InputError, match=words):
         Anatomy(**numbers)
+
+
+def test_the_page_lists_each_number_with_its_default_range_and_source():
+    page = Path(__file__).parents[2] / "docs/natural_knee.md"
+    rows = [
+        line.strip("| ").split(" | ") for line in page.read_text().splitlines() if re.match(r"\| `\w+` \| -?\d", line)
+    ]
+    expected = [
+        [f"`{name}`", f"{getattr(Anatomy(), name):g}", f"{low:g} to {high:g}", source]
+        for name, (low, high, source) in Anatomy.ranges().items()
+    ]
+    assert rows == expected
 
 
 def test_what_cannot_be_made_is_refused():

@@ -148,10 +148,9 @@ def test_tendon_and_contact_by_quadriceps_lie_in_wide_bounds_and_change_as_measu
 
 
 @pytest.mark.slow
-def test_the_medial_ligament_pulls_near_extension_alone(squat):
+def test_the_medial_ligament_hangs_slack_in_a_bent_knee(squat):
     """If at all: Amis et al. 2003, Knee 10:215."""
     bent = np.degrees(squat.knee.flexion) > 45
-    assert squat.effects["mpfl"]["tension"][0] > 0
     assert squat.effects["mpfl"]["tension"][bent].max() < 5
 
 

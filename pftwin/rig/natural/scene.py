@@ -57,7 +57,7 @@ def knee(
         resolution_mm: size of the triangles, 0.5 to 2 mm; the patella's are half as large.
 
     Raises:
-        InputError: a number out of range, a resolution too coarse for the anatomy.
+        InputError: a number out of range, a patella that lies nowhere on the trochlea, a resolution too coarse.
     """
     for name, value, (low, high) in (
         ("quadriceps", quadriceps, (20.0, 5000.0)),

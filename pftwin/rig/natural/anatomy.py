@@ -58,7 +58,7 @@ class Anatomy:
     def __post_init__(self) -> None:
         for name, (low, high, source) in self.ranges().items():
             value = getattr(self, name)
-            if not (isinstance(value, Real) and low <= value <= high):  # NaN, too
+            if not (isinstance(value, Real) and low <= float(value) <= high):  # NaN, too
                 raise InputError(f"found {value!r}", where=name, expected=f"{low:g} to {high:g} ({source})")
         if self.medial_inclination_deg <= 0:
             raise InputError(

@@ -123,12 +123,14 @@ def test_the_patella_stays_within_millimetres_and_degrees(squat):
 @pytest.mark.slow
 def test_the_strands_of_the_tendon_share_its_pull_in_full_extension():
     """Equal stiffness per strain, slack at the lengths of full extension: stretched alike they pull alike."""
-    tendon = rig.knee(duration=0.5, resolution_mm=2.0).effect("patellar_tendon")
+    scene = rig.knee(duration=0.5, resolution_mm=2.0)
     ends = placing.patellar_tendon(NORMAL)
     place, turn = placing.rest_pose(NORMAL, 0.0)
     length = 1e-3 * np.linalg.norm(place + turn.apply(ends.patella) - ends.body, axis=1)
-    np.testing.assert_allclose(np.asarray(tendon.slack_length), length, rtol=1e-5)
-    np.testing.assert_allclose(np.asarray(tendon.stiffness), 660e6 * 100e-6 / 5)  # Johnson et al. 1994, 100 mm2
+    np.testing.assert_allclose(np.asarray(scene.get("patellar_tendon.slack_length")), length, rtol=1e-5)
+    np.testing.assert_allclose(
+        np.asarray(scene.get("patellar_tendon.stiffness")), 660e6 * 100e-6 / 5
+    )  # Johnson et al. 1994, 100 mm2
 
 
 @pytest.mark.slow

@@ -78,6 +78,11 @@ def says(page, words: str) -> None:
     page.wait_for_function("words => document.body.innerText.includes(words)", arg=words, timeout=180_000)
 
 
+def show_times(page) -> None:
+    """Those of the program, which have a tab of their own."""
+    page.get_by_role("tab", name="Times").click()
+
+
 def drag(page, label: str, share: float) -> None:
     """Takes a slider to a share of its length, by the mouse."""
     slider = page.locator(SLIDER.format(label))
@@ -107,6 +112,7 @@ def test_the_page_loads_without_a_complaint_and_asks_nobody_else(browser, comman
     with opened(browser, command[1]) as (page, seen):
         says(page, "Dislocation: yes")
         says(page, f"{SYNTHETIC[0].upper()}{SYNTHETIC[1:]}.")
+        show_times(page)
         says(page, "slider to new motion: none yet")
         page.wait_for_timeout(500)
         assert near(picture(page), ORANGE) > 500
@@ -121,6 +127,7 @@ def test_dragging_the_tuberosity_medially_cures_case_2_on_this_page_alone(browse
         before = picture(page)
         drag(page, "medialisation [mm]", 0.72)  # to 16 mm
         says(page, "Dislocation: no")
+        show_times(page)
         told = r"slider to new motion: \d+ ms \(of the last \d+: median \d+, worst \d+ ms\)"
         page.wait_for_function("told => new RegExp(told).test(document.body.innerText)", arg=told, timeout=180_000)
         value = float(page.locator(SLIDER.format("medialisation [mm]")).locator("input").last.input_value())
@@ -129,6 +136,7 @@ def test_dragging_the_tuberosity_medially_cures_case_2_on_this_page_alone(browse
         assert (np.abs(picture(page) - before).max(axis=2) > 20).sum() > 1000
         says(other, "Dislocation: yes")
         drag(other, "distalisation [mm]", 0.6)
+        show_times(other)
         other.wait_for_function("() => document.body.innerText.includes('of the last')", timeout=180_000)
         assert "Dislocation: no" in page.locator("body").inner_text()
         assert [m for m in seen["messages"] if m[0] == "error"] == []

@@ -15,12 +15,11 @@ import matplotlib.pyplot as plt
 import numpy as np
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from pftwin import rig
 from pftwin.geometry.mesh.mesh import SurfaceMesh
 from pftwin.rig.natural.femur import FLEXION_AXIS
-from pftwin.rig.natural.motion import internal_rotation
+from pftwin.rig.natural.motion import tibia_turn
 from pftwin.rig.natural.placing import rest_pose
 
 FLEXION = 45.0
@@ -57,7 +56,7 @@ def assembled(anatomy: rig.Anatomy) -> list[tuple[NDArray, SurfaceMesh, tuple]]:
     """The bones in the femur's frame, bent [mm]."""
     made = rig.bones(anatomy, 1.0)
     axis = np.array([FLEXION_AXIS[0], 0.0, FLEXION_AXIS[1]])
-    bent = Rotation.from_euler("YZX", [-FLEXION, 0.0, float(internal_rotation(np.array(FLEXION)))], degrees=True)
+    bent = tibia_turn(np.asarray(FLEXION))
     tibia = axis + bent.apply(1e3 * made.tibia.vertices - axis)
     place, turn = rest_pose(anatomy, FLEXION)
     patella = place + turn.apply(1e3 * made.patella.vertices)

@@ -106,7 +106,9 @@ def chosen_scene(
 ) -> Chosen:
     """Loads the scene file, the rig's case or the natural knee, with another contact or motion if one is named;
     InputError where it cannot."""
-    given = [name for name, value in (("a scene file", scene), ("--case", case), ("--knee", natural)) if value]
+    given = [
+        name for name, value in (("a scene file", scene), ("--case", case), ("--knee", natural)) if value is not None
+    ]
     if len(given) != 1:
         found = f"both {' and '.join(given)}" if given else "neither a scene file nor --case"
         raise InputError(f"{found} given", expected="one of them", remedy="pftwin simulate --case 1 -o case1.nc")

@@ -88,7 +88,7 @@ class PressedSurface(eqx.Module):
 
     def bend(self, place: Array, point: Vec3, vector: Vec3) -> Vec3:
         """Slopes of the normals' components along vectors (k,), by the points: none, for normals jump between faces."""
-        return point * jnp.zeros((), point.x.dtype)
+        return jax.tree.map(jnp.zeros_like, point)
 
     def facet(self, place: Array, point: Vec3) -> Array | None:
         """Labels (k,) of the triangles in some places, nearest to points; None where the mesh has none."""

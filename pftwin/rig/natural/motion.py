@@ -14,10 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pftwin.base.errors import InputError
+from pftwin.base.rotations import tibiofemoral_orientation
 from pftwin.rig.natural.femur import FLEXION_AXIS
 from pftwin.rig.natural.implicit import smooth_step
 
 if TYPE_CHECKING:
+    from scipy.spatial.transform import Rotation
+
     from pftwin.model.motion import KneeMotion
 
 STRAIGHT, BENT = 15.0, 90.0  # flexion between which it goes [deg]
@@ -50,9 +53,13 @@ def squat(duration: float) -> Activity:
     return Activity(_motion(times, inclined, flexion), flexion, inclined, pull, (-9.81, 0.0, 0.0))
 
 
-def internal_rotation(flexion: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Of the tibia, from none in full extension [deg]."""
-    return SCREW_HOME * smooth_step(flexion / SCREWED)
+def tibia_turn(flexion: NDArray[np.float64]) -> Rotation:
+    """Of the tibia in the femur [deg]: it turns inward as it bends, from none in full extension."""
+    from scipy.spatial.transform import Rotation
+
+    inward = SCREW_HOME * smooth_step(flexion / SCREWED)
+    q = tibiofemoral_orientation(*(np.radians(a) for a in (flexion, 0 * flexion, inward)))
+    return Rotation.from_quat(np.stack([q.w, q.x, q.y, q.z], axis=-1), scalar_first=True)
 
 
 def _motion(times: NDArray, inclined: NDArray, flexion: NDArray) -> KneeMotion:
@@ -62,8 +69,7 @@ def _motion(times: NDArray, inclined: NDArray, flexion: NDArray) -> KneeMotion:
     from pftwin.model.motion import KneeMotion
 
     femur = Rotation.from_euler("Y", inclined[:, None], degrees=True)
-    angles = np.stack([-flexion, 0 * flexion, internal_rotation(flexion)], axis=1)
-    tibia = femur * Rotation.from_euler("YZX", angles, degrees=True)
+    tibia = femur * tibia_turn(flexion)
     axis = 1e-3 * np.array([FLEXION_AXIS[0], 0.0, FLEXION_AXIS[1]])
     places = {"femur": np.zeros((times.size, 3)), "tibia": femur.apply(axis) - tibia.apply(axis)}
     femoral, tibial = (

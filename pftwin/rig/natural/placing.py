@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 from pftwin.base.errors import InputError
 from pftwin.rig.natural.anatomy import EPICONDYLE, Anatomy
 from pftwin.rig.natural.femur import FLEXION_AXIS, FemurShape
-from pftwin.rig.natural.motion import internal_rotation
+from pftwin.rig.natural.motion import tibia_turn
 from pftwin.rig.natural.patella import PatellaShape
 from pftwin.rig.natural.tibia import TibiaShape
 
@@ -91,7 +91,7 @@ def rest_pose(anatomy: Anatomy, flexion: float) -> tuple[Points, Rotation]:
     """
     body, ends = FemurShape(anatomy), patellar_tendon(anatomy)
     apex, insertion = (points[STRANDS["patellar_tendon"] // 2] for points in ends)
-    bent = Rotation.from_euler("YZX", [-flexion, 0.0, float(internal_rotation(np.array(flexion)))], degrees=True)
+    bent = tibia_turn(np.asarray(flexion))
     axis = np.array([FLEXION_AXIS[0], 0.0, FLEXION_AXIS[1]])
     tuberosity = axis + bent.apply(insertion - axis)
 

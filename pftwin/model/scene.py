@@ -20,6 +20,7 @@ from pftwin.model.motion import KneeMotion
 from pftwin.model.scene_parameters import get_value, with_value
 
 if TYPE_CHECKING:
+    from pftwin.model.drawn_bones import DrawnBones
     from pftwin.model.effects.contact import Contact
     from pftwin.model.measured import Measured
 
@@ -48,6 +49,7 @@ class Scene(eqx.Module):
     # Measurements of this motion, if any. A treated knee moves differently, so treatments drop them.
     measured: Measured | None = eqx.field(static=True, default=None)
     limits: Limits | None = eqx.field(static=True, default=None)  # what a knee can be; None: it may be any body
+    bones: DrawnBones | None = eqx.field(static=True, default=None)  # for drawings; None: these show schematic ones
 
     def effect(self, name: str) -> Effect:
         """The effect of that name.
@@ -89,8 +91,8 @@ class Scene(eqx.Module):
         return dataclasses.replace(self, effects=tuple(e for e in self.effects if e is not gone))
 
     def unnamed(self) -> Scene:
-        """The scene without names, measurements and limits: no program depends on them, and like scenes share one."""
-        return dataclasses.replace(self, name="", synthetic=False, measured=None, limits=None)
+        """The scene without what no program depends on, as names, measurements and limits: like scenes share one."""
+        return dataclasses.replace(self, name="", synthetic=False, measured=None, limits=None, bones=None)
 
     def with_limits(self, **limits: float) -> Scene:
         """The scene as a knee, whose numbers `check` keeps within limits; any of them can be set by name.

@@ -7,6 +7,7 @@
 | continuation_vertices, ..._triangles | femur | that surface beyond its rectangle, where it was touched |
 | button_vertices, button_triangles | patella | the button's mesh, where it has one |
 | button_center, button_radius | patella | the button's sphere, where it is one |
+| BODY_bone_vertices, BODY_bone_triangles | BODY | surface of femur, patella or tibia, where the scene has it |
 | NAME_insertion | patella | where a tendon's, ligament's or muscle's lines end on the patella |
 | NAME_origin | its attribute `body` | where they come from; with the frames' axis where that moves |
 
@@ -131,6 +132,8 @@ def geometry(scene: Scene, effects: Effects | None = None) -> Dataset:
             radius = np.asarray(contact.button_radius(), dtype=np.float64)
             variables["button_center"] = (("axis",), center, _about("m", "centre of the button's sphere", "patella"))
             variables["button_radius"] = ((), radius, _about("m", "radius of the button's sphere", "patella"))
+    for body, mesh in {} if scene.bones is None else scene.bones.surfaces.items():
+        variables |= _mesh(f"{body}_bone", (mesh.vertices, mesh.faces), body, f"the {body}'s bone")
     for effect in scene.effects:
         variables |= _lines(effect, scene.motion)
     axes = {"long_name": "x proximal, y lateral, z anterior", "units": "1"}

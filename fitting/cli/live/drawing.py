@@ -49,7 +49,7 @@ class Bones:
 
     def __init__(self, scene: SceneApi, recorded: Recorded, component: Shape | None) -> None:
         self._scene = scene
-        shaft, shin = bones.femur_shaft(recorded), bones.tibia_shaft(recorded)
+        shaft, shin = bones.femur(recorded), bones.tibia(recorded)
         mesh(scene, "/femur", shaft.shape, shaft.colour, shaft.opacity)
         self.set_component(component)
         self._tibia = scene.add_frame("/tibia", show_axes=False)
@@ -132,7 +132,7 @@ class DrawnKnee:
         return mesh(self._scene, f"{self._root}/{name}", shape, code, opacity * self._opacity)
 
     def _body(self, recorded: Recorded) -> None:
-        schematic, *button = bones.patella_parts(recorded)
-        self._mesh("patella/body", schematic.shape, self._code, schematic.opacity)
+        body, *button = bones.patella_parts(recorded)
+        self._mesh("patella/body", body.shape, self._code if body.opacity < 1 else paler(self._code, 0.5), body.opacity)
         for part in button:
             self._mesh("patella/button", part.shape, part.colour, part.opacity)

@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
-from pftwin.results.viewer.knee import REST, gaps_filled, line_ends
-from pftwin.results.viewer.recorded import FEW, Recorded
-from pftwin.results.viewer.shapes import MM, Matrices, Shape, at_points, of_arrows, path, spaced_points, tubes
+from pftwin.results.viewer.knee import REST, gaps_filled
+from pftwin.results.viewer.line_shapes import line_shape
+from pftwin.results.viewer.recorded import Recorded
+from pftwin.results.viewer.shapes import MM, Matrices, Shape, at_points, of_arrows, path, spaced_points
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -133,11 +134,8 @@ class Shown:
 
     @cached_property
     def lines(self) -> dict[str, tuple[NDArray[np.float32], NDArray[np.uint32]]]:
-        """Tendons, ligaments and muscles as tubes: vertices (n, v, 3) and triangles, by name."""
-        found = {}
-        for name, lines in self.recorded.lines.items():
-            found[name] = tubes(line_ends(lines), MM * lines.radius, 10 if len(lines.insertion) <= FEW else 5)
-        return found
+        """Tendons, ligaments and muscles: vertices (n, v, 3) and triangles, by name."""
+        return {name: line_shape(lines) for name, lines in self.recorded.lines.items()}
 
     @cached_property
     def origins(self) -> dict[str, Floats]:

@@ -48,7 +48,7 @@ class PartTrack(NamedTuple):
 
 
 def save_glb(result: Result | str | os.PathLike[str], path: str | os.PathLike[str]) -> None:
-    """Writes the moving knee: component, button, schematic bones, tendons and ligaments.
+    """Writes the moving knee: component, button, bones, tendons and ligaments.
 
     Time begins at 0. Frames that are not finite are left out; between frames viewers interpolate.
 
@@ -85,10 +85,10 @@ def glb(result: Recorded) -> bytes:
 
 
 def _solids(result: Recorded) -> list[Solid]:
-    """Femoral component, schematic bones and button, with all their triangles."""
+    """Femoral component, bones and button, with all their triangles."""
     from pftwin.results.viewer import bones
 
-    shafts = bones.femur_shaft(result), bones.tibia_shaft(result)
+    shafts = bones.femur(result, sys.maxsize), bones.tibia(result, sys.maxsize)
     return [*bones.femoral_component(result, sys.maxsize), *shafts, *bones.patella_parts(result, sys.maxsize)]
 
 

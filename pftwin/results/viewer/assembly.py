@@ -55,13 +55,13 @@ def plot(results: Sequence[Recorded]) -> tuple[Plot, dict[str, Any]]:
     first = results[0]
     alike = [r for r in results if _same_component(first, r)]
     farthest = max(alike, key=lambda r: r.geometry.sizes.get("continuation_vertex", 0))
-    shafts = knee.solid(first, bones.femur_shaft(first)), knee.solid(first, bones.tibia_shaft(first))
+    shafts = knee.solid(first, bones.femur(first)), knee.solid(first, bones.tibia(first))
     objects = [*shafts, *knee.component(farthest)]
     own = []
     for result, code in zip(results, codes, strict=True):
         parts = [*knee.patella(result, code), *knee.tendons(result, code), *knee.contacts(result, code, newtons)]
         if result is not first and not _same_motion(first, result):
-            parts.append(knee.solid(result, bones.tibia_shaft(result), paler(code, 0.5)))
+            parts.append(knee.solid(result, bones.tibia(result), paler(code, 0.5)))
         if result not in alike:
             parts += knee.component(result, paler(code, 0.5), result.name)
         own.append(parts)

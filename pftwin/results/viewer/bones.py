@@ -1,4 +1,5 @@
-"""The solid parts of a knee as every drawing shows them: component, button, and simple bones called schematic."""
+"""The solid parts of a knee as every drawing shows them: bones, component, button. Bones that a scene has no surfaces
+of are simple solids, called schematic."""
 
 from __future__ import annotations
 
@@ -7,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pftwin.results.viewer.recorded import Recorded
+from pftwin.results.viewer.recorded import Mesh, Recorded
 from pftwin.results.viewer.shapes import (
     MM,
     MOST_TRIANGLES,
@@ -29,6 +30,7 @@ DEPTH = 0.72  # of a bone, front to back, as a share of its width
 PLATEAU_AT = 0.45  # of the way from the tibia's origin down to the tuberosity
 PROUD = 2.0  # of the tuberosity before the plateau's front [mm]
 RIM = 4.0  # of the patella's body beyond its tendons [mm]
+SAME = 1e-6  # vertices of files that are nearer are one [m]
 BEHIND = 30.0  # the femur's axis behind the front of its component [mm]
 
 
@@ -42,8 +44,16 @@ class Solid(NamedTuple):
     opacity: float = 1.0
 
 
-def femur_shaft(result: Recorded) -> Solid:
-    """A schematic shaft that goes up from behind the femoral component."""
+def bone(result: Recorded, body: str, most: int = MOST_TRIANGLES) -> Solid | None:
+    """A bone's own surface, thinned to `most` triangles; None where the scene has none."""
+    mesh = result.mesh(f"{body}_bone")
+    return None if mesh is None else Solid(body, body, surface(mesh, most), BONE)
+
+
+def femur(result: Recorded, most: int = MOST_TRIANGLES) -> Solid:
+    """The bone, or a schematic shaft that goes up from behind the femoral component."""
+    if (own := bone(result, "femur", most)) is not None:
+        return own
     component = result.mesh("femur") or result.mesh("surface")
     points = np.zeros((1, 3)) if component is None else MM * component[0]
     low, high = points.min(axis=0), points.max(axis=0)
@@ -52,10 +62,12 @@ def femur_shaft(result: Recorded) -> Solid:
 
 
 def femoral_component(result: Recorded, most: int = MOST_TRIANGLES) -> list[Solid]:
-    """Its mesh, thinned to `most` triangles, or its smooth surface with a continuation where it was touched beyond."""
+    """Its mesh, thinned to `most` triangles, or its smooth surface with a continuation where it was touched beyond.
+    Nothing where it is part of the bone's surface.
+    """
     mesh, fitted, beyond = (result.mesh(name) for name in ("femur", "surface", "continuation"))
     found = []
-    if mesh is not None:
+    if mesh is not None and not _part_of(mesh, result.mesh("femur_bone")):
         found.append(Solid("femoral mesh", "femur", surface(mesh, most), METAL))
     if fitted is not None:
         found.append(Solid("femoral surface", "femur", shell(fitted), METAL))
@@ -64,8 +76,10 @@ def femoral_component(result: Recorded, most: int = MOST_TRIANGLES) -> list[Soli
     return found
 
 
-def tibia_shaft(result: Recorded) -> Solid:
-    """A schematic plateau and shaft, just behind the patellar tendon's origin."""
+def tibia(result: Recorded, most: int = MOST_TRIANGLES) -> Solid:
+    """The bone, or a schematic plateau and shaft, just behind the patellar tendon's origin."""
+    if (own := bone(result, "tibia", most)) is not None:
+        return own
     ends = [MM * lines.origin.reshape(-1, 3) for lines in result.lines.values() if lines.body == "tibia"]
     tuberosity = np.concatenate(ends).mean(axis=0) if ends else np.array([-75.0, 0.0, 40.0])
     top = PLATEAU_AT * tuberosity[0] if tuberosity[0] < 0 else tuberosity[0] + 40.0
@@ -75,9 +89,12 @@ def tibia_shaft(result: Recorded) -> Solid:
 
 
 def patella_parts(result: Recorded, most: int = MOST_TRIANGLES) -> list[Solid]:
-    """The patella's body (schematic), and its button where the scene has one."""
-    body = Solid("patella (schematic)", "patella", _patella_body(result), BONE, 0.4)
+    """The patella, schematic where the scene has no surface of it, and its button where there is one besides."""
+    schematic = Solid("patella (schematic)", "patella", _patella_body(result), BONE, 0.4)
+    body = bone(result, "patella", most) or schematic
     mesh = result.mesh("button")
+    if mesh is not None and _part_of(mesh, result.mesh("patella_bone")):
+        return [body]
     if mesh is not None:
         button = behind_plane(surface(mesh, most), float(body.shape.vertices[:, 2].mean()))
     elif "button_radius" in result.geometry:
@@ -85,6 +102,13 @@ def patella_parts(result: Recorded, most: int = MOST_TRIANGLES) -> list[Solid]:
     else:
         return [body]
     return [body, Solid("button", "patella", button, PLASTIC, 0.75)]
+
+
+def _part_of(mesh: Mesh, whole: Mesh | None) -> bool:
+    """Whether a mesh's vertices are vertices of a bone, as those of its cartilage may be."""
+    from scipy.spatial import KDTree
+
+    return whole is not None and bool(KDTree(whole[0]).query(mesh[0])[0].max() < SAME)
 
 
 def _patella_body(result: Recorded) -> Shape:

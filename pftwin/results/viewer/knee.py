@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import MissingExtraError
 from pftwin.results.viewer import bones
-from pftwin.results.viewer.recorded import FEW, ContactArrow, Lines, Recorded
+from pftwin.results.viewer.line_shapes import line_shape
+from pftwin.results.viewer.recorded import ContactArrow, Recorded
 from pftwin.results.viewer.shapes import (
     MM,
     Matrices,
@@ -22,7 +23,6 @@ from pftwin.results.viewer.shapes import (
     of_arrows,
     path,
     spaced_points,
-    tubes,
 )
 
 if TYPE_CHECKING:
@@ -126,20 +126,21 @@ def component(result: Recorded, code: str = bones.METAL, group: str = "bones") -
 
 
 def patella(result: Recorded, code: str) -> list[Drawable]:
-    """The patella's body (schematic) and the button."""
-    schematic, *button = bones.patella_parts(result)
-    return [solid(result, schematic, code, result.name), *(solid(result, b, group=result.name) for b in button)]
+    """The patella's body, paler where it is opaque, and the button."""
+    body, *button = bones.patella_parts(result)
+    shade = code if body.opacity < 1 else paler(code, 0.5)
+    return [solid(result, body, shade, result.name), *(solid(result, b, group=result.name) for b in button)]
 
 
 def tendons(result: Recorded, code: str) -> list[Drawable]:
-    """Tendons, ligaments and muscles as straight tubes, and where a tendon begins on the tibia."""
+    """Tendons, ligaments and muscles, and where a tendon begins on a schematic tibia."""
     drawn = []
     for name, lines in result.lines.items():
-        vertices, triangles = tubes(line_ends(lines), MM * lines.radius, 10 if len(lines.insertion) <= FEW else 5)
+        vertices, triangles = line_shape(lines)
         tube = body(Shape(vertices[0], triangles), paler(code, 0.3), name=name.replace("_", " "), group=result.name)
         tube.vertices = time_series(result.times, vertices)
         drawn.append(tube)
-        if lines.body == "tibia":
+        if lines.body == "tibia" and result.mesh("tibia_bone") is None:
             bump = ellipsoid(MM * lines.origin.reshape(-1, 3).mean(axis=0) - [0.0, 0.0, 6.0], [9.5, 6.5, 8.0])
             what = f"{name.replace('_', ' ')}'s origin"
             drawn.append(moving_shape(bump, code, result.times, result.tibia, name=what, group=result.name))
@@ -192,8 +193,3 @@ def _path(result: Recorded, arrow: ContactArrow, code: str) -> list[Drawable]:
     behind = body(trail, code, name=f"{arrow.name}: path", group=result.name)
     behind.vertices = time_series(result.times, grown)
     return [way, behind]
-
-
-def line_ends(lines: Lines) -> Floats:
-    """Insertions, then origins, in the femur's frame (n, 2 k, 3) [mm]."""
-    return MM * np.concatenate(lines.ends, axis=1)

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from k3d.plot import Plot
 
 _BOX = "font:13px/1.45 system-ui,'Segoe UI',Helvetica,Arial,sans-serif;color:#222"
-SCHEMATIC = "Shaft of the femur, tibia and patella are schematic: the scene has no meshes of them."
 CONTINUED = "Pale: the fitted surface continued beyond its edge."
 _RIGHT = "text-align:right;padding-right:8px;white-space:nowrap"
 _TITLE = re.compile(r"<title>.*?</title>", re.DOTALL)
@@ -38,7 +37,9 @@ def notes(results: Sequence[Recorded], newtons: float) -> list[str]:
     """Why a motion may not be spoken of, notes on the data, then on the drawing."""
     said = [f"{r.verdict.describe()} ({r.name})." for r in results if not r.verdict.valid]
     said += list(dict.fromkeys(f"{r.note[0].upper()}{r.note[1:]}." for r in results if r.note))
-    said.append(SCHEMATIC)
+    missing = [body for body in ("femur", "tibia", "patella") if any(r.mesh(f"{body}_bone") is None for r in results)]
+    if missing:
+        said.append(f"{', '.join(missing).capitalize()}: schematic, for want of a mesh.")
     if any(r.mesh("continuation") is not None for r in results):
         said.append(CONTINUED)
     if any(arrow.present.any() for r in results for arrow in r.contact_arrows):

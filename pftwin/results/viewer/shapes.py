@@ -153,7 +153,7 @@ def tubes(ends: NDArray[np.float64], radius: float, sides: int) -> tuple[NDArray
     ring = _rings(ends[:, k:] - ends[:, :k], radius, sides)
     vertices = ends[:, :, None] + np.concatenate([ring, ring], axis=1)
     a = np.arange(k * sides).reshape(k, sides)
-    faces = _ring_triangles(a, a + k * sides).reshape(-1, 3)
+    faces = ring_triangles(a, a + k * sides).reshape(-1, 3)
     return vertices.reshape(len(ends), -1, 3).astype(np.float32), faces.astype(np.uint32)
 
 
@@ -165,7 +165,7 @@ def path(points: NDArray[np.float64], radius: float, sides: int = 6) -> Shape:
     vertices = p[:, None] + _rings(along[None], radius, sides)[0]
     k = np.arange(len(p) * sides).reshape(len(p), sides)
     whole = np.diff(np.cumsum(~there)[there]) == 0
-    faces = _ring_triangles(k[:-1], k[1:])[whole].reshape(-1, 3)
+    faces = ring_triangles(k[:-1], k[1:])[whole].reshape(-1, 3)
     return Shape(vertices.reshape(-1, 3).astype(np.float32), faces.astype(np.uint32))
 
 
@@ -192,7 +192,7 @@ def _rings(along: NDArray[np.float64], radius: float, sides: int) -> NDArray[np.
     return radius * (np.cos(angle) * x[..., None, :] + np.sin(angle) * y[..., None, :])
 
 
-def _ring_triangles(a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.int64]:
+def ring_triangles(a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.int64]:
     """Triangles (k, sides, 2, 3) that join rings of vertices (k, sides)."""
     c, d = np.roll(b, -1, axis=1), np.roll(a, -1, axis=1)
     return np.stack([np.stack([a, b, c], axis=2), np.stack([a, c, d], axis=2)], axis=2)

@@ -13,6 +13,7 @@ from pftwin.geometry.mesh.mesh import SurfaceMesh
 from pftwin.geometry.patch.charts import CylindricalChart
 from pftwin.geometry.patch.closest import Surface
 from pftwin.geometry.patch.fit import fit_spline
+from pftwin.model.drawn_bones import DrawnBones
 from pftwin.model.effects.base import Effect
 from pftwin.model.effects.damping import LinearDamping
 from pftwin.model.effects.elastic_foundation import ElasticFoundation
@@ -76,7 +77,8 @@ def knee(
         _cartilage(anatomy, *articular(made)),
         LinearDamping(*(number(c) for c in DRAG), body="femur"),
     )
-    return Scene(body, effects, done.motion, _start(anatomy, done), "natural knee, squat", synthetic=True)
+    drawn = DrawnBones(made._asdict())
+    return Scene(body, effects, done.motion, _start(anatomy, done), "natural knee, squat", synthetic=True, bones=drawn)
 
 
 def _start(anatomy: Anatomy, done: Activity) -> Pose:

@@ -20,7 +20,6 @@ from pftwin.base.errors import InputError, MissingExtraError, OutputError
 from pftwin.files.result_files import load_dataset, save_dataset
 from pftwin.results.viewer import view
 from pftwin.results.viewer.assembly import plot
-from pftwin.results.viewer.knee import line_ends
 from pftwin.results.viewer.page import page
 from pftwin.results.viewer.recorded import MOST_FRAMES, Recorded, recorded
 from pftwin.results.viewer.shapes import MOST_TRIANGLES, Shape, behind_plane, path, shell, spaced_points, surface, tubes
@@ -72,14 +71,14 @@ def test_the_patella_goes_where_the_result_says(drawn, result, name):
 @pytest.mark.parametrize("tendon", ["quadriceps", "patellar_tendon"])
 def test_lines_are_as_long_as_their_tendons(result, tendon):
     one = Recorded.of(result)
-    ends = line_ends(one.lines[tendon])
+    ends = 1e3 * np.concatenate(one.lines[tendon].ends, axis=1)
     length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
     np.testing.assert_allclose(length, 1e3 * result.effects[tendon]["length"], atol=1e-3)
 
 
 def test_tubes_begin_and_end_where_lines_do(drawn, result):
     one = Recorded.of(result)
-    ends = line_ends(one.lines["patellar_tendon"])
+    ends = 1e3 * np.concatenate(one.lines["patellar_tendon"].ends, axis=1)
     for k, vertices in enumerate(named(drawn, "patellar tendon").vertices.values()):
         rings = vertices.reshape(2, -1, 3)
         np.testing.assert_allclose(rings.mean(axis=1), ends[k], atol=1e-3)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pftwin.cli import audit, doctor, exchange, meshes, simulate, studies
+from pftwin.cli import audit, doctor, exchange, meshes, simulate, studies, view
 from pftwin.cli.contact_map import contact_map
 from pftwin.cli.doctor_mesh import doctor_mesh
 from pftwin.cli.plugins import Command, Job
@@ -17,7 +17,7 @@ COMMANDS = (
     Command("validate", simulate.validate, "Simulate, and compare with measurements", "Simulate", 30),
     Command("contact-map", contact_map, "Pressures where recorded poses press two meshes", "Simulate", 40),
     Command("fit-surface", meshes.fit_surface, "Trochlear patches from a mesh of the implant", "Fit", 30),
-    Command("view", exchange.view, "Results in three dimensions: a page, offline", "Look", 10),
+    Command("view", view.view, "Results in three dimensions: a page or a film", "Look", 10),
     Command("explain", audit.explain, "What each effect of a scene adds", "Look", 30),
     Command("audit", audit.audit, "What each effect is worth, left out in turn", "Look", 40),
     Command("doctor-mesh", doctor_mesh, "What is wrong with a mesh; repair what is safe", "Check", 10),

@@ -1,11 +1,10 @@
-"""`pftwin init`, `pftwin import`, `pftwin export` and `pftwin view`: files in and out."""
+"""`pftwin init`, `pftwin import` and `pftwin export`: files in and out."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
 from typer import Argument, Option
 
 from pftwin.base.errors import InputError
@@ -74,47 +73,6 @@ def export(
     sizes = {str(p): p.stat().st_size for p in output}
     lines = (f"written: {path} ({size / 1e6:.2f} MB)" for path, size in sizes.items())
     terminal.present({"result": str(result), "files": sizes}, *lines, json=json)
-
-
-def view(
-    results: Annotated[
-        list[Path], Argument(metavar="RESULT.nc ...", help="Results of `pftwin simulate`; several are overlaid.")
-    ],
-    *,
-    output: Annotated[
-        Path | None,
-        Option("-o", "--output", metavar="VIEW.html", help="The page; beside the first result if left out."),
-    ] = None,
-    names: Annotated[
-        list[str] | None,
-        Option("--name", metavar="NAME", help="What a result is called in the legend; once for each, in order."),
-    ] = None,
-    browser: Annotated[bool, Option("--open", help="Show the page in the browser.")] = False,
-    json: terminal.JsonOption = None,
-) -> None:
-    """Draw the knee in three dimensions: one HTML file that opens offline, with play and a time slider.
-
-    Example: `pftwin view before.nc after.nc -o view.html`
-    """
-    page = output or results[0].with_suffix(".html")
-    terminal.check_suffix(page, [".html", ".htm"], "the page is HTML")
-    if names and len(names) != len(results):
-        raise InputError(f"{len(names)} names for {len(results)} results", where="--name", expected="one for each")
-    terminal.check_outputs(page, json)
-    from pftwin.files.result_files import load_dataset
-    from pftwin.results.verdict import verdict_of_file
-    from pftwin.results.viewer import view as draw
-
-    with terminal.spinner("drawing"):
-        draw(list(zip(names, results, strict=True)) if names else results, html=page)
-    size = page.stat().st_size
-    facts = {"results": [str(p) for p in results], "file": str(page), "bytes": size}
-    terminal.present(facts, f"written: {page} ({size / 1e6:.1f} MB)", json=json)
-    if browser:
-        typer.launch(page.resolve().as_uri())
-    verdicts = {path.name: verdict_of_file(load_dataset(path)) for path in results}
-    if doubts := [f"{v.describe()} ({name})" for name, v in verdicts.items() if not v.valid]:
-        exit_flagged("; ".join(doubts))
 
 
 def import_model(

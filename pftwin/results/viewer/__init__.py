@@ -25,6 +25,8 @@ __all__ = ["view"]
 def view(
     results: Source | Sequence[Source] | Sequence[tuple[str, Source]] | Mapping[str, Source],
     html: str | os.PathLike[str] | None = None,
+    *,
+    side_by_side: bool = False,
 ) -> Plot:
     """Results as a k3d plot: the widget of a notebook, with play, a time slider and views below it.
 
@@ -32,6 +34,7 @@ def view(
         results: a result or a file of one; several are overlaid in colours; a mapping, or pairs, give
             them names.
         html: also a page, of this file name, that needs nothing else.
+        side_by_side: several are beside each other instead, each with its own bones.
 
     Raises:
         MissingExtraError: the extra `viewer` is not installed.
@@ -44,7 +47,7 @@ def view(
     from pftwin.results.viewer.recorded import recorded
 
     k3d()
-    made, control = plot(recorded(results))
+    made, control = plot(recorded(results), side_by_side=side_by_side)
     add_controls(made, control)
     if html is not None:
         write_page(made, html)

@@ -14,9 +14,11 @@ from pftwin.results.viewer.recorded import Mesh, Recorded
 from pftwin.results.viewer.shapes import MM
 
 if TYPE_CHECKING:
+    from k3d.objects import Drawable
     from k3d.plot import Plot
 
 DISTANCE = 370.0  # of the camera [mm]
+GAP = 130.0  # from knee to knee, side by side [mm]
 # Where the camera stands from the joint, and what is up: femur axes x proximal, y lateral, z anterior.
 _FROM = {
     "anterior": ((0.12, 0.12, 1.0), (1, 0, 0)),
@@ -32,49 +34,43 @@ MOST = 0.98  # share of the forces that are not longer than that
 SIDE = 68.0  # of the words "lateral" and "medial" from the middle [mm]
 
 
-def views(result: Recorded) -> dict[str, list[float]]:
-    """Cameras by name: place, target, up, nine numbers each [mm]."""
+def views(result: Recorded, width: float = 0.0) -> dict[str, list[float]]:
+    """Cameras by name: place, target, up, nine numbers each [mm].
+
+    Farther away for knees side by side over a width, and none from the sides, from where one hides the others.
+    """
     center = MM * np.nanmean(result.data["sphere_center"].values, axis=0)
     target = np.array([center[0] + 8.0, center[1] * 0.5, center[2] - 12.0])
     found = {}
-    for name, (toward, up) in _FROM.items():
-        place = target + DISTANCE * np.asarray(toward) / np.linalg.norm(toward)
+    names = ("anterior", "skyline") if width else _FROM
+    for name, (toward, up) in ((n, _FROM[n]) for n in names):
+        place = target + (DISTANCE + width) * np.asarray(toward) / np.linalg.norm(toward)
         found[name] = [float(v) for v in (*place, *target, *up)]
     return found
 
 
-def plot(results: Sequence[Recorded]) -> tuple[Plot, dict[str, Any]]:
+def plot(results: Sequence[Recorded], *, side_by_side: bool = False) -> tuple[Plot, dict[str, Any]]:
     """The plot of results, and what its page's controls have to know.
 
     Args:
-        results: at least one. The femur's shaft is that of the first, and so are its component and the tibia for those
-            that have them alike; others have their own, in their colour.
+        results: at least one.
+        side_by_side: each knee whole in a place of its own; else they are laid over each other, see `_overlaid`.
     """
     codes = [COLOURS[i % len(COLOURS)] for i in range(len(results))]
     newtons = per_centimetre(results)
-    first = results[0]
-    alike = [r for r in results if _same_component(first, r)]
-    farthest = max(alike, key=lambda r: r.geometry.sizes.get("continuation_vertex", 0))
-    shafts = knee.solid(first, bones.femur(first)), knee.solid(first, bones.tibia(first))
-    objects = [*shafts, *knee.component(farthest)]
-    own = []
-    for result, code in zip(results, codes, strict=True):
-        parts = [*knee.patella(result, code), *knee.tendons(result, code), *knee.contacts(result, code, newtons)]
-        if result is not first and not _same_motion(first, result):
-            parts.append(knee.solid(result, bones.tibia(result), paler(code, 0.5)))
-        if result not in alike:
-            parts += knee.component(result, paler(code, 0.5), result.name)
-        own.append(parts)
-    said = page.notes(results, newtons)
+    apart = side_by_side or len(results) == 1
+    shared, own = _apart(results, codes, newtons) if apart else _overlaid(results, codes, newtons)
+    deepest = max((float(p.color_range[1]) for p in _coloured(own)), default=None)
+    said = page.notes(results, newtons, deepest)
     times = np.unique(np.round(np.concatenate([r.times for r in results]), 4))
-    shown = views(first)
+    shown = views(results[0], GAP * (len(results) - 1) if apart else 0.0)
     made = k3d().plot(
         background_color=0xFFFFFF,
         grid_visible=False,
         camera_auto_fit=False,
         grid_auto_fit=False,
-        colorbar_object_id=0,  # none: the path's colours are not values
-        grid=ROOM,
+        colorbar_object_id=0,  # none: the legend has the scale
+        grid=_room(len(results) if apart else 1),
         camera_fov=30.0,
         axes_helper=0.0,
         lighting=1.4,
@@ -83,15 +79,13 @@ def plot(results: Sequence[Recorded]) -> tuple[Plot, dict[str, Any]]:
         name=page.title(results),
         camera=shown["anterior"],
     )
-    for drawn in [*objects, *(part for parts in own for part in parts)]:
+    for drawn in [*shared, *(part for parts in own for part in parts)]:
         made += drawn
-    for side, y in (("lateral", SIDE), ("medial", -SIDE)):
-        x, _, z = shown["anterior"][3:6]
-        place = {"position": [x, y, z], "reference_point": "cc"}
-        made += k3d().text(page.side(side), **place, color=0x888888, size=0.9, is_html=True, label_box=False, name=side)
+    for label in _sides(shown, len(results) if apart else 1):
+        made += label
     made += _text_label("legend", page.legend(results, codes, said), (0.01, 0.015), "lt")
     numbers = time_series(times, [page.readout(results, codes, t) for t in times])
-    made += _text_label("numbers", numbers, (0.99, 0.015), "rt")
+    made += _text_label("numbers", numbers, (0.99, 0.985), "rb")
     control = {
         "begin": float(times[0]),
         "end": float(times[-1]),
@@ -100,8 +94,72 @@ def plot(results: Sequence[Recorded]) -> tuple[Plot, dict[str, Any]]:
             {"name": r.name, "colour": c, "ids": [p.id for p in parts]}
             for r, c, parts in zip(results, codes, own, strict=True)
         ],
+        "patellae": [p.id for parts in own for p in parts if p.name == "patella"],
     }
     return made, control
+
+
+def _overlaid(
+    results: Sequence[Recorded], codes: Sequence[str], newtons: float
+) -> tuple[list[Drawable], list[list[Drawable]]]:
+    """What results share, then each one's own: the femur is that of the first, and so are its component and the tibia
+    for those that have them alike; others have their own, in their colour.
+    """
+    first = results[0]
+    alike = [r for r in results if _same_component(first, r)]
+    farthest = max(alike, key=lambda r: r.geometry.sizes.get("continuation_vertex", 0))
+    shared = [knee.solid(first, bones.femur(first)), knee.solid(first, bones.tibia(first)), *knee.component(farthest)]
+    own = []
+    for result, code in zip(results, codes, strict=True):
+        parts = _moving(result, code, newtons)
+        if result is not first and not _same_motion(first, result):
+            parts.append(knee.solid(result, bones.tibia(result), paler(code, 0.5)))
+        if result not in alike:
+            parts += knee.component(result, paler(code, 0.5), result.name)
+        own.append(parts)
+    return shared, own
+
+
+def _apart(
+    results: Sequence[Recorded], codes: Sequence[str], newtons: float
+) -> tuple[list[Drawable], list[list[Drawable]]]:
+    """Nothing shared; each knee with its own bones, and with colours where the patella presses on the femur."""
+    own = []
+    for k, (result, code) in enumerate(zip(results, codes, strict=True)):
+        parts = [*_moving(result, code, newtons), knee.solid(result, bones.tibia(result)), *knee.femur(result)]
+        own.append([knee.moved(part, _place(k, len(results))) for part in parts])
+    deepest = max((float(p.color_range[1]) for p in _coloured(own)), default=0.0)
+    for part in _coloured(own):
+        part.color_range = [0.0, deepest]  # one scale for all
+    return [], own
+
+
+def _coloured(own: list[list[Any]]) -> list[Any]:
+    """Parts that have a scale of colours."""
+    return [part for parts in own for part in parts if len(part.color_range)]
+
+
+def _moving(result: Recorded, code: str, newtons: float) -> list[Drawable]:
+    return [*knee.patella(result, code), *knee.tendons(result, code), *knee.contacts(result, code, newtons)]
+
+
+def _place(k: int, count: int) -> float:
+    """Where the k-th of several knees is, lateral of their middle [mm]: seen from before, the first is on the left."""
+    return GAP * (0.5 * (count - 1) - k)
+
+
+def _room(count: int) -> list[float]:
+    """That k3d's camera sees [mm]."""
+    aside = GAP * 0.5 * (count - 1)
+    return [ROOM[0], ROOM[1] - aside, ROOM[2], ROOM[3], ROOM[4] + aside, ROOM[5]]
+
+
+def _sides(shown: dict[str, list[float]], count: int) -> list[Drawable]:
+    """The words beside the knees."""
+    x, _, z = shown["anterior"][3:6]
+    look = {"color": 0x888888, "size": 0.9, "is_html": True, "label_box": False, "reference_point": "cc"}
+    words = [("lateral", _place(0, count) + SIDE), ("medial", _place(count - 1, count) - SIDE)]
+    return [k3d().text(page.side(side), position=[x, y, z], name=side, **look) for side, y in words]
 
 
 def per_centimetre(results: Sequence[Recorded]) -> float:

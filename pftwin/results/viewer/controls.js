@@ -101,6 +101,21 @@
             lower.append(label);
         });
     }
+    const clearBox = make('input', { type: 'checkbox' });
+    function seeThrough(clear) {
+        clearBox.checked = clear;
+        const objects = k3d.getWorld().ObjectsListJson;
+        return Promise.all(control.patellae.map((id) => {
+            objects[id].opacity = clear ? 0.3 : 1;
+            return k3d.reload(objects[id], { opacity: objects[id].opacity });
+        })).then(() => show(parseFloat(slider.value)));
+    }
+    if (control.patellae.length > 0) {
+        const label = make('label');
+        label.append(clearBox, make('span', {}, 'see-through patella'));
+        clearBox.addEventListener('change', () => seeThrough(clearBox.checked));
+        lower.append(label);
+    }
     const panel = make('button', { type: 'button', title: 'all settings of the drawing' }, '\u2699');
     let open = false;
     panel.addEventListener('click', () => { open = !open; k3d.setMenuVisibility(open); });
@@ -114,5 +129,5 @@
     k3d.resizeHelper();
     k3d.setCamera(control.views.anterior);
     show(control.begin);
-    bar.viewer = { k3d, control, show, drawn: () => !busy };
+    bar.viewer = { k3d, control, show, seeThrough, drawn: () => !busy };
 }(K3DInstance, /*CONTROL*/null));

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import MissingExtraError
 from pftwin.results.viewer import bones
+from pftwin.results.viewer.contact_colours import HOT, depths_on_femur
 from pftwin.results.viewer.line_shapes import line_shape
 from pftwin.results.viewer.recorded import ContactArrow, Recorded
 from pftwin.results.viewer.shapes import (
@@ -117,6 +118,34 @@ def solid(result: Recorded, part: bones.Solid, code: str | None = None, group: s
         return body(part.shape, code or part.colour, **look)
     matrices = result.patella if part.frame == "patella" else result.tibia
     return moving_shape(part.shape, code or part.colour, result.times, matrices, **look)
+
+
+def femur(result: Recorded) -> list[Drawable]:
+    """Bone and component; the surface that the patella presses on has colours where it does."""
+    parts = [bones.femur(result), *bones.femoral_component(result)]
+    pressed = parts[1] if len(parts) > 1 else parts[0]
+    drawn = [solid(result, part) for part in parts]
+    depths = depths_on_femur(result, pressed.shape.vertices.astype(np.float64))
+    if depths is not None:
+        coloured = drawn[parts.index(pressed)]
+        coloured.attribute = time_series(result.times, depths.astype(np.float32))
+        coloured.color_map = [0.0, *_rgb(pressed.colour), *(v for at, code in HOT for v in (at, *_rgb(code)))]
+        coloured.color_range = [0.0, float(depths.max())]
+    return drawn
+
+
+def moved(drawn: Any, aside: float) -> Any:
+    """An object, whether it moves or not, set aside in the lateral direction [mm]."""
+    way = np.eye(4, dtype=np.float32)
+    way[1, 3] = aside
+    matrix = drawn.model_matrix
+    drawn.model_matrix = {t: way @ m for t, m in matrix.items()} if isinstance(matrix, dict) else way @ matrix
+    return drawn
+
+
+def _rgb(code: str) -> list[float]:
+    """A colour as k3d's scales have it: they are shown darker than plain colours are, by this power."""
+    return [(int(code[i : i + 2], 16) / 255) ** (1 / 2.2) for i in (1, 3, 5)]
 
 
 def component(result: Recorded, code: str = bones.METAL, group: str = "bones") -> list[Drawable]:

@@ -33,8 +33,8 @@ def title(results: Sequence[Recorded]) -> str:
     return names if all(r.verdict.valid for r in results) else f"{INVALID}: {names}"
 
 
-def notes(results: Sequence[Recorded], newtons: float) -> list[str]:
-    """Why a motion may not be spoken of, notes on the data, then on the drawing."""
+def notes(results: Sequence[Recorded], newtons: float, deepest: float | None = None) -> list[str]:
+    """Why a motion may not be spoken of, notes on the data, then on the drawing, whose colours go to a depth [mm]."""
     said = [f"{r.verdict.describe()} ({r.name})." for r in results if not r.verdict.valid]
     said += list(dict.fromkeys(f"{r.note[0].upper()}{r.note[1:]}." for r in results if r.note))
     missing = [body for body in ("femur", "tibia", "patella") if any(r.mesh(f"{body}_bone") is None for r in results)]
@@ -44,6 +44,8 @@ def notes(results: Sequence[Recorded], newtons: float) -> list[str]:
         said.append(CONTINUED)
     if any(arrow.present.any() for r in results for arrow in r.contact_arrows):
         said.append(f"Arrows: contact force on the patella, 10 mm for {newtons:g}\u00a0N.")
+    if deepest is not None:
+        said.append(f"Colours on the femur: overlap with the patella, up to {deepest:.2g}\u00a0mm.")
     return said
 
 

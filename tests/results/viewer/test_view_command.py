@@ -36,7 +36,8 @@ def test_overlays_results_under_names(file, tmp_path):
     assert done.exit_code == 0, done.output
     said = json.loads(done.stdout)
     assert said["results"] == [str(file)] * 2
-    assert said["bytes"] == page.stat().st_size < 8e6
+    assert said["files"] == {str(page): page.stat().st_size}
+    assert page.stat().st_size < 8e6
     assert "<title>before and after</title>" in page.read_text(encoding="utf-8")
 
 
@@ -47,6 +48,12 @@ def test_overlays_results_under_names(file, tmp_path):
         (("{file}", "-o", "page.pdf"), "the page is HTML; try: page.html"),
         (("{file}", "--name", "a", "--name", "b"), "2 names for 1 results"),
         (("{file}", "-o", "absent/page.html"), "there is no folder absent"),
+        (("{file}", "--record", "film.avi"), "the suffix chooses the film's format; try: film.gif"),
+        (("{file}", "--record", "film.gif", "--speed", "0"), "speed: found 0.0; expected: a positive number"),
+        (
+            ("{file}", "--record", "film.gif", "--speed", "0.001"),
+            "8001 pictures of 0.4 s at 0.001 x speed; expected: 2000 pictures at most; try: a speed of 0.004",
+        ),
     ],
 )
 def test_mistakes_are_named(file, tmp_path, monkeypatch, arguments, words):

@@ -1,0 +1,74 @@
+"""`pftwin view`: the knee in three dimensions, as a page and as a film."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+from typer import Argument, Option
+
+from pftwin.base.errors import InputError
+from pftwin.cli import terminal
+from pftwin.cli.exit_codes import exit_flagged
+
+
+def view(
+    results: Annotated[list[Path], Argument(metavar="RESULT.nc ...", help="Results of `pftwin simulate`.")],
+    *,
+    output: Annotated[
+        Path | None,
+        Option("-o", "--output", metavar="VIEW.html", help="The page; beside the first result if left out."),
+    ] = None,
+    names: Annotated[
+        list[str] | None,
+        Option("--name", metavar="NAME", help="What a result is called in the legend; once for each, in order."),
+    ] = None,
+    side_by_side: Annotated[
+        bool, Option("--side-by-side", help="Several results beside each other instead of laid over each other.")
+    ] = False,
+    record: Annotated[
+        Path | None,
+        Option("--record", metavar="FILM.(gif|mp4)", help="A film, in place of the page unless -o is given."),
+    ] = None,
+    camera: Annotated[
+        Literal["anterior", "lateral", "medial", "skyline"], Option("--camera", help="From where the film looks.")
+    ] = "anterior",
+    speed: Annotated[float, Option("--speed", metavar="FACTOR", help="Of the knee in the film.")] = 1.0,
+    see_through: Annotated[
+        bool, Option("--see-through", help="A see-through patella in the film, so that contact behind it is seen.")
+    ] = False,
+    browser: Annotated[bool, Option("--open", help="Show the page in the browser.")] = False,
+    json: terminal.JsonOption = None,
+) -> None:
+    """Draw the knee in three dimensions: one HTML file that opens offline, with play and a time slider; or a film.
+
+    Example: `pftwin view before.nc after.nc -o view.html`
+    """
+    page = output or (results[0].with_suffix(".html") if record is None or browser else None)
+    if page is not None:
+        terminal.check_suffix(page, [".html", ".htm"], "the page is HTML")
+    if record is not None:
+        terminal.check_suffix(record, [".gif", ".mp4"], "the suffix chooses the film's format")
+    if names and len(names) != len(results):
+        raise InputError(f"{len(names)} names for {len(results)} results", where="--name", expected="one for each")
+    terminal.check_outputs(page, record, json)
+    from pftwin.files.result_files import load_dataset
+    from pftwin.results.verdict import verdict_of_file
+    from pftwin.results.viewer import view as draw
+    from pftwin.results.viewer.film import write_film
+
+    named = list(zip(names, results, strict=True)) if names else results
+    with terminal.spinner("drawing"):
+        plot = draw(named, html=page, side_by_side=side_by_side)
+    if record is not None:
+        with terminal.progress("filming") as show:
+            write_film(plot, record, camera=camera, speed=speed, see_through=see_through, progress=show)
+    files = {str(path): path.stat().st_size for path in (page, record) if path is not None}
+    facts = {"results": [str(p) for p in results], "files": files}
+    terminal.present(facts, *(f"written: {path} ({size / 1e6:.1f} MB)" for path, size in files.items()), json=json)
+    if browser and page is not None:
+        typer.launch(page.resolve().as_uri())
+    verdicts = {path.name: verdict_of_file(load_dataset(path)) for path in results}
+    if doubts := [f"{v.describe()} ({name})" for name, v in verdicts.items() if not v.valid]:
+        exit_flagged("; ".join(doubts))

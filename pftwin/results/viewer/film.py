@@ -1,0 +1,158 @@
+"""A film of the moving knee, GIF or MP4: a browser without a window draws the page, frame by frame."""
+
+from __future__ import annotations
+
+import io
+import os
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pftwin.base.arrays import Floats
+from pftwin.base.errors import InputError, MissingExtraError
+from pftwin.base.output import check_place, written_whole
+
+if TYPE_CHECKING:
+    from k3d.plot import Plot
+    from PIL.Image import Image
+
+SUFFIXES = (".gif", ".mp4")
+RATE = 20  # pictures a second: the fastest that divides a GIF's hundredths of a second and looks smooth
+COLOURS = 128  # of a GIF
+MOST = 2000  # pictures
+QUALITY = "20"  # of libx264: small without visible loss
+_BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+_FLAGS = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")  # WebGL without a graphics card
+_VIEWER = "document.querySelector('.pftwin').viewer"
+_DRAWN = "() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))"
+_PATIENCE = 120_000  # [ms] for a page to load and for a picture
+
+
+def write_film(
+    plot: Plot,
+    path: str | os.PathLike[str],
+    *,
+    camera: str = "anterior",
+    speed: float = 1.0,
+    see_through: bool = False,
+    size: tuple[int, int] = (720, 600),
+    progress: Callable[[int, int], None] = lambda done, whole: None,
+) -> None:
+    """Writes a film of a plot that has its controls.
+
+    Args:
+        plot: what `pftwin.viewer.view` gives.
+        path: .gif, which any browser and slide shows, or .mp4, which is smaller.
+        camera: "anterior", "lateral", "medial" or "skyline".
+        speed: of the knee in the film; 0.5 takes twice as long.
+        see_through: the patella is, so that contact behind it is seen.
+        size: width and height [px], even numbers.
+        progress: called with the pictures taken and their number.
+
+    Raises:
+        MissingExtraError: the extra `film` is not installed.
+        InputError: another suffix, a camera that there is not, a film too long or without end, no browser.
+        OutputError: the place cannot be written to.
+    """
+    from pftwin.results.viewer.page import page
+
+    target = check_place(path)
+    if target.suffix not in SUFFIXES:
+        raise InputError(f"found {target.suffix!r}", where=str(path), expected=" or ".join(SUFFIXES))
+    write = _write_gif if target.suffix == ".gif" else _write_mp4
+    times = _times(*plot.get_time_series_range(), speed)
+    with tempfile.TemporaryDirectory() as folder, written_whole(target) as whole:
+        html = Path(folder) / "page.html"
+        html.write_text(page(plot), encoding="utf-8")
+        with _page(html, size) as shown:
+            shown.evaluate(f"clear => {_VIEWER}.seeThrough(clear)", see_through)
+            write(_pictures(shown, camera, times, size, progress), whole, size)
+
+
+def _pictures(
+    shown: Any, camera: str, times: Floats, size: tuple[int, int], progress: Callable[[int, int], None]
+) -> Iterator[Image]:
+    from PIL import Image
+
+    cameras = shown.evaluate(f"Object.keys({_VIEWER}.control.views)")
+    if camera not in cameras:
+        raise InputError(f"found {camera!r}", where="camera", expected=f"one of: {', '.join(cameras)}")
+    shown.evaluate(f"name => {_VIEWER}.k3d.setCamera({_VIEWER}.control.views[name])", camera)
+    for k, time in enumerate(times):
+        shown.evaluate(f"time => {_VIEWER}.show(time)", float(time))
+        shown.wait_for_function(f"{_VIEWER}.drawn()", timeout=_PATIENCE)
+        shown.evaluate(_DRAWN)
+        clip = {"x": 0, "y": 0, "width": size[0], "height": size[1]}
+        yield Image.open(io.BytesIO(shown.screenshot(clip=clip, timeout=_PATIENCE))).convert("RGB")
+        progress(k + 1, len(times))
+
+
+def _times(begin: float, end: float, speed: float) -> Floats:
+    """Of the pictures [s]."""
+    if not 0 < speed < np.inf:
+        raise InputError(f"found {speed!r}", where="speed", expected="a positive number")
+    count = 1 + int((end - begin) / speed * RATE)
+    if count > MOST:
+        raise InputError(
+            f"{count} pictures of {end - begin:.3g} s at {speed:g} x speed",
+            where="speed",
+            expected=f"{MOST} pictures at most",
+            remedy=f"a speed of {(end - begin) * RATE / MOST:.2g} or more",
+        )
+    return begin + speed / RATE * np.arange(count)
+
+
+@contextmanager
+def _page(html: Path, size: tuple[int, int]) -> Iterator[Any]:
+    """The page in a browser, its bar of controls below what is filmed."""
+    try:
+        from playwright.sync_api import Error, sync_playwright
+    except ImportError as error:
+        raise MissingExtraError("playwright", extra="film", feature="a film of the knee") from error
+    own = next((found for name in _BROWSERS if (found := shutil.which(name))), None)
+    with sync_playwright() as playwright:
+        try:
+            browser = playwright.chromium.launch(executable_path=own, args=list(_FLAGS))
+        except Error as error:
+            raise InputError(
+                f"no browser starts to draw the film: {str(error).splitlines()[0]}",
+                where=own or "chromium",
+                remedy="playwright install chromium",
+            ) from error
+        try:
+            shown = browser.new_context(viewport={"width": size[0], "height": size[1] + 88}, offline=True).new_page()
+            shown.goto(html.as_uri())
+            shown.wait_for_function("document.querySelector('.pftwin')?.viewer !== undefined", timeout=_PATIENCE)
+            yield shown
+        finally:
+            browser.close()
+
+
+def _write_gif(pictures: Iterator[Image], path: Path, size: tuple[int, int]) -> None:
+    from PIL.Image import Dither, Quantize
+
+    frames = [next(pictures).quantize(COLOURS, method=Quantize.MEDIANCUT, dither=Dither.NONE)]
+    frames += [p.quantize(palette=frames[0], dither=Dither.NONE) for p in pictures]
+    frames[0].save(
+        path, format="GIF", save_all=True, append_images=frames[1:], duration=1000 // RATE, loop=0, optimize=True
+    )
+
+
+def _write_mp4(pictures: Iterator[Image], path: Path, size: tuple[int, int]) -> None:
+    try:
+        from imageio_ffmpeg import write_frames
+    except ImportError as error:
+        raise MissingExtraError("imageio_ffmpeg", extra="film", feature="an .mp4") from error
+    options = ["-crf", QUALITY, "-f", "mp4"]
+    writer = write_frames(str(path), size, fps=RATE, quality=None, macro_block_size=2, output_params=options)
+    writer.send(None)
+    try:
+        for picture in pictures:
+            writer.send(np.asarray(picture))
+    finally:
+        writer.close()

@@ -1,0 +1,84 @@
+"""Colours of contact on the femur, against depths known in closed form and those that the simulation reports."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from small_scene import small_result
+
+from pftwin.results.viewer import view
+from pftwin.results.viewer.contact_colours import depths_on_femur
+from pftwin.results.viewer.recorded import Recorded
+
+pytest.importorskip("k3d", reason="the viewer needs the extra `viewer`")
+RADIUS = 20.0  # [mm]
+
+
+def below_the_button(recorded: Recorded, depth: float) -> tuple[np.ndarray, np.ndarray]:
+    """Points about the button of the fifth frame [mm], and how deep they are in a ball of 20 mm about its centre."""
+    rng = np.random.default_rng(3)
+    way = rng.normal(size=(200, 3)) * [1, 1, 0] + [0, 0, -4]
+    way /= np.linalg.norm(way, axis=1, keepdims=True)
+    at = RADIUS - depth * np.linspace(-1, 1, 200)
+    pose = recorded.patella[5].astype(float)
+    local = 1e3 * recorded.geometry["button_center"].values + at[:, None] * way
+    return local @ pose[:3, :3].T + pose[:3, 3], np.maximum(RADIUS - at, 0.0)
+
+
+@pytest.mark.parametrize("mesh", [False, True])
+def test_a_ball_covers_points_by_their_distance_from_its_centre(mesh):
+    from trimesh.creation import icosphere
+
+    recorded = Recorded.of(small_result())
+    geometry = recorded.geometry.copy()
+    geometry["button_radius"] = geometry["button_radius"] * 0 + 1e-3 * RADIUS
+    if mesh:
+        ball = icosphere(subdivisions=5, radius=1e-3 * RADIUS)
+        geometry["button_vertices"] = (("v", "axis"), ball.vertices + geometry["button_center"].values)
+        geometry["button_triangles"] = (("t", "corner"), ball.faces)
+    recorded = dataclasses.replace(recorded, geometry=geometry)
+    points, expected = below_the_button(recorded, 0.8)
+    found = depths_on_femur(recorded, points)
+    assert found.shape == (len(recorded.times), 200)
+    np.testing.assert_allclose(found[5], expected, atol=0.025)  # 0.02 mm are taken for nothing
+    assert np.abs(found[20] - expected).max() > 0.1  # elsewhere in another frame
+
+
+def test_a_knee_apart_has_no_colours():
+    recorded = Recorded.of(small_result())
+    assert depths_on_femur(recorded, np.array([[0.0, 0.0, 900.0]])) is None
+    bare = recorded.geometry.drop_vars(["button_center", "button_radius"])
+    assert depths_on_femur(dataclasses.replace(recorded, geometry=bare), np.zeros((1, 3))) is None
+
+
+def test_the_drawing_is_as_deep_as_the_simulation():
+    """The small knee's button sinks in by fractions of a millimetre."""
+    result = small_result()
+    soft = dataclasses.replace(result, position=result.position - [0, 0, 0.0005])  # 0.5 mm farther in
+    surface = next(o for o in view(soft).objects if o.name == "femoral surface")
+    deepest = np.array([values.max() for values in surface.attribute.values()])
+    assert surface.color_range[1] == pytest.approx(deepest.max(), rel=1e-6)
+    contact = result.effects["contact"]
+    reported = 1e3 * np.maximum(contact["indentation_medial"], contact["indentation_lateral"])
+    # Pushed back, not along the surface's normal, and seen at the grid's vertices.
+    assert (deepest > reported).all()
+    assert (deepest < reported + 0.5 + 0.02).all()
+
+
+def test_knees_side_by_side_have_one_scale_and_their_own_bones():
+    result = small_result()
+    deep, deeper = (dataclasses.replace(result, position=result.position - [0, 0, d]) for d in (0.0005, 0.001))
+    drawn = view({"one": deep, "two": deeper}, side_by_side=True)
+    surfaces = [o for o in drawn.objects if o.name == "femoral surface"]
+    assert surfaces[0].color_range == surfaces[1].color_range
+    deepest = [max(v.max() for v in o.attribute.values()) for o in surfaces]
+    assert surfaces[0].color_range[1] == pytest.approx(max(deepest), rel=1e-6)
+    assert deepest[1] > deepest[0] + 0.3
+    aside = [o.model_matrix[1, 3] for o in surfaces]
+    assert aside[0] == -aside[1] > 30  # the first lateral, on the left from before
+    patellae = [o for o in drawn.objects if o.name == "patella (schematic)"]
+    for o, motion, way in zip(patellae, (deep, deeper), aside, strict=True):
+        np.testing.assert_allclose(o.model_matrix["0.1000"][:3, 3], 1e3 * motion.position[10] + [0, way, 0], atol=1e-3)
+    assert [o.name for o in drawn.objects].count("femur (schematic)") == 2

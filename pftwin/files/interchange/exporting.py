@@ -11,7 +11,7 @@ from __future__ import annotations
 import os
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -25,10 +25,11 @@ if TYPE_CHECKING:
     from pftwin.results.result import Result
 
 
-_UNITS = (
-    "Units are S.I. units (second, meters, Newtons, ...)",
-    "Angles are in degrees.",
-)
+# Rows: OpenSim's x, y, z in a result's axes.
+AXES = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+SEQUENCE = "ZXY"
+SIGNS = np.array([-1.0, 1.0, 1.0])
+JOINTS = {"tibia": ("knee", ("flex", "add", "rot")), "patella": ("pf", ("flex", "rot", "tilt"))}
 
 
 def save_mot(data: Dataset, path: str | os.PathLike[str]) -> None:
@@ -47,65 +48,31 @@ def save_mot(data: Dataset, path: str | os.PathLike[str]) -> None:
     if lost:
         message = f"{lost} of {data.sizes['time']} frames are not finite and are left out"
         warnings.warn(message, PftwinWarning, stacklevel=2)
-    times, names, values, rotational = coordinates(data.isel(time=finite))
-    shown = np.where(rotational, np.degrees(values), values)
-    note = [f"Note: {data.attrs['note']}"] if "note" in data.attrs else []
-    write_storage(path, "Coordinates", times, dict(zip(names, shown.T, strict=True)), ("", *_UNITS, *note, ""))
+    shown = data.isel(time=finite)
+    notes = ["Units are S.I. units (second, meters, Newtons, ...)", "Angles are in degrees."]
+    notes += [f"Note: {data.attrs['note']}"] if "note" in data.attrs else []
+    write_storage(path, "Coordinates", shown["time"].values, coordinates(shown), ("", *notes, ""))
 
 
-# Rows: OpenSim's x, y, z in a result's axes.
-AXES = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-SEQUENCE = "ZXY"
-SIGNS = np.array([-1.0, 1.0, 1.0])
-JOINTS = {"tibia": ("knee", ("flex", "add", "rot")), "patella": ("pf", ("flex", "rot", "tilt"))}
+def coordinates(data: Dataset) -> dict[str, Floats]:
+    """The twelve coordinates (n,) of a result's dataset by name [deg] and [m]: of the tibia, then of the patella.
 
-
-class Coordinates(NamedTuple):
-    """Values over time."""
-
-    times: Floats  # (n,) [s]
-    names: tuple[str, ...]
-    values: Floats  # (n, coordinates) [rad] and [m]
-    rotational: tuple[bool, ...]
-
-
-def coordinates(data: Dataset) -> Coordinates:
-    """The twelve coordinates of a result: of the tibia, then of the patella.
-
-    Args:
-        data: as `Result.to_dataset` makes it, or `result_files.load_dataset` reads it. Left knees were mirrored to
-            right ones on input, and stay so.
-    """
-    names: list[str] = []
-    columns: list[Floats] = []
-    for body, (joint, rotations) in JOINTS.items():
-        angles, places = of_poses(data[f"{body}_position"].values, data[f"{body}_quaternion"].values)
-        names += [f"{joint}_{r}_r" for r in rotations] + [f"{joint}_t{k}_r" for k in "xyz"]
-        columns += [angles, places]
-    turning = (True, True, True, False, False, False) * len(JOINTS)
-    return Coordinates(data["time"].values, tuple(names), np.concatenate(columns, axis=1), turning)
-
-
-def of_poses(position: Floats, quaternion: Floats) -> tuple[Floats, Floats]:
-    """Angles (n, 3) [rad] and translations (n, 3) [m] of a body in the femur.
-
-    Args:
-        position: (n, 3) in a result's axes [m].
-        quaternion: (n, 4) scalar first, in a result's axes.
+    Left knees were mirrored to right ones on input, and stay so.
     """
     from scipy.spatial.transform import Rotation
 
-    turn = AXES @ Rotation.from_quat(quaternion, scalar_first=True).as_matrix() @ AXES.T
-    angles = SIGNS * Rotation.from_matrix(turn).as_euler(SEQUENCE)
-    return np.unwrap(angles, axis=0), position @ AXES.T
+    columns: dict[str, Floats] = {}
+    for body, (joint, rotations) in JOINTS.items():
+        quaternions = Rotation.from_quat(data[f"{body}_quaternion"].values, scalar_first=True)
+        turn = Rotation.from_matrix(AXES @ quaternions.as_matrix() @ AXES.T)
+        angles = np.degrees(np.unwrap(SIGNS * turn.as_euler(SEQUENCE), axis=0))
+        columns |= {f"{joint}_{r}_r": angle for r, angle in zip(rotations, angles.T, strict=True)}
+        places = data[f"{body}_position"].values @ AXES.T
+        columns |= {f"{joint}_t{k}_r": place for k, place in zip("xyz", places.T, strict=True)}
+    return columns
 
 
-FORMATS = {
-    ".mot": "joint coordinates for OpenSim, angles in degrees",
-    ".sto": "everything, as an OpenSim storage",
-    ".glb": "the moving knee in three dimensions, glTF 2.0",
-    ".csv": "everything, as a table",
-}
+FORMATS = (".mot", ".sto", ".glb", ".csv")
 
 
 def export(result: Result | str | os.PathLike[str], path: str | os.PathLike[str]) -> None:
@@ -124,16 +91,13 @@ def export(result: Result | str | os.PathLike[str], path: str | os.PathLike[str]
         from pftwin.files.interchange.glb import save_glb
 
         save_glb(result, target)
-        return
-    {".mot": save_mot, ".sto": save_sto, ".csv": save_csv}[target.suffix.lower()](motion_dataset(result), target)
+    else:
+        save = {".mot": save_mot, ".sto": save_sto, ".csv": save_csv}[target.suffix.lower()]
+        save(motion_dataset(result), target)
 
 
 def check_format(path: str | os.PathLike[str]) -> Path:
-    """The path, if its suffix is known.
-
-    Raises:
-        OutputError: otherwise.
-    """
+    """The path; a suffix that is not known is an OutputError."""
     target = Path(path)
     if target.suffix.lower() not in FORMATS:
         raise OutputError(f"{target}: unknown format {target.suffix!r}; expected: {', '.join(FORMATS)}")

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from trimesh import Scene, Trimesh
 
     from pftwin.results.result import Result
-    from pftwin.results.viewer.bones import Solid
     from pftwin.results.viewer.recorded import Recorded
 
 
@@ -40,7 +39,7 @@ _FLOAT = 5126  # glTF's code of a 32-bit float
 
 
 class PartTrack(NamedTuple):
-    """Where something is in the femur's frame, frame by frame (n)."""
+    """Where something is in the femur's frame, frame by frame (n); its fields are glTF's."""
 
     translation: Floats  # (n, 3) [m]
     rotation: Floats  # (n, 4) scalar first, continuous in sign
@@ -58,18 +57,17 @@ def save_glb(result: Result | str | os.PathLike[str], path: str | os.PathLike[st
     """
     from pftwin.results.viewer.recorded import Recorded
 
-    recorded = Recorded.of(result, frames=_EVERY)
-    content = glb(recorded)
+    content = _glb(Recorded.of(result, frames=_EVERY))
     with written_whole(path) as temporary:
         Path(temporary).write_bytes(content)
 
 
-def glb(result: Recorded) -> bytes:
+def _glb(result: Recorded) -> bytes:
     """The file's content."""
     from trimesh.exchange.gltf import export_glb
 
     rods = _rods(result)
-    scene = _scene(result, _solids(result), rods)
+    scene = _scene(result, rods)
     carried = {
         body: PartTrack(result.data[f"{body}_position"].values, result.data[f"{body}_quaternion"].values)
         for body in ("patella", "tibia")
@@ -79,22 +77,9 @@ def glb(result: Recorded) -> bytes:
         raise InputError("times that do not increase", where=result.name, expected="a recording")
 
     def animate(buffers: Any, tree: dict[str, Any]) -> None:
-        _Animation(buffers, tree, times).add({**carried, **rods})
+        _animate(buffers, tree, times, {**carried, **rods})
 
     return export_glb(scene, include_normals=True, buffer_postprocessor=animate)
-
-
-def _solids(result: Recorded) -> list[Solid]:
-    """Femoral component, bones and button, with all their triangles."""
-    from pftwin.results.viewer import bones
-
-    shafts = bones.femur(result, sys.maxsize), bones.tibia(result, sys.maxsize)
-    return [*bones.femoral_component(result, sys.maxsize), *shafts, *bones.patella_parts(result, sys.maxsize)]
-
-
-def _rgba(part: Solid) -> tuple[int, int, int, int]:
-    red, green, blue = bytes.fromhex(part.colour.removeprefix("#"))
-    return red, green, blue, _PALE if part.opacity < _SEE_THROUGH else 255
 
 
 def _rods(result: Recorded) -> dict[str, PartTrack]:
@@ -118,34 +103,37 @@ def rod(start: Floats, end: Floats, radius: float) -> PartTrack:
     size = np.linalg.norm(turn, axis=1)
     turn = np.where((size > 1e-6)[:, None], turn, [0.0, 1.0, 0.0, 0.0])
     turn /= np.linalg.norm(turn, axis=1)[:, None]
-    turn = continuous_signs(turn)
     thick = np.full_like(length, radius)
-    return PartTrack(0.5 * (start + end), turn, np.stack([thick, thick, length], axis=1))
+    return PartTrack(0.5 * (start + end), continuous_signs(turn), np.stack([thick, thick, length], axis=1))
 
 
-def _scene(result: Recorded, solids: list[Solid], rods: dict[str, PartTrack]) -> Scene:
-    """Nodes and meshes at the first frame."""
+def _scene(result: Recorded, rods: dict[str, PartTrack]) -> Scene:
+    """Nodes and meshes at the first frame: femoral component, bones, button and rods."""
     from trimesh import Scene, Trimesh
     from trimesh.creation import cylinder
+
+    from pftwin.results.viewer import bones
 
     scene = Scene(base_frame="knee")
     scene.metadata.update(_about(result))
     scene.graph.update(frame_to=ROOT, frame_from="knee", matrix=UPRIGHT)
     for body in ("patella", "tibia"):
         scene.graph.update(frame_to=body, frame_from=ROOT, matrix=np.eye(4))
-    for part in solids:
+    shafts = bones.femur(result, every), bones.tibia(result, every)
+    every = sys.maxsize  # triangles
+    for part in (*bones.femoral_component(result, every), *shafts, *bones.patella_parts(result, every)):
+        colour = *bytes.fromhex(part.colour.removeprefix("#")), _PALE if part.opacity < _SEE_THROUGH else 255
         vertices, triangles = _MM * part.shape.vertices.astype(np.float64), part.shape.triangles.astype(np.int64)
-        mesh = _painted(Trimesh(vertices, triangles, process=False), _rgba(part))
+        mesh = _painted(Trimesh(vertices, triangles, process=False), colour)
         scene.add_geometry(mesh, geom_name=part.name, node_name=part.name, parent_node_name=part.frame)
     if rods:
-        rod = _painted(cylinder(radius=1.0, height=1.0, sections=_SIDES), _TENDON)
-        scene.geometry[_ROD] = rod
+        scene.geometry[_ROD] = _painted(cylinder(radius=1.0, height=1.0, sections=_SIDES), _TENDON)
     for name in rods:
         scene.graph.update(frame_to=name, frame_from=ROOT, matrix=np.eye(4), geometry=_ROD)
     return scene
 
 
-def _painted(mesh: Trimesh, colour: tuple[int, int, int, int]) -> Trimesh:
+def _painted(mesh: Trimesh, colour: tuple[int, ...]) -> Trimesh:
     from trimesh.visual.material import PBRMaterial
     from trimesh.visual.texture import TextureVisuals
 
@@ -162,53 +150,45 @@ def _painted(mesh: Trimesh, colour: tuple[int, int, int, int]) -> Trimesh:
 
 def _about(result: Recorded) -> dict[str, Any]:
     """The file's metadata: title, source, frame and first time."""
-    said = {
+    return {
         "title": str(result.data.attrs.get("title", result.name)),
         "source": str(result.data.attrs.get("source", "")),
         "frame": "below the node femur: x proximal, y lateral, z anterior, a right knee; metres",
         "begins_at_s": float(result.times[0]),
+        **({"note": result.note} if result.note else {}),
     }
-    return {**said, **({"note": result.note} if result.note else {})}
 
 
-class _Animation:
-    """Adds samplers and channels to a tree that trimesh has made."""
+def _animate(buffers: Any, tree: dict[str, Any], times: Floats, tracks: dict[str, PartTrack]) -> None:
+    """Adds to a tree that trimesh has made one channel for each of translation, rotation and scale of what moves."""
 
-    def __init__(self, buffers: Any, tree: dict[str, Any], times: Floats) -> None:
-        self.buffers, self.tree = buffers, tree
-        self.nodes = {node.get("name"): k for k, node in enumerate(tree["nodes"])}
-        self.input = self._accessor("times", times[:, None])
-        self.channels: list[dict[str, Any]] = []
-        self.samplers: list[dict[str, Any]] = []
-
-    def add(self, tracks: dict[str, PartTrack]) -> None:
-        """One channel for each of translation, rotation and scale of every node that moves."""
-        for name, track in tracks.items():
-            node = self.tree["nodes"][self.nodes[name]]
-            node.pop("matrix", None)  # what is animated must not have one
-            turn = track.rotation[:, [1, 2, 3, 0]]  # glTF's quaternions have the scalar last
-            for path, values in (("translation", track.translation), ("rotation", turn), ("scale", track.scale)):
-                if values is None:
-                    continue
-                node[path] = values[0].astype(np.float32).tolist()
-                self.channels.append(
-                    {"sampler": len(self.samplers), "target": {"node": self.nodes[name], "path": path}}
-                )
-                output = self._accessor(f"{name} {path}", values)
-                self.samplers.append({"input": self.input, "output": output, "interpolation": "LINEAR"})
-        self.tree["animations"] = [{"name": "motion", "channels": self.channels, "samplers": self.samplers}]
-
-    def _accessor(self, key: str, values: Floats) -> int:
+    def accessor(key: str, values: Floats) -> int:
         """The number of an accessor to these rows."""
         data = np.ascontiguousarray(values, dtype="<f4")
         width = data.shape[1]
-        self.buffers[f"animation {key}"] = data.tobytes()  # whole numbers of four bytes
-        self.tree["accessors"][f"animation {key}"] = {
-            "bufferView": len(self.buffers) - 1,
+        buffers[f"animation {key}"] = data.tobytes()  # whole numbers of four bytes
+        tree["accessors"][f"animation {key}"] = {
+            "bufferView": len(buffers) - 1,
             "componentType": _FLOAT,
             "type": "SCALAR" if width == 1 else f"VEC{width}",
             "count": len(data),
             "min": data.min(axis=0).tolist(),
             "max": data.max(axis=0).tolist(),
         }
-        return len(self.tree["accessors"]) - 1
+        return len(tree["accessors"]) - 1
+
+    numbers = {node.get("name"): k for k, node in enumerate(tree["nodes"])}
+    shared = accessor("times", times[:, None])
+    channels: list[dict[str, Any]] = []
+    samplers: list[dict[str, Any]] = []
+    for name, track in tracks.items():
+        node = tree["nodes"][numbers[name]]
+        node.pop("matrix", None)  # what is animated must not have one
+        turn = track.rotation[:, [1, 2, 3, 0]]  # glTF's quaternions have the scalar last
+        for path, values in track._replace(rotation=turn)._asdict().items():
+            if values is not None:
+                node[path] = values[0].astype(np.float32).tolist()
+                channels.append({"sampler": len(samplers), "target": {"node": numbers[name], "path": path}})
+                output = accessor(f"{name} {path}", values)
+                samplers.append({"input": shared, "output": output, "interpolation": "LINEAR"})
+    tree["animations"] = [{"name": "motion", "channels": channels, "samplers": samplers}]

@@ -1,9 +1,13 @@
-"""Muscles of an OpenSim model that pull at the patella as their activation says: tensions over a motion."""
+"""Muscles of an OpenSim model that pull at the patella as their activation says: tensions over a motion.
+
+An activation is one number for all of them, or a file has one over time for each.
+"""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -11,21 +15,22 @@ import numpy as np
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.base.text_files import refuse_repeated
-from pftwin.files.interchange.osim_activation_file import activations
-from pftwin.files.interchange.osim_document import Element, Frames
 from pftwin.files.interchange.osim_knee import OsimKnee
-from pftwin.files.interchange.osim_model import OsimModel, class_defaults
+from pftwin.files.interchange.osim_lines import BODIES, PatellarMuscle
+from pftwin.files.interchange.osim_model import class_defaults
 from pftwin.files.interchange.osim_motion import Motion
 from pftwin.files.interchange.osim_muscle_force import MUSCLES, MuscleForce, read_force
 from pftwin.files.interchange.osim_muscle_path import MovingBodies, PathOverMotion, path_over_motion
-from pftwin.files.interchange.osim_muscle_wraps import wraps_of
-from pftwin.files.interchange.osim_muscles import BODIES, PatellarMuscle
-from pftwin.files.interchange.osim_wraps import Wraps
+from pftwin.files.interchange.osim_toml import csv_text
+from pftwin.files.interchange.osim_wraps import Wraps, wraps_of
+from pftwin.files.mocap.csv_files import read_csv
 from pftwin.files.mocap.jumps import in_words, jumps
 from pftwin.files.mocap.poses import PoseSeries
+from pftwin.files.mocap.sto import read_sto
 
 FILE = "tensions.csv"
 _WHERE = "activation"
+_ROUNDED = 1e-6  # by which optimisers leave the range of an activation
 _STILL = 1e-6  # what moves by less stays where it is [m]
 _BENT, _STAYED = np.radians(5.0), 1e-3  # a knee that bends, and a patella that does not move with it [m]
 
@@ -52,100 +57,71 @@ class Activated(NamedTuple):
             columns.append(self.tensions[:, k])
             if muscle.body in self.moving:
                 names += [f"{muscle.line}_origin_{axis}_m" for axis in "xyz"]
-                columns += list(self.origins[:, k].T)
-        lines = [",".join(f"{v:.12g}" for v in row) for row in np.column_stack(columns)]
-        return "\n".join([",".join(names), *lines]) + "\n"
-
-
-def activated(
-    root: Element,
-    model: OsimModel,
-    knee: OsimKnee,
-    motion: Motion,
-    muscles: Sequence[PatellarMuscle],
-    given: float | str | os.PathLike[str],
-    objects: Wraps,
-) -> Activated:
-    """The tensions of muscles that end on the patella, by their activations.
-
-    Args:
-        root: the model's element.
-        model: as it was read from it.
-        knee: its bodies.
-        motion: of the knee.
-        muscles: those that end on the patella.
-        given: their activations, as `activations` takes them.
-        objects: that paths may wrap over.
-
-    Raises:
-        InputError: no such activation or file; no muscle that could have a tension; numbers that no muscle has.
-    """
-    frames, bodies = Frames(root), MovingBodies(model, knee, motion)
-    notes: list[str] = []
-    found = []
-    for muscle, element in _elements(root, muscles):
-        if _usable(element, notes):
-            wraps, left = wraps_of(element, objects)
-            path = path_over_motion(element, frames, bodies, wraps)
-            found += [] if path is None else [_Pulling(muscle, element, path, left)]
-    if not found:
-        expected = f"one of {', '.join(MUSCLES)}, of whose path one piece ends on the patella"
-        raise InputError("no muscle of the patella can have a tension", where=_WHERE, expected=expected)
-    refuse_repeated([p.muscle.line for p in found], "muscles", where=_WHERE)
-    forces = [read_force(p.element, class_defaults(root)) for p in found]
-    said, values = activations(given, [p.muscle.name for p in found], motion.times)
-    out = _out_of_line(motion, knee)
-    lengths = [_mended(p.path.lengths, motion.times, out) for p in found]
-    pulls = np.stack([f.tensions(x, a) for f, x, a in zip(forces, lengths, values.T, strict=True)], axis=1)
-    ends = [p.ends() for p in found]
-    notes = [*_described(said, pulls, ends), _lengths_said(motion, knee, out), *notes]
-    notes += _remarks(found, forces, values)
-    return Activated(ends, pulls, np.stack([p.path.origin for p in found], axis=1), notes)
+                columns.append(self.origins[:, k])
+        return csv_text(names, columns)
 
 
 class _Pulling(NamedTuple):
     """A muscle that can have a tension."""
 
     muscle: PatellarMuscle
-    element: Element
     path: PathOverMotion
     straight: list[str]  # objects that its path wraps over in the model, and not here
 
-    def ends(self) -> PatellarMuscle:
-        """The muscle with its ends in the first frame."""
-        path = self.path
-        return self.muscle._replace(body=path.body, insertion=path.insertion, origin=path.origin[0])
+
+def activated(
+    knee: OsimKnee,
+    motion: Motion,
+    muscles: Sequence[PatellarMuscle],
+    given: float | str | os.PathLike[str],
+    objects: Wraps,
+) -> Activated:
+    """The tensions of muscles that end on the patella, by their activations, which are given as for `_activations`.
+
+    Raises:
+        InputError: no such activation or file; no muscle that could have a tension; numbers that no muscle has.
+    """
+    bodies = MovingBodies(knee, motion)
+    notes: list[str] = []
+    found = []
+    for muscle in muscles:
+        element = muscle.element
+        if element.tag not in MUSCLES:
+            notes.append(f"{muscle.name}: no tension, for none follows from the activation of a <{element.tag}>")
+        elif element.words("appliesForce") == "false":
+            notes.append(f"{muscle.name}: no tension, it is switched off in the model")
+        else:
+            wraps, left = wraps_of(element, objects)
+            path = path_over_motion(element, bodies, wraps)
+            found += [] if path is None else [_Pulling(muscle, path, left)]
+    if not found:
+        expected = f"one of {', '.join(MUSCLES)}, of whose path one piece ends on the patella"
+        raise InputError("no muscle of the patella can have a tension", where=_WHERE, expected=expected)
+    refuse_repeated([p.muscle.line for p in found], "muscles", where=_WHERE)
+    forces = [read_force(p.muscle.element, class_defaults(knee.model.root)) for p in found]
+    said, values = _activations(given, [p.muscle.name for p in found], motion.times)
+    patella, tibia = (motion.poses[body].relative_to(motion.poses[knee.femur]) for body in (knee.patella, knee.tibia))
+    # Where a measured patella is out of line, lengths are as between the frames around.
+    out = jumps(patella) if motion.measured else np.zeros(motion.times.size, bool)
+    lengths = [np.interp(motion.times, motion.times[~out], p.path.lengths[~out]) for p in found]
+    pulls = np.stack([f.tensions(x, a) for f, x, a in zip(forces, lengths, values.T, strict=True)], axis=1)
+    ends = [p.muscle._replace(body=p.path.body, insertion=p.path.insertion, origin=p.path.origin[0]) for p in found]
+    where = "as it was measured" if motion.measured else "where the model has it"
+    text = f"lengths of muscles: with the patella {where}{_lengths_said(patella, tibia, out)}"
+    notes = [*_described(said, pulls, ends), text, *notes, *_remarks(found, forces, values)]
+    return Activated(ends, pulls, np.stack([p.path.origin for p in found], axis=1), notes)
 
 
-def _elements(root: Element, muscles: Sequence[PatellarMuscle]) -> Iterator[tuple[PatellarMuscle, Element]]:
-    held = [group.child("objects") for group in root.children if group.tag == "ForceSet"]
-    known = {(f.tag, f.name): f for forces in held if forces is not None for f in forces.children}
-    yield from ((m, known[m.kind, m.name]) for m in muscles)
-
-
-def _usable(muscle: Element, notes: list[str]) -> bool:
-    if muscle.tag not in MUSCLES:
-        notes.append(f"{muscle.name}: no tension, for none follows from the activation of a <{muscle.tag}>")
-    elif muscle.words("appliesForce") == "false":
-        notes.append(f"{muscle.name}: no tension, it is switched off in the model")
-    else:
-        return True
-    return False
-
-
-def _patella(motion: Motion, knee: OsimKnee) -> PoseSeries:
-    femur, patella = (PoseSeries(motion.times, *motion.poses[b]) for b in (knee.femur, knee.patella))
-    return patella.relative_to(femur)
-
-
-def _out_of_line(motion: Motion, knee: OsimKnee) -> np.ndarray:
-    """Frames (n,) in which a measured patella is out of line, so that no length can be taken."""
-    return jumps(_patella(motion, knee)) if motion.measured else np.zeros(motion.times.size, bool)
-
-
-def _mended(lengths: Floats, times: Floats, out: np.ndarray) -> Floats:
-    """Lengths, in frames that are out of line as between the frames around them."""
-    return np.interp(times, times[~out], lengths[~out])
+def _lengths_said(patella: PoseSeries, tibia: PoseSeries, out: np.ndarray) -> str:
+    """What is to be known of the patella's poses at which the lengths were taken."""
+    text = f", in {in_words(out)}, where that is out of line, as between the frames around" if out.any() else ""
+    bent = np.abs(tibia.quaternions @ tibia.quaternions[0]).min()
+    if 2 * np.arccos(min(bent, 1.0)) > _BENT and np.ptp(patella.positions, axis=0).max() < _STAYED:
+        text += (
+            "; IT DOES NOT MOVE in the femur while the knee bends, so lengths and tensions are those of one place:"
+            " give a --motion that moves the patella too"
+        )
+    return text
 
 
 def _described(said: str, pulls: Floats, muscles: Sequence[PatellarMuscle]) -> Iterator[str]:
@@ -159,26 +135,6 @@ def _described(said: str, pulls: Floats, muscles: Sequence[PatellarMuscle]) -> I
     yield f"tension in the first frame, and its range: {', '.join(each)}"
 
 
-def _lengths_said(motion: Motion, knee: OsimKnee, out: np.ndarray) -> str:
-    """At which poses of the patella the lengths were taken."""
-    text = "lengths of muscles: with the patella " + (
-        "as it was measured" if motion.measured else "where the model has it"
-    )
-    if out.any():
-        text += f", in {in_words(out)}, where that is out of line, as between the frames around"
-    places = _patella(motion, knee).positions
-    turns = PoseSeries(motion.times, *motion.poses[knee.tibia]).relative_to(
-        PoseSeries(motion.times, *motion.poses[knee.femur])
-    )
-    bent = np.abs(turns.quaternions @ turns.quaternions[0]).min()
-    if 2 * np.arccos(min(bent, 1.0)) > _BENT and np.ptp(places, axis=0).max() < _STAYED:
-        text += (
-            "; IT DOES NOT MOVE in the femur while the knee bends, so lengths and tensions are those of one place:"
-            " give a --motion that moves the patella too"
-        )
-    return text
-
-
 def _remarks(found: Sequence[_Pulling], forces: Sequence[MuscleForce], values: Floats) -> Iterator[str]:
     if elsewhere := [p.muscle for p in found if p.muscle.body not in BODIES]:
         which = ", ".join(f"{m.name} from the {m.body}" for m in elsewhere)
@@ -189,9 +145,52 @@ def _remarks(found: Sequence[_Pulling], forces: Sequence[MuscleForce], values: F
     for p in found:
         if p.straight:
             yield f"{p.muscle.name}: left out of its length is wrapping over {', '.join(p.straight)}"
-    if wrapped := [p.muscle.name for p in found if not p.straight and list(p.element.all("PathWrap"))]:
+    if wrapped := [p.muscle.name for p in found if not p.straight and next(p.muscle.element.all("PathWrap"), None)]:
         yield f"wrapping is in the lengths of {', '.join(wrapped)}"
     raised = [f for f, a in zip(forces, values.T, strict=True) if a.min() < f.least_activation]
     if raised:
         which = ", ".join(f"{f.name} {f.least_activation:g}" for f in raised)
         yield f"activations below the model's minimum_activation count as that: {which}"
+
+
+def _activations(given: float | str | os.PathLike[str], names: Sequence[str], times: Floats) -> tuple[str, Floats]:
+    """Activations (n, muscles) of named muscles at the times of a motion (n,) [s], and in words where they are from.
+
+    Given is one of all muscles, 0 to 1; or a STO, MOT or CSV file of activations over time, in columns called like the
+    muscles or by their paths ("/forceset/NAME/activation").
+
+    Raises:
+        InputError: no such file, no column of a muscle, times that do not cover the motion, values beyond 0 to 1.
+    """
+    try:
+        number = float(str(given))
+    except ValueError:
+        return f"from {given}", _recorded(Path(str(given)), names, times)
+    if not 0 <= number <= 1:
+        raise InputError(
+            f"found {number:g}", where="activation", expected="an activation from 0 to 1, or a file of them"
+        )
+    return f"of {number:g}", np.full((times.size, len(names)), number)
+
+
+def _recorded(path: Path, names: Sequence[str], times: Floats) -> Floats:
+    """Activations at the motion's times, linearly between those of a file."""
+    table = read_csv(path, units="1") if path.suffix.lower() == ".csv" else read_sto(path, rotational=())
+    labels = {n.removesuffix("/activation").removesuffix(".activation").rpartition("/")[2]: n for n in table.names}
+    if missing := [name for name in names if name not in labels]:
+        expected = f"columns called like the muscles, or such as /forceset/{missing[0]}/activation"
+        raise InputError(f"no activation of {', '.join(missing)}", where=table.source, expected=expected)
+    slack = 0.5 * float(np.max(np.diff(times))) if times.size > 1 else 0.0
+    if table.times[0] > times[0] + slack or table.times[-1] < times[-1] - slack:
+        raise InputError(
+            f"activations from {table.times[0]:g} s to {table.times[-1]:g} s",
+            where=table.source,
+            expected=f"for the whole motion, {times[0]:g} s to {times[-1]:g} s",
+        )
+    found = table.select([labels[name] for name in names]).values
+    low, high = -_ROUNDED, 1 + _ROUNDED
+    if (bad := np.argwhere(~((found >= low) & (found <= high)))).size:
+        row, k = bad[0]
+        where = f"{table.source}, row {row + 1}, {names[k]}"
+        raise InputError(f"an activation of {found[row, k]:g}", where=where, expected="0 to 1 in every row")
+    return np.stack([np.interp(times, table.times, np.clip(values, 0, 1)) for values in found.T], axis=1)

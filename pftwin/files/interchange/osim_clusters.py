@@ -11,10 +11,8 @@ from numpy.typing import NDArray
 
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
-from pftwin.files.interchange.osim_joint_centers import Center, find_centers, with_centers
-from pftwin.files.interchange.osim_knee import OsimKnee
-from pftwin.files.interchange.osim_markers import OsimMarker, recorded_names
-from pftwin.files.interchange.osim_model import OsimModel
+from pftwin.files.interchange.osim_knee import PARTS, OsimKnee
+from pftwin.files.interchange.osim_markers import Center, OsimMarker, find_centers, recorded_names, with_centers
 from pftwin.files.interchange.osim_motion import resting_patella
 from pftwin.files.mocap import (
     MarkerTrajectories,
@@ -29,7 +27,6 @@ from pftwin.files.mocap import (
 MAX_GAP = 0.1  # longest gap that is filled [s]
 CUTOFF, ORDER = 12.0, 2  # of the filter [Hz], as Michaud et al. 2024 filter markers
 LEAST = 3  # markers of a segment
-PARTS = ("femur", "tibia", "patella")
 
 
 @dataclass
@@ -40,13 +37,13 @@ class Recording:
     clusters: dict[str, dict[str, Floats]]  # by part, "femur", "tibia" and "patella": places (3,) by recorded name [m]
     used: frozenset[str]  # the model's names of these markers
     cutoff: float | None  # of the filter that the scene is to apply [Hz]; None: the rate is too low for it
-    start: Floats  # (4, 4) the patella in the femur
+    start: tuple[Floats, Floats]  # of the patella in the femur: place [m] and quaternion
     notes: list[str]
+    order: int = ORDER  # of the filter
 
 
 def read_recording(
     path: str | os.PathLike[str],
-    model: OsimModel,
     knee: OsimKnee,
     markers: Sequence[OsimMarker],
     *,
@@ -56,27 +53,20 @@ def read_recording(
 ) -> Recording:
     """The longest stretch of a recording in which femur and tibia are both known, by three markers or more of each.
 
-    Args:
-        path: TRC, C3D or CSV file.
-        model: the model.
-        knee: its bodies.
-        markers: of the model.
-        units: of the file, where it has none.
-        without: markers to leave out, by the recording's or the model's names.
-        joint_centers: whether the centres of the femur's joints count as its markers: the hip's by the pelvis' markers,
-            the knee's by the tibia's.
+    The options are those of `import_osim`.
 
     Raises:
         InputError: what the file's reader refuses; names that may mean several; fewer than three markers of a segment,
             or never together; markers on a line; a stretch too short for the filter; a femur without a hip.
     """
     raw = read_markers(path, units=units)
-    centers = find_centers(model, knee) if joint_centers else []
+    centers = find_centers(knee) if joint_centers else []
     relevant = {*PARTS, *(c.carrier for c in centers)}
     own = [m for m in markers if m.part in relevant]
     names = recorded_names(own, raw.names, str(path))
     left = _left_out(without, names, str(path))
-    notes = _renamed(names)
+    differ = [f"{own} is {theirs}" for own, theirs in names.items() if own != theirs]
+    notes = [f"markers that the recording spells otherwise: {', '.join(differ)}"] if differ else []
     chosen = raw.select([n for n in names.values() if n not in left])
     places = {
         p: {names[m.name]: m.place for m in own if m.part == p and names.get(m.name) in chosen.names} for p in relevant
@@ -92,7 +82,7 @@ def read_recording(
     used = frozenset(m for m, theirs in names.items() if theirs in kept.names)
     notes += [
         f"{c.name} counts as a marker of {knee.femur}: where the model has it by default, told by the markers of "
-        f"{knee_name(knee, c.carrier)}"
+        f"{knee.name(c.carrier)}"
         for c in centers
     ]
     cutoff = CUTOFF if kept.rate > 2 * CUTOFF else None
@@ -101,8 +91,8 @@ def read_recording(
         + (f"Butterworth, {cutoff:g} Hz, order {ORDER}, forwards and backwards" if cutoff else "none, by the low rate")
     )
     smooth = _low_passed(kept.select([n for p in ("femur", "tibia") for n in clusters[p]]), cutoff)
-    fits = {p: _fit(smooth, clusters[p], places[p], knee_name(knee, p), notes) for p in ("femur", "tibia")}
-    start, said = resting_patella(model.tree, knee, fits["tibia"].relative_to(fits["femur"]))
+    fits = {p: _fit(smooth, clusters[p], places[p], knee.name(p), notes) for p in ("femur", "tibia")}
+    start, said = resting_patella(knee, fits["tibia"].relative_to(fits["femur"]))
     said += "; limits of how far from there it comes to rest are wide"
     return Recording(kept, clusters, used, cutoff, start, [*notes, said])
 
@@ -139,25 +129,12 @@ def _known(
     return whole.select([n for p in PARTS for n in clusters[p]]), clusters
 
 
-def knee_name(knee: OsimKnee, part: str) -> str:
-    """The model's name for a part of the knee; other bodies keep theirs."""
-    return {"femur": knee.femur, "tibia": knee.tibia, "patella": knee.patella}.get(part, part)
-
-
-def _renamed(names: Mapping[str, str]) -> list[str]:
-    differ = [f"{own} is {theirs}" for own, theirs in names.items() if own != theirs]
-    return [f"markers that the recording spells otherwise: {', '.join(differ)}"] if differ else []
-
-
 def _left_out(without: Sequence[str], names: Mapping[str, str], where: str) -> set[str]:
     """The recording's names of markers to leave out."""
     found = {name: names.get(name, name) for name in without}
     if strange := [name for name, theirs in found.items() if theirs not in names.values()]:
-        raise InputError(
-            f"no marker {strange[0]!r} of the knee to leave out",
-            where=where,
-            expected=f"one of: {', '.join(names.values())}",
-        )
+        problem = f"no marker {strange[0]!r} of the knee to leave out"
+        raise InputError(problem, where=where, expected=f"one of: {', '.join(names.values())}")
     return set(found.values())
 
 
@@ -171,7 +148,7 @@ def _refuse_few(
     model = ", ".join(m.name for m in own if m.part == part)
     centers = "" if part != "femur" or least < LEAST else "--joint-centers, where the pelvis has markers; "
     raise InputError(
-        f"{len(seen)} of the markers on {knee_name(knee, part)} are seen: {', '.join(seen) or 'none'}",
+        f"{len(seen)} of the markers on {knee.name(part)} are seen: {', '.join(seen) or 'none'}",
         where=filled.source,
         expected=f"{LEAST} or more that span a plane; the model has {model or 'none'} there",
         remedy=f"--markers FILE.xml with the places of more that were recorded; {centers}"
@@ -189,10 +166,10 @@ def _seen(places: Mapping[str, Floats], markers: MarkerTrajectories, *, througho
 def _stretch(
     markers: MarkerTrajectories, segments: Mapping[str, list[str]], least: Mapping[str, int]
 ) -> MarkerTrajectories:
-    """The longest stretch in which enough markers of each segment are seen in all of its frames; the first of several.
+    """The longest stretch in which enough markers of each segment are seen in all of its frames; the first of
+    several.
 
-    Raises:
-        InputError: there is none of two frames or more.
+    One of less than two frames is an InputError.
     """
     counts = {}  # (n + 1, m): in how many of the frames before each was seen
     for part, names in segments.items():
@@ -209,11 +186,8 @@ def _stretch(
         best = max(best, (first, end), key=lambda span: span[1] - span[0])
     if best[1] - best[0] < 2:
         each = "; ".join(f"{part}: {', '.join(names)}" for part, names in segments.items())
-        raise InputError(
-            f"in no two frames enough markers of each segment are seen at once ({each})",
-            where=markers.source,
-            expected="a stretch in which femur and tibia are both known",
-        )
+        found = f"in no two frames enough markers of each segment are seen at once ({each})"
+        raise InputError(found, where=markers.source, expected="a stretch in which femur and tibia are both known")
     return markers.between(float(markers.times[best[0]]), float(markers.times[best[1] - 1]))
 
 
@@ -246,9 +220,9 @@ def _fit(
         "model's"
     )
     if len(cluster) > LEAST:
-        best = {n: _misfit(np.delete(seen, i, 1), np.delete(places, i, 0)) for i, n in enumerate(cluster) if n in own}
-        name = min(best, key=lambda n: best[n])
-        note += f"; without {name} by {1e3 * best[name]:.1f} mm rms"
+        left = {n: _misfit(np.delete(seen, i, 1), np.delete(places, i, 0)) for i, n in enumerate(cluster) if n in own}
+        name, best = min(left.items(), key=lambda item: item[1])
+        note += f"; without {name} by {1e3 * best:.1f} mm rms"
     notes.append(note)
     return poses
 

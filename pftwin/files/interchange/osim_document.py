@@ -49,11 +49,7 @@ class Element:
         return next((c for c in self.children if c.tag in tags), None)
 
     def needed(self, tag: str) -> Element:
-        """The child of that tag.
-
-        Raises:
-            InputError: there is none.
-        """
+        """The child of that tag; its lack is an InputError."""
         found = self.child(tag)
         if found is None:
             raise InputError(f"<{self.tag}> {self.name!r} has no <{tag}>", where=self.where)
@@ -72,11 +68,7 @@ class Element:
         return "" if found is None else found.text.strip()
 
     def numbers(self, count: int | None = None) -> NDArray[np.float64]:
-        """The text as finite numbers.
-
-        Raises:
-            InputError: it is something else, or not so many.
-        """
+        """The text as finite numbers; something else, or not so many, is an InputError."""
         try:
             values = np.array([float(w) for w in self.text.split()])
         except ValueError:
@@ -86,38 +78,38 @@ class Element:
             raise InputError(f"<{self.tag}> is {self.text.strip()[:60]!r}", where=self.where, expected=wanted)
         return values
 
-    def numbers_of(self, tag: str, default: Sequence[float]) -> Floats:
+    def numbers_of(self, tag: str, default: Sequence[float], otherwise: Element | None = None) -> Floats:
         """The numbers of a child, as many as there are in the default, which is taken where there is no such child.
 
-        Raises:
-            InputError: they are something else, or not so many.
+        The child may also be one of `otherwise`: of the element with the defaults of this one's class.
         """
-        found = self.child(tag)
+        found = self.child(tag) or (otherwise and otherwise.child(tag))
         return np.array(default) if found is None else found.numbers(len(default))
 
-    def number_of(self, tag: str, default: float) -> float:
+    def number_of(self, tag: str, default: float, otherwise: Element | None = None) -> float:
         """The number of a child, or the default, likewise."""
-        return float(self.numbers_of(tag, [default])[0])
+        return float(self.numbers_of(tag, [default], otherwise)[0])
+
+    def objects(self) -> list[Element]:
+        """What is in its <objects>, as sets of OpenSim hold their parts; nothing where it has none."""
+        held = self.child("objects")
+        return [] if held is None else held.children
 
 
 def read_osim(path: str | os.PathLike[str]) -> Element:
     """The <Model> of a file of OpenSim 4.
 
     Raises:
-        InputError: no such file, no XML (naming the line), a DOCTYPE, more than `MOST_ELEMENTS`
-            elements, no model, or one of an older version.
+        InputError: as `read_xml`; no model, or one of an older version.
     """
     root = read_xml(path)
     if root.tag != "OpenSimDocument":
         raise InputError(f"the document is a <{root.tag}>", where=root.where, expected="an <OpenSimDocument>")
     version = root.name
     if not (version.isdecimal() and len(version) < 10 and int(version) >= OLDEST):
-        raise InputError(
-            f"version {version[:20] or 'unknown'}",
-            where=root.where,
-            expected=f"{OLDEST} or later, as OpenSim 4 writes",
-            remedy="open the model in OpenSim 4 and save it",
-        )
+        found = f"version {version[:20] or 'unknown'}"
+        expected = f"{OLDEST} or later, as OpenSim 4 writes"
+        raise InputError(found, where=root.where, expected=expected, remedy="open the model in OpenSim 4 and save it")
     return root.needed("Model")
 
 
@@ -127,10 +119,7 @@ def read_xml(path: str | os.PathLike[str]) -> Element:
     Raises:
         InputError: no such file, no XML (naming the line), a DOCTYPE, more than `MOST_ELEMENTS` elements.
     """
-    return _parsed(read_bytes(path, max_bytes=MODEL_BYTES), str(path))
-
-
-def _parsed(content: bytes, file: str) -> Element:
+    content, file = read_bytes(path, max_bytes=MODEL_BYTES), str(path)
     parser = expat.ParserCreate()
     top = Element("", "", file, 1)
     open_ones = [top]
@@ -187,11 +176,7 @@ class OsimFrame(NamedTuple):
 
 
 def placed(element: Element, translation: str, rotation: str = "orientation") -> Floats:
-    """The pose (4, 4) by an element's translation [m] and body-fixed angles [rad], under the tags that it has for them.
-
-    Raises:
-        InputError: they are not three numbers each.
-    """
+    """The pose (4, 4) by an element's translation [m] and body-fixed angles [rad], under the tags it has for them."""
     pose = np.eye(4)
     pose[:3, 3] = element.numbers_of(translation, (0.0, 0.0, 0.0))
     pose[:3, :3] = Rotation.from_euler("XYZ", element.numbers_of(rotation, (0.0, 0.0, 0.0))).as_matrix()
@@ -209,50 +194,46 @@ class Frames:
         """Whether a body, ground or a frame is called so."""
         return name == GROUND or name in self.bodies or any(f.name == name for f in self.offsets)
 
-    def find(self, path: str, near: Element, where: str, depth: int = 0) -> OsimFrame:
+    def of(self, element: Element, socket: str = "socket_parent_frame") -> OsimFrame:
+        """The frame that a socket of an element names, as `find`; the lack of a socket is an InputError."""
+        return self.find(element.needed(socket).text, element)
+
+    def find(self, path: str, near: Element, depth: int = 0) -> OsimFrame:
         """The frame that the last part of a path names: in this element, a body, ground, or a frame elsewhere.
 
-        A path may begin with ".." for what the element is part of, as meshes and frames in a body's components do.
+        A path may begin with ".." for what the element is part of, as meshes and frames in a body's components do. A
+        name that nothing has is an InputError.
 
         Args:
             path: as the socket has it.
             near: the element that has the socket.
-            where: of the socket, for messages.
             depth: of frames that hang on frames so far.
-
-        Raises:
-            InputError: nothing is called so.
         """
-        steps = path.strip().split("/")
+        where, steps = near.where, path.strip().split("/")
         while steps[:1] == [".."] and near.owner is not None:
             near, steps = near.owner, steps[1:]
         if not steps:
             return self._of(near, depth)
         name = steps[-1]
         own = [f for f in near.all("PhysicalOffsetFrame") if f.name == name]
-        if own:
-            return self._offset(own[0], depth)
-        if name == GROUND or name in self.bodies:
+        if not own and (name == GROUND or name in self.bodies):
             return OsimFrame(name, np.eye(4))
-        others = [f for f in self.offsets if f.name == name]
-        if not others:
+        found = own or [f for f in self.offsets if f.name == name]
+        if not found:
             raise InputError(f"no body and no frame is called {path.strip()!r}", where=where)
-        return self._offset(others[0], depth)
+        return self._of(found[0], depth)
 
     def _of(self, element: Element, depth: int) -> OsimFrame:
         """The frame that an element itself is."""
-        if element.tag == "PhysicalOffsetFrame":
-            return self._offset(element, depth)
         if element.tag in ("Body", "Ground"):
             return OsimFrame(GROUND if element.tag == "Ground" else element.name, np.eye(4))
-        raise InputError(f"<{element.tag}> {element.name!r} is no frame", where=element.where)
-
-    def _offset(self, element: Element, depth: int) -> OsimFrame:
+        if element.tag != "PhysicalOffsetFrame":
+            raise InputError(f"<{element.tag}> {element.name!r} is no frame", where=element.where)
         place = placed(element, "translation")
         if depth > DEEPEST:
             raise InputError(f"the frame {element.name!r} hangs on itself", where=element.where)
         parent = element.needed("socket_parent").text
         # A name alone is never that of a frame within this one: it would hang on what hangs on it.
         near = element if parent.strip().startswith("..") else Element("", "", element.file, element.line)
-        base = self.find(parent, near, element.where, depth + 1)
+        base = self.find(parent, near, depth + 1)
         return OsimFrame(base.body, base.pose @ place)

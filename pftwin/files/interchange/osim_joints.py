@@ -31,20 +31,16 @@ KINDS = (
 def function_in(holder: Element, tag: str = "function") -> Function | None:
     """The function that an element holds, under its own tag or within one called `tag`; None where there is none.
 
-    Raises:
-        InputError: a kind that is not known, or numbers that are none.
+    A kind that is not known, or numbers that are none, are an InputError.
     """
-    inner = holder.child(tag)
-    found = [c for c in (holder if inner is None else inner).children if _is_function(c)]
-    return function_of(found[0]) if found else None
+    kinds = (
+        c for c in (holder.child(tag) or holder).children if c.tag in KINDS or c.tag.endswith(("Function", "Spline"))
+    )
+    found = next(kinds, None)
+    return None if found is None else _function_of(found)
 
 
-def function_of(element: Element) -> Function:
-    """An element as a function of arrays.
-
-    Raises:
-        InputError: a kind that is not known, or numbers that are none.
-    """
+def _function_of(element: Element) -> Function:
     if element.tag == "Constant":
         value = float(element.needed("value").numbers(1)[0])
         return lambda x: np.full_like(x, value)
@@ -107,10 +103,6 @@ def continued(inside: BSpline | PPoly, x: Floats) -> Function:
     return value
 
 
-def _is_function(element: Element) -> bool:
-    return element.tag in KINDS or element.tag.endswith(("Function", "Spline"))
-
-
 _X, _Y, _Z = np.eye(3)
 # Rotation axes, then translation axes, of joints whose transform needs no further description.
 PLAIN: dict[str, tuple[tuple[Floats, ...], tuple[Floats, ...]]] = {
@@ -157,53 +149,38 @@ class Joint:
     coordinates: tuple[Coordinate, ...]
 
     def check(self) -> None:
-        """Refuses a joint that cannot be followed.
-
-        Raises:
-            InputError: it is of a kind that is not known.
-        """
+        """Refuses a joint of a kind that is not known, which cannot be followed."""
         if self.kind not in JOINTS:
             raise InputError(f"<{self.kind}> {self.name!r}", where=self.where, expected=f"one of: {', '.join(JOINTS)}")
 
     def pose(self, values: dict[str, Floats], count: int) -> Floats:
-        """The child's body in the parent's, (n, 4, 4).
-
-        Raises:
-            InputError: a joint of a kind that is not known.
-        """
+        """The child's body in the parent's, (n, 4, 4); a joint of a kind that is not known is an InputError."""
         self.check()
+
+        def amount(axis: Axis) -> Floats:
+            at = np.zeros(count) if axis.coordinate is None else values[axis.coordinate]
+            return (at if axis.function is None else axis.function(at))[:, None] * axis.direction
+
         out = np.tile(np.eye(4), (count, 1, 1))
         for axis in self.rotations:
-            turn = Rotation.from_rotvec(_amount(axis, values, count)[:, None] * axis.direction).as_matrix()
-            out[:, :3, :3] = out[:, :3, :3] @ turn
+            out[:, :3, :3] = out[:, :3, :3] @ Rotation.from_rotvec(amount(axis)).as_matrix()
         for axis in self.translations:
-            out[:, :3, 3] += _amount(axis, values, count)[:, None] * axis.direction
+            out[:, :3, 3] += amount(axis)
         return self.parent.pose @ out @ np.linalg.inv(self.child.pose)
 
 
-def _amount(axis: Axis, values: dict[str, Floats], count: int) -> Floats:
-    at = np.zeros(count) if axis.coordinate is None else values[axis.coordinate]
-    return at if axis.function is None else axis.function(at)
-
-
 def read_joint(element: Element, frames: Frames) -> Joint:
-    """The joint that an element describes; one of an unknown kind has no axes, and `Joint.check` refuses it.
-
-    Raises:
-        InputError: what it lacks; functions that are not known.
-    """
-    ends = [frames.find(element.needed(f"socket_{k}_frame").text, element, element.where) for k in ("parent", "child")]
+    """The joint that an element describes; one of an unknown kind has no axes, and `Joint.check` refuses it."""
+    parent, child = (frames.of(element, f"socket_{k}_frame") for k in ("parent", "child"))
     held = element.child("coordinates")
     listed = [] if held is None else held.children
     rotations, translations = _axes(element, [c.name for c in listed])
     turning = {a.coordinate for a in rotations}
-    coordinates = tuple(_coordinate(c, c.name in turning) for c in listed)
-    return Joint(element.tag, element.name, element.where, ends[0], ends[1], rotations, translations, coordinates)
-
-
-def _coordinate(element: Element, rotational: bool) -> Coordinate:
-    low, high = element.numbers_of("range", (-np.inf, np.inf))
-    return Coordinate(element.name, element.number_of("default_value", 0.0), low, high, rotational)
+    coordinates = []
+    for c in listed:
+        low, high = c.numbers_of("range", (-np.inf, np.inf))
+        coordinates.append(Coordinate(c.name, c.number_of("default_value", 0.0), low, high, c.name in turning))
+    return Joint(element.tag, element.name, element.where, parent, child, rotations, translations, tuple(coordinates))
 
 
 def _axes(element: Element, names: list[str]) -> tuple[tuple[Axis, ...], tuple[Axis, ...]]:
@@ -225,8 +202,7 @@ def _axes(element: Element, names: list[str]) -> tuple[tuple[Axis, ...], tuple[A
         if length == 0:
             raise InputError("an axis without a direction", where=axis.where)
         function = function_in(axis)
-        nothing = not used and function is None
-        if not nothing:
+        if used or function is not None:
             found[axis.name] = Axis(direction / length, used[0] if used else None, function)
     strange = [a.coordinate for a in found.values() if a.coordinate is not None and a.coordinate not in names]
     if strange:
@@ -258,11 +234,7 @@ class Tree:
         return out
 
     def pose(self, body: str, values: dict[str, Floats], count: int) -> Floats:
-        """Pose of a body in ground, (n, 4, 4).
-
-        Raises:
-            InputError: a body that no chain of joints connects with ground.
-        """
+        """Pose of a body in ground, (n, 4, 4); one that no chain of joints connects with ground is an InputError."""
         out, seen = np.tile(np.eye(4), (count, 1, 1)), set()
         while body != GROUND:
             joint = self.joints.get(body)
@@ -289,11 +261,8 @@ def read_tree(model: Element, frames: Frames) -> Tree:
     Raises:
         InputError: what a joint lacks; functions that are not known.
     """
-    joints: dict[str, Joint] = {}
-    for holder in model.all("JointSet"):
-        for element in holder.needed("objects").children:
-            joint = read_joint(element, frames)
-            joints[joint.child.body] = joint
+    elements = [e for holder in model.all("JointSet") for e in holder.needed("objects").children]
+    joints = {joint.child.body: joint for joint in (read_joint(e, frames) for e in elements)}
     coupled = {}
     for element in model.all("CoordinateCouplerConstraint"):
         function = function_in(element, "coupled_coordinates_function")

@@ -1,27 +1,86 @@
-"""What pulls at the patella in an OpenSim model: its ligaments in groups, and its muscles; each with its obstacle."""
+"""What pulls at the patella in an OpenSim model: its ligaments and its muscles, each with its obstacle.
+
+And a tension for each muscle, from one for all of them.
+"""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
+import numpy as np
+
+from pftwin.base.arrays import Floats
+from pftwin.base.errors import InputError
+from pftwin.base.text_files import refuse_repeated
 from pftwin.files.interchange.osim_document import Element
-from pftwin.files.interchange.osim_knee import OsimKnee, part_and_pose
-from pftwin.files.interchange.osim_model import LIGAMENT, LeftOut, OsimModel
+from pftwin.files.interchange.osim_knee import OsimKnee
+from pftwin.files.interchange.osim_model import LIGAMENT, LeftOut, OsimLigament, path_wraps, plain_name
 from pftwin.files.interchange.osim_motion import Motion
-from pftwin.files.interchange.osim_muscles import PatellarMuscle, muscles_of, shared_tensions
 from pftwin.files.interchange.osim_wraps import OsimWrap, Wraps
 
 if TYPE_CHECKING:
     from pftwin.files.interchange.osim_activation import Activated
     from pftwin.files.interchange.osim_scene import Imported
-    from pftwin.files.interchange.osim_toml import OsimStrand
+
+BODIES = ("femur", "tibia", "ground")
+POINTS = ("PathPoint", "ConditionalPathPoint", "MovingPathPoint")
+_STRENGTH = "max_isometric_force"
+
+
+class OsimStrand(NamedTuple):
+    """A ligament's line, its ends in the frames of patella and other bone [m]."""
+
+    ligament: OsimLigament
+    insertion: Floats
+    body: str  # the other bone
+    origin: Floats
+
+    @property
+    def name(self) -> str:
+        """The ligament's, without the strand's number."""
+        return self.ligament.name.rstrip("0123456789") or self.ligament.name
+
+
+class PatellarMuscle(NamedTuple):
+    """The piece of a muscle's path that ends on the patella, from the point before."""
+
+    element: Element
+    insertion: Floats  # on the patella, in its frame [m]
+    origin: Floats  # the point before, in its body's frame [m]
+    body: str  # part of the knee that has that point, or the model's name for another body
+    strength: float | None  # its maximum isometric force [N]
+    plain: bool = True  # whether it is all of the muscle at the patella, between two points that stay where they are
+    wraps: tuple[str, ...] = ()  # names of the objects over which that piece may wrap
+
+    @property
+    def name(self) -> str:
+        """The model's."""
+        return self.element.name
+
+    @property
+    def line(self) -> str:
+        """Its name in a scene."""
+        return plain_name(self.name)
+
+    @property
+    def takes_tension(self) -> bool:
+        """Whether a scene can have it with a tension that is shared out."""
+        return self.plain and self.body in BODIES and self.strength is not None and self.strength > 0
+
+    def describe(self) -> str:
+        """Why it was left out, and its two ends, for whoever adds it to the scene."""
+        insertion, origin = (f"[{', '.join(f'{v:.6g}' for v in place)}]" for place in (self.insertion, self.origin))
+        ends = f"insertion_m = {insertion}, origin_m = {origin} on the {self.body}"
+        if self.body not in BODIES:
+            return f"it comes from the {self.body}, which a scene does not have; {ends}"
+        if not self.plain:
+            return f"its points move, or it passes over the patella: only one line can be taken; {ends}"
+        return f"its activation says how strongly it pulls: give a tension in [[prescribed_tension]]; {ends}"
 
 
 def pulls(
-    root: Element,
-    model: OsimModel,
     knee: OsimKnee,
     moved: Motion | None,
     told: Imported,
@@ -30,7 +89,7 @@ def pulls(
     wraps: Wraps,
 ) -> tuple[list[tuple[PatellarMuscle, OsimWrap | None]], Activated | None]:
     """The muscles that pull at the patella with their obstacles: a tension of all, or over time by activation."""
-    muscles = told.muscles = list(muscles_of(root, model, knee))
+    muscles = told.muscles = list(_muscles(knee))
     pulled = None
     if quadriceps is not None:
         told.tensions = shared_tensions(muscles, quadriceps)
@@ -39,45 +98,75 @@ def pulls(
     elif activation is not None and moved is not None:
         from pftwin.files.interchange.osim_activation import activated
 
-        pulled = activated(root, model, knee, moved, muscles, activation, wraps)
+        pulled = activated(knee, moved, muscles, activation, wraps)
         told.tensions = {m.name: float(t) for m, t in zip(pulled.muscles, pulled.tensions[0], strict=True)}
         told.notes += pulled.notes
     if told.tensions and (without := [m.name for m in muscles if m.name not in told.tensions]):
         told.notes.append(f"without a tension: {', '.join(without)}")
-    pulling = [m for m in muscles if m.name in told.tensions] if pulled is None else pulled.muscles
-    return list(_wrapped(pulling, wraps, told)), pulled
+    found = []
+    for muscle in [m for m in muscles if m.name in told.tensions] if pulled is None else pulled.muscles:
+        over, left = wraps.over(muscle.wraps)
+        told.notes += _straight({(muscle.name, tuple(left)): [muscle.name]})
+        found.append((muscle, over))
+    return found, pulled
 
 
-def ligament_groups(model: OsimModel, knee: OsimKnee, wraps: Wraps, told: Imported) -> list[list[OsimStrand]]:
-    """Ligaments of the patella; those of one name without its number, other body and obstacle are one group."""
-    from pftwin.files.interchange.osim_toml import OsimStrand
+def _muscles(knee: OsimKnee) -> Iterator[PatellarMuscle]:
+    """Those of a model's forces that have a path from elsewhere to the patella, ligaments apart."""
+    forces = (force for group in knee.model.root.children if group.tag == "ForceSet" for force in group.objects())
+    for force in forces:
+        points = [] if "Ligament" in force.tag else list(force.all(*POINTS))
+        # A point that moves has functions in place of a location.
+        places = (p.numbers_of("location", (np.nan,) * 3) for p in points)
+        at = [knee.point(knee.model.frames.of(p), place) for p, place in zip(points, places, strict=True)]
+        pairs = [(i, j) for i in range(len(at)) for j in (i - 1, i + 1) if at[i][0] == "patella" and 0 <= j < len(at)]
+        pairs = [(i, j) for i, j in pairs if at[j][0] != "patella"]
+        if not pairs:
+            continue
+        i, j = pairs[0]
+        strength = force.child(_STRENGTH)
+        newtons = None if strength is None else float(strength.numbers(1)[0])
+        plain = len(pairs) == 1 and points[i].tag == points[j].tag == POINTS[0]
+        wraps = tuple(w.name for w in path_wraps(force) if w.covers(min(i, j), max(i, j)))
+        yield PatellarMuscle(force, at[i][1], at[j][1], at[j][0], newtons, plain, wraps)
 
-    groups: dict[tuple[str, str, tuple[str, ...] | None], list[OsimStrand]] = {}
+
+def shared_tensions(muscles: Sequence[PatellarMuscle], total: float) -> dict[str, float]:
+    """A tension for each muscle by name [N]: of all together, by their maximum isometric forces.
+
+    Raises:
+        InputError: a total that is no tension; no muscle that could have one; two of one name.
+    """
+    if not (np.isfinite(total) and total > 0):
+        raise InputError(f"found {total!r}", where="quadriceps", expected="a tension, a positive number of newtons")
+    refuse_repeated([m.line for m in muscles], "muscles", where="quadriceps")
+    taken = [m for m in muscles if m.takes_tension]
+    if not taken:
+        expected = f"one whose path comes to it from the {', '.join(BODIES)}, with {_STRENGTH}"
+        raise InputError("no muscle of the patella can have a tension", where="quadriceps", expected=expected)
+    whole = sum(m.strength or 0.0 for m in taken)
+    return {m.name: total * (m.strength or 0.0) / whole for m in taken}
+
+
+def ligament_lines(knee: OsimKnee, wraps: Wraps, told: Imported) -> list[tuple[OsimStrand, OsimWrap | None]]:
+    """The ligaments of the patella with their obstacles; the others are left out."""
+    found = []
     straight: dict[tuple[str, tuple[str, ...]], list[str]] = {}
-    for ligament in model.ligaments:
-        ends = [(part_and_pose(model, knee, frame), point) for frame, point in ligament.ends]
-        places = [(part, pose[:3, :3] @ point + pose[:3, 3]) for (part, pose), point in ends]
+    for ligament in knee.model.ligaments:
+        places = [knee.point(*end) for end in ligament.ends]
         parts = [part for part, _ in places]
         if parts.count("patella") != 1 or not {*parts} - {"patella"} <= {"femur", "tibia", "ground"}:
-            told.left_out.append(LeftOut(LIGAMENT, ligament.name, _why_not(parts)))
+            why = "pftwin knows femur, tibia and ground beside the patella"
+            why = f": {why}" if "patella" in parts else ", whose motion is prescribed"
+            told.left_out.append(LeftOut(LIGAMENT, ligament.name, f"it joins {' and '.join(parts)}{why}"))
             continue
         k = parts.index("patella")
         over, left = wraps.over(ligament.wraps)
-        strand = OsimStrand(ligament, places[k][1], *places[1 - k], over)
+        strand = OsimStrand(ligament, places[k][1], *places[1 - k])
         straight.setdefault((strand.name, tuple(left)), []).append(ligament.name)
-        groups.setdefault((strand.name, strand.body, over and over.like), []).append(strand)
+        found.append((strand, over))
     told.notes += _straight(straight)
-    return list(groups.values())
-
-
-def _wrapped(
-    muscles: Sequence[PatellarMuscle], wraps: Wraps, told: Imported
-) -> Iterator[tuple[PatellarMuscle, OsimWrap | None]]:
-    """Muscles with their obstacles."""
-    for muscle in muscles:
-        over, left = wraps.over(muscle.wraps)
-        told.notes += _straight({(muscle.name, tuple(left)): [muscle.name]})
-        yield muscle, over
+    return found
 
 
 def _straight(lines: dict[tuple[str, tuple[str, ...]], list[str]]) -> Iterator[str]:
@@ -86,9 +175,3 @@ def _straight(lines: dict[tuple[str, tuple[str, ...]], list[str]]) -> Iterator[s
         if objects:
             which = names[0] if len(names) == 1 else f"{names[0]} to {names[-1]} ({len(names)} strands)"
             yield f"{which}: not wrapped over {', '.join(objects)}"
-
-
-def _why_not(parts: list[str]) -> str:
-    if "patella" not in parts:
-        return f"it joins {' and '.join(parts)}, whose motion is prescribed"
-    return f"it joins {' and '.join(parts)}: pftwin knows femur, tibia and ground beside the patella"

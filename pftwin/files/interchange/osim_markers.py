@@ -1,21 +1,28 @@
 """Markers of an OpenSim model: where they sit on its bodies, and what a recording calls them.
 
-They stand in the model's own <MarkerSet>, or in a file of one as OpenSim 3 and 4 write it.
+They stand in the model's own <MarkerSet>, or in a file of one as OpenSim 3 and 4 write it. The centres of hip and knee,
+told by the markers of pelvis and tibia, can count as markers of the femur.
 """
 
 from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple
+
+import numpy as np
 
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.base.text_files import refuse_repeated
-from pftwin.files.interchange.osim_document import Element, Frames, OsimFrame, read_xml
-from pftwin.files.interchange.osim_knee import OsimKnee, part_and_pose
-from pftwin.files.interchange.osim_model import LeftOut, OsimModel
+from pftwin.files.interchange.osim_document import GROUND, Element, OsimFrame, read_xml
+from pftwin.files.interchange.osim_joints import Joint
+from pftwin.files.interchange.osim_knee import OsimKnee
+from pftwin.files.interchange.osim_model import LeftOut
+from pftwin.files.interchange.osim_motion import tree_joint
+from pftwin.files.mocap import MarkerTrajectories, segment_poses
 
 _FRAMES = ("socket_parent_frame", "body")  # of OpenSim 4 and 3
 SAMPLE = 8  # names in a message
@@ -29,33 +36,21 @@ class OsimMarker(NamedTuple):
     place: Floats  # (3,) in its frame [m]
 
 
-def markers_of(
-    root: Element, model: OsimModel, knee: OsimKnee, path: str | os.PathLike[str] | None, left: list[LeftOut]
-) -> list[OsimMarker]:
+def markers_of(knee: OsimKnee, path: str | os.PathLike[str] | None, left: list[LeftOut]) -> list[OsimMarker]:
     """The markers of a marker file, else of the model; those on bodies that the model lacks are left out.
-
-    Args:
-        root: the model's document.
-        model: what was read of it.
-        knee: its bodies. What is welded to one of them counts as part of it.
-        path: of a marker file; None: the model's own markers.
-        left: gets what is left out.
 
     Raises:
         InputError: a file that is no <MarkerSet>; a marker without a body or a location; two of one name.
     """
-    holder = root.child("MarkerSet") if path is None else marker_set(path)
+    root = knee.model.root
+    holder = root.child("MarkerSet") if path is None else _marker_set(path)
     elements = [] if holder is None else list(holder.all("Marker"))
     refuse_repeated([e.name for e in elements], "markers", where=root.file if path is None else path)
-    return list(_placed(elements, Frames(root), model, knee, left))
+    return list(_placed(elements, knee, left))
 
 
-def marker_set(path: str | os.PathLike[str]) -> Element:
-    """The <MarkerSet> of a file.
-
-    Raises:
-        InputError: as `read_xml`; a document of something else, or without markers.
-    """
+def _marker_set(path: str | os.PathLike[str]) -> Element:
+    """The <MarkerSet> of a file."""
     document = read_xml(path)
     found = document if document.tag == "MarkerSet" else document.child("MarkerSet")
     if found is None:
@@ -65,28 +60,17 @@ def marker_set(path: str | os.PathLike[str]) -> Element:
     return found
 
 
-def _placed(
-    elements: Sequence[Element], frames: Frames, model: OsimModel, knee: OsimKnee, left: list[LeftOut]
-) -> Iterator[OsimMarker]:
+def _placed(elements: Sequence[Element], knee: OsimKnee, left: list[LeftOut]) -> Iterator[OsimMarker]:
+    frames = knee.model.frames
     for element in elements:
         held = element.child(*_FRAMES)
         if held is None:
             raise InputError(f"<Marker> {element.name!r} has no <{_FRAMES[0]}>", where=element.where)
         location = element.needed("location").numbers(3)
-        frame = _frame(held, element, frames)
-        if frame is None:
+        if frames.knows(held.text.strip().rpartition("/")[2]):
+            yield OsimMarker(element.name, *knee.point(frames.find(held.text, element), location))
+        else:  # as in a marker file that was written for another model
             left.append(LeftOut("Marker", element.name, f"no body and no frame is called {held.text.strip()!r}"))
-            continue
-        part, pose = part_and_pose(model, knee, frame)
-        yield OsimMarker(element.name, part, pose[:3, :3] @ location + pose[:3, 3])
-
-
-def _frame(held: Element, marker: Element, frames: Frames) -> OsimFrame | None:
-    """None where the model has nothing of that name, as in a marker file that was written for another model."""
-    name = held.text.strip().rpartition("/")[2]
-    if not frames.knows(name):
-        return None
-    return frames.find(held.text, marker, marker.where)
 
 
 def recorded_names(markers: Sequence[OsimMarker], recorded: Sequence[str], where: str) -> dict[str, str]:
@@ -101,19 +85,17 @@ def recorded_names(markers: Sequence[OsimMarker], recorded: Sequence[str], where
     for name in recorded:
         alike.setdefault(_plain(name), []).append(name)
     found: dict[str, str] = {}
+    meant: dict[str, str] = {}
     for marker in markers:
         names = [marker.name] if marker.name in recorded else alike.get(_plain(marker.name), [])
         if len(names) > 1:
-            raise InputError(
-                f"{marker.name!r} of the model may be {' or '.join(map(repr, names))}", where=where, expected="one"
-            )
-        found |= dict.fromkeys([marker.name], names[0]) if names else {}
-    meant: dict[str, str] = {}
-    for own, theirs in found.items():
-        if theirs in meant:
-            both = f"{meant[theirs]!r} and {own!r} of the model may both be {theirs!r}"
-            raise InputError(both, where=where, expected="names that differ by more than dots and blanks")
-        meant[theirs] = own
+            several = f"{marker.name!r} of the model may be {' or '.join(map(repr, names))}"
+            raise InputError(several, where=where, expected="one")
+        for name in names:
+            if meant.setdefault(name, marker.name) != marker.name:
+                both = f"{meant[name]!r} and {marker.name!r} of the model may both be {name!r}"
+                raise InputError(both, where=where, expected="names that differ by more than dots and blanks")
+            found[marker.name] = name
     if not found:
         model, there = (", ".join(names[:SAMPLE]) for names in ([m.name for m in markers], list(recorded)))
         raise InputError(
@@ -127,3 +109,57 @@ def recorded_names(markers: Sequence[OsimMarker], recorded: Sequence[str], where
 
 def _plain(name: str) -> str:
     return re.sub(r"[._\s-]", "", name).casefold()
+
+
+class Center(NamedTuple):
+    """The centre of a joint of the femur, which counts as a marker of it."""
+
+    name: str
+    carrier: str  # part whose markers tell where it is
+    there: Floats  # (3,) in the carrier's frame [m]
+    place: Floats  # (3,) in the femur's frame [m]
+
+
+def find_centers(knee: OsimKnee) -> list[Center]:
+    """The centres of hip and knee.
+
+    Raises:
+        InputError: a hip that slides, or a knee that is no joint of the femur: such centres are not fixed in it.
+    """
+    tree = knee.model.tree
+    joint, hip = tree.joints[tree_joint(tree, knee.tibia)], tree.joints.get(tree.welded(knee.femur)[0])
+    if hip is None or hip.parent.body == GROUND or any(axis.coordinate is not None for axis in hip.translations):
+        raise InputError(
+            f"{knee.femur!r} hangs on no hip",
+            where=f"{knee.model.root.file}, --joint-centers",
+            expected="a joint by which it turns about a point of another body",
+        )
+
+    def carried(joint: Joint) -> tuple[str, Floats]:
+        """The part that carries a joint, and where the moving frame's origin is in it at the default coordinates."""
+        pose = joint.pose(tree.values({}, 1), 1)[0] @ joint.child.pose
+        return knee.point(OsimFrame(joint.parent.body, pose), np.zeros(3))
+
+    pelvis, there = carried(hip)
+    part, place = carried(joint)
+    if part != "femur":
+        raise InputError(f"{joint.name!r} hangs on {part!r}", where=joint.where, expected=f"on {knee.femur!r}")
+    in_femur, in_tibia = (knee.point(j.child, np.zeros(3))[1] for j in (hip, joint))
+    return [
+        Center(f"{hip.name}_center", pelvis, there, in_femur),
+        Center(f"{joint.name}_center", "tibia", in_tibia, place),
+    ]
+
+
+def with_centers(
+    markers: MarkerTrajectories, centers: Sequence[Center], clusters: Mapping[str, Mapping[str, Floats]]
+) -> MarkerTrajectories:
+    """The markers, and the centres among them; markers of a carrier on a line are an InputError."""
+    if not centers:
+        return markers
+    columns = [markers.positions]
+    for center in centers:
+        poses = segment_poses(markers, clusters[center.carrier], source=f"{markers.source}, {center.carrier}")
+        columns.append((poses.positions + poses.matrices() @ center.there)[:, None])
+    names = (*markers.names, *(c.name for c in centers))
+    return replace(markers, names=names, positions=np.concatenate(columns, axis=1))

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple
 
 from pftwin.base.arrays import Floats
@@ -17,11 +17,8 @@ from pftwin.files.interchange.osim_document import Element, Frames, OsimFrame, p
 from pftwin.files.interchange.osim_joints import Tree, read_tree
 
 LIGAMENT = "Blankevoort1991Ligament"
-# What a file leaves out has these values: the classes' own defaults in OpenSim.
-_DEFAULTS = {
-    LIGAMENT: {"transition_strain": 0.06, "damping_coefficient": 0.003, "linear_stiffness": 1.0, "slack_length": 0.0},
-    "Smith2018ContactMesh": {"elastic_modulus": 1e6, "poissons_ratio": 0.5, "thickness": 0.005},
-}
+SURFACE = "Smith2018ContactMesh"
+CONTACT = "Smith2018ArticularContactForce"
 
 
 class LeftOut(NamedTuple):
@@ -42,17 +39,12 @@ class OsimLigament(NamedTuple):
     toe_strain: float
     damping_time: float  # [s]
     wraps: tuple[str, ...]  # names of the objects that its path wraps over
-    where: str
 
 
-def ligaments(
+def _ligaments(
     model: Element, defaults: dict[str, Element], frames: Frames, left: list[LeftOut]
 ) -> Iterator[OsimLigament]:
-    """The ligaments that are straight lines; the others are added to what is left out.
-
-    Raises:
-        InputError: numbers that cannot be a ligament's.
-    """
+    """The ligaments that are straight lines; the others are added to what is left out."""
     for element in model.all(LIGAMENT):
         if element.words("appliesForce") == "false":
             left.append(LeftOut(LIGAMENT, element.name, "it is switched off in the model"))
@@ -62,22 +54,14 @@ def ligaments(
             why = f"its path has {len(points)} points, some of them may move: only straight lines between two are taken"
             left.append(LeftOut(LIGAMENT, element.name, why))
             continue
-        ends = [
-            (frames.find(p.needed("socket_parent_frame").text, p, p.where), p.needed("location").numbers(3))
-            for p in points
-        ]
+        start, end = ((frames.of(p), p.needed("location").numbers(3)) for p in points)
         wraps = tuple(w.name for w in path_wraps(element) if w.covers(0, 1))
-        k, slack, toe, damping = (
-            value(element, tag, defaults)
-            for tag in ("linear_stiffness", "slack_length", "transition_strain", "damping_coefficient")
-        )
+        own = {"linear_stiffness": 1.0, "slack_length": 0.0, "transition_strain": 0.06, "damping_coefficient": 0.003}
+        k, slack, toe, damping = (element.number_of(t, v, defaults.get(LIGAMENT)) for t, v in own.items())
         if not (k > 0 and slack > 0 and toe > 0 and damping >= 0):
-            raise InputError(
-                f"stiffness {k:g} N, slack length {slack:g} m, transition strain {toe:g}, damping {damping:g} s",
-                where=element.where,
-                expected="positive numbers",
-            )
-        yield OsimLigament(element.name, (ends[0], ends[1]), k, slack, toe, damping, wraps, element.where)
+            found = f"stiffness {k:g} N, slack length {slack:g} m, transition strain {toe:g}, damping {damping:g} s"
+            raise InputError(found, where=element.where, expected="positive numbers")
+        yield OsimLigament(element.name, (start, end), k, slack, toe, damping, wraps)
 
 
 class PathWrap(NamedTuple):
@@ -93,27 +77,10 @@ class PathWrap(NamedTuple):
 
 
 def path_wraps(force: Element) -> Iterator[PathWrap]:
-    """The objects of a force's path.
-
-    Raises:
-        InputError: a range that is not two numbers.
-    """
+    """The objects of a force's path; a range that is not two numbers is an InputError."""
     for wrap in force.all("PathWrap"):
         start, end = wrap.numbers_of("range", (-1.0, -1.0))  # these count from 1; less than that is an end of the path
         yield PathWrap(wrap.words("wrap_object"), max(int(start), 1) - 1, int(end) - 1 if end >= 1 else math.inf)
-
-
-def value(element: Element, tag: str, defaults: dict[str, Element]) -> float:
-    """A number of an element: its own, else that of the model's defaults for its class, else the class's own."""
-    for holder in (element, defaults.get(element.tag)):
-        found = None if holder is None else holder.child(tag)
-        if found is not None:
-            return float(found.numbers(1)[0])
-    return _DEFAULTS[element.tag][tag]
-
-
-SURFACE = "Smith2018ContactMesh"
-CONTACT = "Smith2018ArticularContactForce"
 
 
 class Mesh(NamedTuple):
@@ -160,15 +127,15 @@ class OsimContact(NamedTuple):
 class OsimModel:
     """The parts of a model's file."""
 
-    name: str
-    file: str
+    root: Element
+    frames: Frames
     gravity: Floats  # (3,) in ground [m/s^2]
     bodies: dict[str, Body]
     tree: Tree
     ligaments: list[OsimLigament]
     surfaces: dict[str, ContactSurface]
     contacts: list[OsimContact]
-    left_out: list[LeftOut] = field(default_factory=list)
+    left_out: list[LeftOut]
 
 
 def class_defaults(root: Element) -> dict[str, Element]:
@@ -177,43 +144,29 @@ def class_defaults(root: Element) -> dict[str, Element]:
 
 
 def read_model(root: Element) -> OsimModel:
-    """Reads the parts of a <Model> that pftwin can use.
-
-    Raises:
-        InputError: values that are missing or no numbers.
-    """
+    """The parts of a <Model> that pftwin can use; values that are missing or no numbers are an InputError."""
     frames, left = Frames(root), []
     defaults = class_defaults(root)
     used = Element(root.tag, root.name, root.file, root.line, "", [c for c in root.children if c.tag != "defaults"])
     return OsimModel(
-        root.name,
-        root.file,
+        root,
+        frames,
         root.numbers_of("gravity", (0.0, -9.80665, 0.0)),
         {b.name: _body(b, frames) for b in used.all("Body")},
         read_tree(used, frames),
-        list(ligaments(used, defaults, frames, left)),
-        {s.name: _surface(s, defaults, frames) for s in used.all(SURFACE)},
+        list(_ligaments(used, defaults, frames, left)),
+        {s.name: _surface(s, defaults.get(SURFACE), frames) for s in used.all(SURFACE)},
         [_contact(c) for c in used.all(CONTACT) if c.words("appliesForce") != "false"],
         left,
     )
 
 
 def _body(element: Element, frames: Frames) -> Body:
-    meshes = tuple(_attached_mesh(m, element.name, frames) for m in element.all("Mesh"))
-    return Body(
-        element.name,
-        element.number_of("mass", 0.0),
-        element.numbers_of("mass_center", (0.0,) * 3),
-        element.numbers_of("inertia", (0.0,) * 6),
-        meshes,
-        element.where,
+    meshes = tuple(
+        _mesh(m, m.name or element.name, frames.find(m.words("socket_frame") or "..", m)) for m in element.all("Mesh")
     )
-
-
-def _attached_mesh(element: Element, body: str, frames: Frames) -> Mesh:
-    """A mesh of a body, or of a frame that is part of it."""
-    frame = frames.find(element.words("socket_frame") or "..", element, element.where)
-    return _mesh(element, element.name or body, frame)
+    mass, center = element.number_of("mass", 0.0), element.numbers_of("mass_center", (0.0,) * 3)
+    return Body(element.name, mass, center, element.numbers_of("inertia", (0.0,) * 6), meshes, element.where)
 
 
 def _mesh(element: Element, name: str, frame: OsimFrame) -> Mesh:
@@ -222,12 +175,11 @@ def _mesh(element: Element, name: str, frame: OsimFrame) -> Mesh:
     return Mesh(name, element.words("mesh_file"), frame, scale, element.where)
 
 
-def _surface(element: Element, defaults: dict[str, Element], frames: Frames) -> ContactSurface:
-    base = frames.find(element.needed("socket_frame").text, element, element.where)
+def _surface(element: Element, otherwise: Element | None, frames: Frames) -> ContactSurface:
+    base = frames.of(element, "socket_frame")
     mesh = _mesh(element, element.name, OsimFrame(base.body, base.pose @ placed(element, "location")))
-    modulus, poisson, thickness = (
-        value(element, tag, defaults) for tag in ("elastic_modulus", "poissons_ratio", "thickness")
-    )
+    own = {"elastic_modulus": 1e6, "poissons_ratio": 0.5, "thickness": 0.005}
+    modulus, poisson, thickness = (element.number_of(tag, value, otherwise) for tag, value in own.items())
     return ContactSurface(mesh, modulus, poisson, thickness, element.words("use_variable_thickness") == "true")
 
 

@@ -10,8 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
-from pftwin.base.rotations import continuous_signs
-from pftwin.files.interchange.osim_joints import Coordinate, Tree
+from pftwin.files.interchange.osim_joints import Tree
 from pftwin.files.interchange.osim_knee import OsimKnee
 from pftwin.files.mocap.pose_files import holds_matrices, read_poses
 from pftwin.files.mocap.poses import PoseSeries, quaternion_product
@@ -32,63 +31,52 @@ class Motion(NamedTuple):
     """How femur, tibia and patella move in ground; of the patella only the first frame counts, unless measured."""
 
     times: Floats  # (n,)
-    poses: dict[str, tuple[Floats, Floats]]  # positions (n, 3) [m] and quaternions (n, 4), scalar first, by body
+    poses: dict[str, PoseSeries]  # by body
     said: str
     measured: bool = False  # whether the patella's are measurements
     values: dict[str, Floats] | None = None  # of coordinates by name (n,) [rad] or [m]; None: of recorded poses
 
 
 def motion_of(
-    tree: Tree, knee: OsimKnee, path: str | os.PathLike[str] | None, rate: float | None = None, bend: str | None = None
+    knee: OsimKnee, path: str | os.PathLike[str] | None, rate: float | None = None, bend: str | None = None
 ) -> Motion:
     """By a file of coordinates, or of poses as matrices; or bent through its range, where there is none.
 
-    A patella that a file of poses does not have stands in the femur's frame where the model has it by default.
-
-    Args:
-        tree: the model's.
-        knee: its bodies.
-        path: of the file.
-        rate: frames per second, where the times of a file of poses count frames.
-        bend: the coordinate to bend by; None: the first rotation of the tibia's joint.
+    A patella that a file of poses does not have stands in the femur's frame where the model has it by default. The
+    options are those of `import_osim`.
 
     Raises:
-        InputError: as `read_poses`, `recorded`, `flexed_through_range` and `poses`; poses of no femur or tibia; a rate
-            of a file without poses.
+        InputError: as `read_poses`, `read_sto` and `poses`; poses of no femur or tibia; none of the model's
+            coordinates; no coordinate to bend by; a rate of a file without poses.
     """
     if path is not None and holds_matrices(path):
-        return _measured(tree, knee, path, rate)
+        return _measured(knee, path, rate)
     if rate is not None:
         raise InputError("a rate without a file of poses", where="rate", expected="times in seconds, and no rate")
-    found = flexed_through_range(tree, knee, bend) if path is None else recorded(tree, path)
-    times, values, said = found
+    tree = knee.model.tree
+    times, values, said = _flexed_through_range(tree, knee.tibia, bend) if path is None else _recorded(tree, path)
     return Motion(times, poses(tree, [knee.femur, knee.tibia, knee.patella], times, values), said, values=values)
 
 
-def flexed_through_range(tree: Tree, knee: OsimKnee, name: str | None = None) -> tuple[Floats, dict[str, Floats], str]:
+def _flexed_through_range(tree: Tree, tibia: str, name: str | None) -> tuple[Floats, dict[str, Floats], str]:
     """The knee bent from its default to the end of its range: times (n,), coordinates by name, and a description.
 
     Smoothly (a polynomial of fifth degree), so that it starts and ends at rest.
-
-    Args:
-        tree: the model's.
-        knee: its bodies.
-        name: of the coordinate; None: the first rotation of the tibia's joint.
-
-    Raises:
-        InputError: no such coordinate, or none that turns the tibia.
     """
-    joint = tree.joints[tree_joint(tree, knee.tibia)]
+    joint = tree.joints[tree_joint(tree, tibia)]
     joint.check()
-    own = joint.coordinates
-    turning = [c for c in own if c.rotational]
-    if name is not None and name not in tree.coordinates():
-        known = ", ".join(c.name for c in own)
+    coordinates = tree.coordinates()
+    turning = [c for c in joint.coordinates if c.rotational]
+    if name is not None and name not in coordinates:
+        known = ", ".join(c.name for c in joint.coordinates)
         raise InputError(f"no coordinate {name!r}", where="--bend", expected=f"such as {known}")
     if name is None and not turning:
-        raise InputError(f"nothing turns {knee.tibia!r}", where="--bend", expected="a joint with a rotation")
-    chosen = turning[0] if name is None else tree.coordinates()[name]
-    start, end = chosen.default, _end(chosen)
+        raise InputError(f"nothing turns {tibia!r}", where="--bend", expected="a joint with a rotation")
+    chosen = turning[0] if name is None else coordinates[name]
+    start = chosen.default
+    low, high = (v if np.isfinite(v) else s * np.inf for v, s in ((chosen.low, -1), (chosen.high, 1)))
+    far = high if high - start >= start - low else low
+    end = float(np.clip(far, start - FARTHEST, start + FARTHEST))
     share = np.arange(1 + int(np.ceil(RATE * 1.875 * abs(end - start) / FASTEST)))
     share = share / max(share[-1], 1)
     values = start + (end - start) * share**3 * (10 - 15 * share + 6 * share**2)
@@ -96,14 +84,10 @@ def flexed_through_range(tree: Tree, knee: OsimKnee, name: str | None = None) ->
     return np.arange(share.size) / RATE, {chosen.name: values}, f"{said}, all other coordinates at their defaults"
 
 
-def recorded(tree: Tree, path: str | os.PathLike[str]) -> tuple[Floats, dict[str, Floats], str]:
-    """Coordinates of a .mot or .sto file, by name or by path ("/jointset/knee_r/knee_angle_r/value"), in SI units.
-
-    Raises:
-        InputError: what `read_sto` refuses; none of the model's coordinates.
-    """
+def _recorded(tree: Tree, path: str | os.PathLike[str]) -> tuple[Floats, dict[str, Floats], str]:
+    """Coordinates of a .mot or .sto file, by name or by path ("/jointset/knee_r/knee_angle_r/value"), in SI units."""
     known = tree.coordinates()
-    names = {label: _short(label) for label in read_sto(path, rotational=()).names}
+    names = {label: label.removesuffix("/value").split("/")[-1] for label in read_sto(path, rotational=()).names}
     angles = [label for label, n in names.items() if n in known and known[n].rotational]
     table = read_sto(path, rotational=angles)
     found = {n: table.column(label) for label, n in names.items() if n in known}
@@ -113,42 +97,32 @@ def recorded(tree: Tree, path: str | os.PathLike[str]) -> tuple[Floats, dict[str
     return table.times, found, f"{len(found)} coordinates from {os.fspath(path)}, all others at their defaults"
 
 
-def _measured(tree: Tree, knee: OsimKnee, path: str | os.PathLike[str], rate: float | None) -> Motion:
+def _measured(knee: OsimKnee, path: str | os.PathLike[str], rate: float | None) -> Motion:
     held = read_poses(path, rate=rate)
     if missing := [body for body in (knee.femur, knee.tibia) if body not in held]:
         raise unknown_name("body", missing[0], held, where=path)
     seen = {body: held[body] for body in (knee.femur, knee.tibia, knee.patella) if body in held}
     said = f"poses of {', '.join(seen)} from {os.fspath(path)}"
+    femur = seen[knee.femur]
     if measured := knee.patella in held:
         said += "; the patella's are what was measured"
     else:
-        rest = poses(tree, [knee.femur, knee.patella], np.zeros(1), {})
-        still, patella = (PoseSeries(np.zeros(1), *rest[body]) for body in (knee.femur, knee.patella))
-        there, femur = patella.relative_to(still), seen[knee.femur]
+        rest = poses(knee.model.tree, [knee.femur, knee.patella], np.zeros(1), {})
+        there = rest[knee.patella].relative_to(rest[knee.femur])
         places = femur.positions + femur.matrices() @ there.positions[0]
         turns = quaternion_product(femur.quaternions, there.quaternions)
         seen[knee.patella] = PoseSeries(femur.times, places, turns)
         said += f"; {knee.patella} starts where the model has it in {knee.femur}"
-    said += f"; {GROUND_AS_MODEL}"
-    return Motion(
-        seen[knee.femur].times, {body: (p.positions, p.quaternions) for body, p in seen.items()}, said, measured
-    )
+    return Motion(femur.times, seen, f"{said}; {GROUND_AS_MODEL}", measured)
 
 
-def resting_patella(tree: Tree, knee: OsimKnee, tibia: PoseSeries) -> tuple[Floats, str]:
-    """Where the model has the patella in the femur (4, 4) for a tibia as in the first frame, and a description.
+def resting_patella(knee: OsimKnee, tibia: PoseSeries) -> tuple[tuple[Floats, Floats], str]:
+    """Where the model has the patella in the femur, place [m] and quaternion, and a description.
 
-    That is its default, unless the coordinate that bends the knee moves the patella too: then at the value for which
-    the model turns the tibia most nearly as it was recorded.
-
-    Args:
-        tree: the model's.
-        knee: its bodies.
-        tibia: in the femur.
-
-    Raises:
-        InputError: as `poses`.
+    For a tibia in the femur as in the first frame. That is the model's default, unless the coordinate that bends the
+    knee moves the patella too: then at the value for which the model turns the tibia most nearly as it was recorded.
     """
+    tree = knee.model.tree
     bending = [c for c in tree.joints[tree_joint(tree, knee.tibia)].coordinates if c.rotational]
     angles, given = np.zeros(1), {}
     if bending:
@@ -157,56 +131,33 @@ def resting_patella(tree: Tree, knee: OsimKnee, tibia: PoseSeries) -> tuple[Floa
         given = {bending[0].name: angles}
     tried = np.arange(angles.size, dtype=np.float64)
     found = poses(tree, [knee.femur, knee.tibia, knee.patella], tried, given)
-    series = {body: PoseSeries(tried, *pair) for body, pair in found.items()}
-    shin, button = (series[body].relative_to(series[knee.femur]) for body in (knee.tibia, knee.patella))
-    index, said = 0, f"{knee.patella} starts where the model has it in {knee.femur} by default"
+    shin, button = (found[body].relative_to(found[knee.femur]) for body in (knee.tibia, knee.patella))
+    index, said = 0, "by default"
     if (np.ptp(button.positions, axis=0) > _MOVED).any():
         turns = Rotation.from_quat(shin.quaternions, scalar_first=True).inv()
         first = Rotation.from_quat(tibia.quaternions[0], scalar_first=True)
         off = np.asarray((turns * first).magnitude())
         index = 1 + int(np.argmin(off[1:]))
-        angle = f"{bending[0].name} = {np.degrees(angles[index]):.1f} deg"
-        said = f"{knee.patella} starts where the model has it in {knee.femur} at {angle}"
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = button.matrices()[index], button.positions[index]
-    return pose, said
+        said = f"at {bending[0].name} = {np.degrees(angles[index]):.1f} deg"
+    turn = Rotation.from_quat(button.quaternions[index], scalar_first=True).as_quat(scalar_first=True, canonical=True)
+    said = f"{knee.patella} starts where the model has it in {knee.femur} {said}"
+    return (button.positions[index], turn), said
 
 
-def poses(tree: Tree, bodies: list[str], times: Floats, given: dict[str, Floats]) -> dict[str, tuple[Floats, Floats]]:
-    """Positions (n, 3) [m] and quaternions (n, 4), scalar first, of bodies in ground.
-
-    Raises:
-        InputError: joints on the way that are not known; functions that overflow.
-    """
+def poses(tree: Tree, bodies: list[str], times: Floats, given: dict[str, Floats]) -> dict[str, PoseSeries]:
+    """Poses of bodies in ground; joints that are not known and functions that overflow are an InputError."""
     values = tree.values(given, times.size)
     out = {}
     for body in bodies:
         with np.errstate(over="ignore", invalid="ignore"):
             pose = tree.pose(body, values, times.size)
         if not np.isfinite(pose).all():
-            raise InputError(
-                f"the pose of {body!r} is not finite",
-                where=tree.joints[body].where,
-                expected="functions and coordinates of this joint, and of those that carry it, of a human size",
-            )
-        turn = Rotation.from_matrix(pose[:, :3, :3]).as_quat(scalar_first=True)
-        out[body] = pose[:, :3, 3], continuous_signs(turn)
+            expected = "functions and coordinates of this joint, and of those that carry it, of a human size"
+            raise InputError(f"the pose of {body!r} is not finite", where=tree.joints[body].where, expected=expected)
+        out[body] = PoseSeries.from_matrices(times, pose[:, :3, 3], pose[:, :3, :3], source=body)
     return out
 
 
 def tree_joint(tree: Tree, body: str) -> str:
     """The body by whose joint this one moves: itself, or what it is welded to."""
     return body if tree.joints[body].kind != "WeldJoint" else tree.welded(body)[0]
-
-
-def _end(coordinate: Coordinate) -> float:
-    """The farther end of the range, at most `FARTHEST` away."""
-    low, high = (v if np.isfinite(v) else s * np.inf for v, s in ((coordinate.low, -1), (coordinate.high, 1)))
-    start = coordinate.default
-    far = high if high - start >= start - low else low
-    return float(np.clip(far, start - FARTHEST, start + FARTHEST))
-
-
-def _short(label: str) -> str:
-    parts = label.removesuffix("/value").split("/")
-    return parts[-1]

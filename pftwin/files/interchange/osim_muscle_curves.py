@@ -44,35 +44,36 @@ class _Point(NamedTuple):
 
 
 def millard(held: Sequence[Element], *, damped: bool) -> Curves:
-    """The curves of a Millard2012EquilibriumMuscle.
+    """The curves of a Millard2012EquilibriumMuscle; numbers from which none follow are an InputError.
 
     Args:
         held: elements whose curves' properties are used, first those of the muscle itself.
         damped: whether the fibre is; then the active curve ends at 0, else at `_LEAST_ACTIVE` or more.
-
-    Raises:
-        InputError: numbers from which no such curve follows.
     """
     a = Properties(held, "ActiveForceLengthCurve")
-    low, shoulder, high = (
-        a.number(f"{name}_norm_{kind}fiber_length", value)
-        for name, kind, value in (("min", "active_", 0.4441), ("transition", "", 0.73), ("max", "active_", 1.8123))
+    low, shoulder, high, slope, least = a.numbers(
+        min_norm_active_fiber_length=0.4441,
+        transition_norm_fiber_length=0.73,
+        max_norm_active_fiber_length=1.8123,
+        shallow_ascending_slope=0.8616,
+        minimum_value=0.1,
     )
-    floor = 0.0 if damped else max(a.number("minimum_value", 0.1), _LEAST_ACTIVE)
-    slope = a.number("shallow_ascending_slope", 0.8616)
+    floor = 0.0 if damped else max(least, _LEAST_ACTIVE)
     a.expect(0 <= low < shoulder < 0.95 < 1.05 < high, "ascending lengths around 1")
     a.expect(0 <= floor < 1 and 0 <= slope < (1 - floor) / (1 - shoulder), "a plateau that rises to 1")
     p = Properties(held, "FiberForceLengthCurve")
-    zero, one = p.number("strain_at_zero_force", 0.0), p.number("strain_at_one_norm_force", 0.7)
+    zero, one = p.numbers(strain_at_zero_force=0.0, strain_at_one_norm_force=0.7)
     p.expect(-1 < zero < one, "a strain at one normalised force beyond that at none")
-    shape = {"stiffness_at_low_force": 0.2, "stiffness_at_one_norm_force": 2 / (one - zero), "curviness": 0.75}
-    soft, stiff, bend = p.all_or_none(shape)
+    soft, stiff, bend = p.all_or_none(
+        stiffness_at_low_force=0.2, stiffness_at_one_norm_force=2 / (one - zero), curviness=0.75
+    )
     p.expect(0 < soft < 1 / (one - zero) < stiff and 0 <= bend <= 1, "stiffnesses below and above the mean one")
     t = Properties(held, "TendonForceLengthCurve")
-    strain = t.number("strain_at_one_norm_force", 0.049)
+    (strain,) = t.numbers(strain_at_one_norm_force=0.049)
     t.expect(strain > 0, "a positive strain at one normalised force")
-    shape = {"stiffness_at_one_norm_force": 1.375 / strain, "norm_force_at_toe_end": 2 / 3, "curviness": 0.5}
-    end, toe, round_ = t.all_or_none(shape)
+    end, toe, round_ = t.all_or_none(
+        stiffness_at_one_norm_force=1.375 / strain, norm_force_at_toe_end=2 / 3, curviness=0.5
+    )
     t.expect(end * strain > 1 and 0 < toe < 1 and 0 <= round_ <= 1, "a toe region before a stiffer one")
     return Curves(
         _curve(_active_corners(low, shoulder, high, floor, slope), 1.0, a),
@@ -120,7 +121,7 @@ def _curve(points: Sequence[_Point], curviness: float, said: Properties) -> Func
     """Through corners, and beyond them on along the tangents."""
     share = 0.1 + 0.8 * curviness
     u = np.linspace(0, 1, _SAMPLES)
-    x, y, slopes = [], [], []
+    pieces = []
     for a, b in pairwise(points):
         turn = b.slope - a.slope
         along = (a.y - b.y + b.x * b.slope - a.x * a.slope) / turn if abs(turn) > 1e-8 else 0.5 * (a.x + b.x)
@@ -132,29 +133,17 @@ def _curve(points: Sequence[_Point], curviness: float, said: Properties) -> Func
         bezier = BPoly(np.array([ends[0], first, first, last, last, ends[1]])[:, None], [0.0, 1.0])
         place, way = bezier(u), bezier.derivative()(u)
         kept = slice(0 if a is points[0] else 1, None)  # the corner before ends where this one begins
-        x.append(place[kept, 0])
-        y.append(place[kept, 1])
-        slopes.append((way[:, 1] / way[:, 0])[kept])
-    at = np.concatenate(x)
+        pieces.append(np.column_stack([place, way[:, 1] / way[:, 0]])[kept])
+    at, height, slope = np.concatenate(pieces).T
     said.expect(bool((np.diff(at) > 0).all()), "corners that follow one another")
-    return continued(CubicHermiteSpline(at, np.concatenate(y), np.concatenate(slopes)), at)
+    return continued(CubicHermiteSpline(at, height, slope), at)
 
 
 def thelen(held: Sequence[Element]) -> Curves:
-    """The curves of a Thelen2003Muscle.
-
-    Raises:
-        InputError: strains or shape factors that are not positive.
-    """
+    """The curves of a Thelen2003Muscle; strains or shape factors that are not positive are an InputError."""
     said = Properties(held)
-    tendon, fiber, active, passive = (
-        said.number(tag, value)
-        for tag, value in (
-            ("FmaxTendonStrain", 0.04),
-            ("FmaxMuscleStrain", 0.6),
-            ("KshapeActive", 0.45),
-            ("KshapePassive", 5.0),
-        )
+    tendon, fiber, active, passive = said.numbers(
+        FmaxTendonStrain=0.04, FmaxMuscleStrain=0.6, KshapeActive=0.45, KshapePassive=5.0
     )
     said.expect(min(tendon, fiber, active, passive) > 0, "positive strains and shape factors")
     toe, bend = 0.33, 3.0  # force at the end of the toe region, and its shape
@@ -190,17 +179,16 @@ class Properties:
         first = next((f for f in found if f is not None and f.text.strip()), None)
         return None if first is None else float(first.numbers(1)[0])
 
-    def number(self, tag: str, default: float) -> float:
-        """The number of that tag, or the default."""
-        found = self.find(tag)
-        return default if found is None else found
+    def numbers(self, **defaults: float) -> list[float]:
+        """The numbers of these tags, or their defaults."""
+        found = ((self.find(tag), default) for tag, default in defaults.items())
+        return [default if value is None else value for value, default in found]
 
-    def all_or_none(self, defaults: dict[str, float]) -> list[float]:
+    def all_or_none(self, **defaults: float) -> list[float]:
         """The numbers of these tags, which go together: OpenSim takes all from the file or none."""
-        found = {tag: self.find(tag) for tag in defaults}
-        given = {tag: value for tag, value in found.items() if value is not None}
+        given = [value for value in map(self.find, defaults) if value is not None]
         self.expect(len(given) in (0, len(defaults)), f"all of {', '.join(defaults)}, or none")
-        return list((given or defaults).values())
+        return given or [*defaults.values()]
 
     def flag(self, tag: str) -> bool:
         """Whether the first element that has that tag says true; false where none has it."""

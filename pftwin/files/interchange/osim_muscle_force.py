@@ -46,13 +46,9 @@ class MuscleForce(NamedTuple):
         """The fibre's least length [m]."""
         return max(self.curves.shortest * self.fiber, self.width / np.sin(self.most_pennation))
 
-    def activated(self, activation: Floats) -> Floats:
-        """Activations that are as small as the model allows at least."""
-        return np.maximum(activation, self.least_activation)
-
     def tensions(self, lengths: Floats, activations: Floats) -> Floats:
         """Tension (n,) [N] at lengths of the whole muscle (n,) [m] and activations (n,) between 0 and 1."""
-        pairs = zip(lengths, self.activated(activations), strict=True)
+        pairs = zip(lengths, np.maximum(activations, self.least_activation), strict=True)
         return np.array([self.strength * self._pull(float(length), float(a)) for length, a in pairs])
 
     def _pull(self, length: float, activation: float) -> float:
@@ -94,31 +90,22 @@ class MuscleForce(NamedTuple):
 def read_force(muscle: Element, defaults: Mapping[str, Element]) -> MuscleForce:
     """What a muscle's element says of its force; what it does not say is as in the model's defaults, then OpenSim's.
 
-    Args:
-        muscle: of one of `MUSCLES`.
-        defaults: the model's elements of <defaults>, by class.
-
     Raises:
         InputError: a muscle of another class; numbers that no muscle has.
     """
     if muscle.tag not in MUSCLES:
-        raise InputError(
-            f"no force follows from the activation of a <{muscle.tag}> {muscle.name!r}",
-            where=muscle.where,
-            expected=f"one of: {', '.join(MUSCLES)}",
-        )
+        found = f"no force follows from the activation of a <{muscle.tag}> {muscle.name!r}"
+        raise InputError(found, where=muscle.where, expected=f"one of: {', '.join(MUSCLES)}")
     held = [muscle, *([defaults[muscle.tag]] if muscle.tag in defaults else [])]
     said = Properties(held)
-    strength, fiber, slack, pennation, most, least = (
-        said.number(tag, value)
-        for tag, value in (
-            ("max_isometric_force", 1000.0),
-            ("optimal_fiber_length", 0.1),
-            ("tendon_slack_length", 0.2),
-            ("pennation_angle_at_optimal", 0.0),
-            ("maximum_pennation_angle", float(np.arccos(0.1))),
-            ("minimum_activation", 0.01),
-        )
+    strength, fiber, slack, pennation, most, least, damping = said.numbers(
+        max_isometric_force=1000.0,
+        optimal_fiber_length=0.1,
+        tendon_slack_length=0.2,
+        pennation_angle_at_optimal=0.0,
+        maximum_pennation_angle=float(np.arccos(0.1)),
+        minimum_activation=0.01,
+        fiber_damping=0.1,
     )
     said.expect(min(strength, fiber, slack) > 0, "a positive force, and positive lengths of fibre and tendon")
     said.expect(0 <= pennation < most <= np.pi / 2, "a pennation below its greatest one, and that at most pi / 2")
@@ -128,6 +115,5 @@ def read_force(muscle: Element, defaults: Mapping[str, Element]) -> MuscleForce:
         said.expect(not rigid, "a tendon that stretches, as OpenSim wants of this class")
         curves = thelen(held)
     else:
-        damped = rigid or said.number("fiber_damping", 0.1) >= _LEAST_DAMPING
-        curves = millard(held, damped=damped)
+        curves = millard(held, damped=rigid or damping >= _LEAST_DAMPING)
     return MuscleForce(muscle.name, strength, fiber, slack, pennation, most, rigid, least, curves)

@@ -11,17 +11,15 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
-from pftwin.files.interchange.osim_document import GROUND, Element, Frames
+from pftwin.files.interchange.osim_document import GROUND, Element
 from pftwin.files.interchange.osim_joints import Coordinate, function_in
-from pftwin.files.interchange.osim_knee import OsimKnee, part_and_pose
-from pftwin.files.interchange.osim_model import OsimModel
+from pftwin.files.interchange.osim_knee import OsimKnee
+from pftwin.files.interchange.osim_lines import BODIES, POINTS
 from pftwin.files.interchange.osim_motion import Motion
-from pftwin.files.interchange.osim_muscle_wraps import Wrap
-from pftwin.files.interchange.osim_muscles import BODIES, POINTS
+from pftwin.files.interchange.osim_wraps import Wrap
 
 FIXED, CONDITIONAL, MOVING = POINTS
 _LEAST = 1e-6  # of a path's length [m]
@@ -45,52 +43,43 @@ class MovingBodies:
     none.
     """
 
-    def __init__(self, model: OsimModel, knee: OsimKnee, motion: Motion) -> None:
-        self.model, self.knee, self.motion = model, knee, motion
+    def __init__(self, knee: OsimKnee, motion: Motion) -> None:
+        self.knee, self.motion = knee, motion
         self.count = motion.times.size
-        self.values = model.tree.values(motion.values or {}, self.count)
+        self.values = knee.model.tree.values(motion.values or {}, self.count)
         self._found: dict[str, Floats] = {GROUND: np.tile(np.eye(4), (self.count, 1, 1))}
 
-    def pose(self, body: str) -> Floats:
-        """(n, 4, 4) of a body.
-
-        Raises:
-            InputError: a body that no chain of joints connects with ground.
-        """
+    def pose(self, part: str) -> Floats:
+        """(n, 4, 4) of "femur", "tibia" or "patella", or of a body by its name, which must hang on ground by joints."""
+        body = self.knee.name(part)
         if body not in self._found:
             self._found[body] = self._given(body) if body in self.motion.poses else self._carried(body)
         return self._found[body]
 
-    def of_part(self, part: str) -> Floats:
-        """(n, 4, 4) of "femur", "tibia" or "patella", or of a body that is none of them."""
-        return self.pose(getattr(self.knee, part) if part in ("femur", "tibia", "patella") else part)
+    def seen_from(self, part: str, points: Floats, at: np.ndarray | slice = slice(None)) -> Floats:
+        """Points (k, 3) of ground, one for each of some frames, in a part's frame."""
+        return _moved(np.linalg.inv(self.pose(part))[at], points)
 
     def coordinate(self, path: str, where: str) -> tuple[Coordinate, Floats]:
-        """A coordinate by the path of a socket, and its values (n,).
-
-        Raises:
-            InputError: there is none, or the motion does not tell it.
+        """A coordinate by the path of a socket, and its values (n,); an InputError where the motion does not tell
+        it.
         """
         name = path.strip().rpartition("/")[2]
-        known = self.model.tree.coordinates()
+        known = self.knee.model.tree.coordinates()
         if name not in known:
             raise InputError(f"no coordinate {name!r}", where=where)
         if self.motion.values is None:
-            raise InputError(
-                f"a point of a muscle's path goes by the coordinate {name!r}, which poses do not tell",
-                where=where,
-                remedy="--motion with a file of coordinates",
-            )
+            found = f"a point of a muscle's path goes by the coordinate {name!r}, which poses do not tell"
+            raise InputError(found, where=where, remedy="--motion with a file of coordinates")
         return known[name], self.values[name]
 
     def _given(self, body: str) -> Floats:
-        places, turns = self.motion.poses[body]
         out = np.tile(np.eye(4), (self.count, 1, 1))
-        out[:, :3, :3], out[:, :3, 3] = Rotation.from_quat(turns, scalar_first=True).as_matrix(), places
+        out[:, :3, :3], out[:, :3, 3] = self.motion.poses[body].matrices(), self.motion.poses[body].positions
         return out
 
     def _carried(self, body: str) -> Floats:
-        tree, bones = self.model.tree, (self.knee.tibia, self.knee.patella)
+        tree, bones = self.knee.model.tree, (self.knee.tibia, self.knee.patella)
         roots = {tree.welded(bone)[0]: bone for bone in bones}
         below, carrier = tree.welded(body)[0], self.knee.femur
         while below in tree.joints:
@@ -112,21 +101,15 @@ class _Point(NamedTuple):
     fixed: bool
 
 
-def path_over_motion(
-    muscle: Element, frames: Frames, bodies: MovingBodies, wraps: Sequence[Wrap] = ()
-) -> PathOverMotion | None:
+def path_over_motion(muscle: Element, bodies: MovingBodies, wraps: Sequence[Wrap] = ()) -> PathOverMotion | None:
     """A muscle's path; None if not exactly one piece of it ends at a fixed place of the patella, in every frame.
 
-    Args:
-        muscle: its element.
-        frames: of the model.
-        bodies: of the knee, as they move.
-        wraps: what it wraps over; each is taken by itself where there are several.
+    Of several objects that it wraps over each is taken by itself.
 
     Raises:
         InputError: points without a place; coordinates that are not known; a path without a length.
     """
-    points = [_point(p, frames, bodies) for p in muscle.all(*POINTS)]
+    points = [_point(p, bodies) for p in muscle.all(*POINTS)]
     lengths, ends = np.zeros(bodies.count), np.zeros((bodies.count, 2), int)
     there = np.stack([p.there for p in points])
     for pattern in np.unique(there, axis=1).T:
@@ -142,8 +125,7 @@ def path_over_motion(
             start, end = points[a].place[at], points[b].place[at]
             lengths[at] += np.linalg.norm(end - start, axis=-1)
             for wrap in (w for w in wraps if w.between.covers(int(a), int(b))):
-                inverse = np.linalg.inv(bodies.of_part(wrap.part))[at]
-                lengths[at] += wrap.adds(_moved(inverse, start), _moved(inverse, end))
+                lengths[at] += wrap.adds(*(bodies.seen_from(wrap.part, place, at) for place in (start, end)))
     if not (lengths > _LEAST).all():
         where = f"{muscle.where}, frame {1 + int(np.argmin(lengths))}"
         raise InputError(f"the path of {muscle.name!r} has no length", where=where, expected="points that differ")
@@ -151,16 +133,13 @@ def path_over_motion(
     if len(inserted) > 1 or not points[inserted[0]].fixed:
         return None
     before = {points[k].part for k in ends[:, 1]}
-    body = before.pop() if len(before) == 1 else "femur"
-    body = body if body in BODIES else "femur"
+    body = before.pop() if len(before) == 1 and before <= {*BODIES} else "femur"
     places = np.stack([points[k].place[f] for f, k in enumerate(ends[:, 1])])
-    origin = _moved(np.linalg.inv(bodies.of_part(body)), places)
-    return PathOverMotion(lengths, points[inserted[0]].own[0], origin, body)
+    return PathOverMotion(lengths, points[inserted[0]].own[0], bodies.seen_from(body, places), body)
 
 
-def _point(element: Element, frames: Frames, bodies: MovingBodies) -> _Point:
-    frame = frames.find(element.needed("socket_parent_frame").text, element, element.where)
-    part, pose = part_and_pose(bodies.model, bodies.knee, frame)
+def _point(element: Element, bodies: MovingBodies) -> _Point:
+    part, pose = bodies.knee.placed(bodies.knee.model.frames.of(element))
     here, there = np.zeros((bodies.count, 3)), np.ones(bodies.count, bool)
     if element.tag == MOVING:
         for k, axis in enumerate("xyz"):
@@ -172,7 +151,7 @@ def _point(element: Element, frames: Frames, bodies: MovingBodies) -> _Point:
         _, values = bodies.coordinate(element.needed("socket_coordinate").text, element.where)
         there = (values >= low - _SLACK) & (values <= high + _SLACK)
     own = here @ pose[:3, :3].T + pose[:3, 3]
-    return _Point(part, own, _moved(bodies.of_part(part), own), there, element.tag != MOVING)
+    return _Point(part, own, _moved(bodies.pose(part), own), there, element.tag != MOVING)
 
 
 def _moved(poses: np.ndarray, points: Floats) -> Floats:

@@ -12,18 +12,10 @@ from pftwin.base.errors import InputError, OutputError
 from pftwin.base.text_files import write_text
 from pftwin.files.interchange import osim_motion
 from pftwin.files.interchange.osim_document import Element, read_osim
-from pftwin.files.interchange.osim_knee import FOLDER, OsimKnee, Written, bones, find_knee, load_mesh, part_and_pose
-from pftwin.files.interchange.osim_lines import ligament_groups, pulls
-from pftwin.files.interchange.osim_model import (
-    CONTACT,
-    LIGAMENT,
-    SURFACE,
-    LeftOut,
-    OsimContact,
-    OsimModel,
-    read_model,
-)
-from pftwin.files.interchange.osim_muscles import PatellarMuscle
+from pftwin.files.interchange.osim_knee import FOLDER, PARTS, OsimKnee, Written, bones, find_knee, load_mesh
+from pftwin.files.interchange.osim_lines import PatellarMuscle, ligament_lines, pulls
+from pftwin.files.interchange.osim_model import CONTACT, LIGAMENT, SURFACE, LeftOut, OsimContact, read_model
+from pftwin.files.interchange.osim_toml import poses_csv, report, scene_text
 from pftwin.files.interchange.osim_wraps import Wraps
 from pftwin.model.limits import Limits
 
@@ -50,9 +42,8 @@ class Imported:
     notes: list[str] = field(default_factory=list)
     left_out: list[LeftOut] = field(default_factory=list)
     muscles: list[PatellarMuscle] = field(default_factory=list)  # of the patella
-    tensions: dict[str, float] = field(
-        default_factory=dict
-    )  # of those that were taken over, by name, in the first frame [N]
+    # Of those that were taken over, by name, in the first frame [N].
+    tensions: dict[str, float] = field(default_factory=dict)
 
     @property
     def scene(self) -> Path:
@@ -97,8 +88,8 @@ def import_osim(
         quadriceps: a constant tension [N] of all muscles together that end on the patella, shared out by their maximum
             isometric forces, from the point before on their paths; None: they are left out.
         activation: in place of a tension, the activation of these muscles, 0 to 1, or a STO, MOT or CSV file of
-            activations over time (`osim_activation_file.activations`). Their tensions follow from it and from the
-            lengths of their paths, at rest.
+            activations over time, in columns called like the muscles or by their paths. Their tensions follow from it
+            and from the lengths of their paths, at rest.
         side: "right" or "left"; None: as the patella's name ends.
         femur, tibia, patella: names of bodies, where they cannot be told.
         geometry: folders with meshes, besides the model's own and `Geometry` in it.
@@ -115,14 +106,12 @@ def import_osim(
         OutputError: the folder cannot be written to, or holds one of these files already.
     """
     from pftwin.files.interchange.osim_activation import FILE
-    from pftwin.files.interchange.osim_toml import OverTime, poses_csv, scene_text
     from pftwin.files.mocap.trc import trc_text
 
     if quadriceps is not None and activation is not None:
         raise InputError("both a tension and an activation", where="activation", expected="one of them")
     Limits.of(limits or {})
-    root = read_osim(model)
-    found = read_model(root)
+    found = read_model(read_osim(model))
     knee = find_knee(found, side, femur=femur, tibia=tibia, patella=patella)
     told = Imported(left_out=list(found.left_out))
     places = [Path(p) for p in geometry]
@@ -135,39 +124,25 @@ def import_osim(
         if activation is not None:
             expected = "coordinates (.mot) or poses (.sto), by which muscles have lengths; or a constant tension"
             raise InputError("an activation, and a recording of markers", where="activation", expected=expected)
-        seen = _recording(root, found, knee, motion, markers, told, how)
+        seen = _recording(knee, motion, markers, told, how)
     else:
         _refuse_others("no recording of markers as motion", markers=markers, **how)
-        moved = osim_motion.motion_of(found.tree, knee, motion, rate, bend)
+        moved = osim_motion.motion_of(knee, motion, rate, bend)
         told.notes.append(f"motion: {moved.said}")
     if found.bodies[knee.patella].mass <= 0:
         raise InputError("a patella without mass", where=found.bodies[knee.patella].where, expected="a positive mass")
-    wraps = Wraps(root, found, knee)
-    strands = ligament_groups(found, knee, wraps, told)
-    contact, pressing = _contact_meshes(found, knee, places, told)
-    taken = {m.file for m in pressing}
-    drawn = list(bones(found, knee, places, taken, told.left_out))
+    wraps = Wraps(knee)
+    strands = ligament_lines(knee, wraps, told)
+    contact, pressing = _contact_meshes(knee, places, told)
+    drawn = list(bones(knee, places, {m.file for m in pressing}, told.left_out))
     if drawn:
         told.notes.append(f"bones: {len(drawn)} meshes lie in {FOLDER}/; a scene file has no table for them")
-    pulling, pulled = pulls(root, found, knee, moved, told, quadriceps, activation, wraps)
-    told.left_out += _unused_elements(root, told, recorded=seen is not None)
-    over = [*(strand.wrap for group in strands for strand in group), *(wrap for _, wrap in pulling)]
-    if any(wrap is not None and wrap.kind == "cylinder" for wrap in over):
+    pulling, pulled = pulls(knee, moved, told, quadriceps, activation, wraps)
+    told.left_out += _unused_elements(found.root, told, recorded=seen is not None)
+    if any(wrap is not None and wrap.kind == "cylinder" for _, wrap in (*strands, *pulling)):
         told.notes.append("wrapping: cylinders are taken as endless")
-    text = scene_text(
-        found,
-        knee,
-        strands,
-        contact,
-        pressing,
-        told,
-        measured=moved is not None and moved.measured,
-        muscles=pulling,
-        over_time=None if pulled is None else OverTime(FILE, pulled.moving),
-        seen=seen,
-        limits=limits,
-    )
-    tables = {} if moved is None else {"poses.csv": poses_csv(moved.times, moved.poses)}
+    text = scene_text(knee, strands, contact, pressing, told, moved, pulling, pulled, seen, limits or {})
+    tables = {} if moved is None else {"poses.csv": poses_csv(moved)}
     tables |= {} if seen is None else {RECORDING: trc_text(RECORDING, seen.markers)}
     if moved is not None and pulled is not None:
         tables[FILE] = pulled.table(moved.times)
@@ -176,8 +151,6 @@ def import_osim(
 
 
 def _recording(
-    root: Element,
-    model: OsimModel,
     knee: OsimKnee,
     motion: str | os.PathLike[str],
     markers: str | os.PathLike[str] | None,
@@ -185,11 +158,11 @@ def _recording(
     how: dict[str, Any],
 ) -> Recording:
     """The markers of the knee, and their recording."""
-    from pftwin.files.interchange.osim_clusters import PARTS, read_recording
+    from pftwin.files.interchange.osim_clusters import read_recording
     from pftwin.files.interchange.osim_markers import markers_of
 
-    known = markers_of(root, model, knee, markers, told.left_out)
-    seen = read_recording(motion, model, knee, known, **how)
+    known = markers_of(knee, markers, told.left_out)
+    seen = read_recording(motion, knee, known, **how)
     why = "it is not in the recording, or not seen throughout, or was left out"
     told.left_out += [
         LeftOut("Marker", m.name, why if m.part in PARTS else "it is on no bone of the knee")
@@ -207,35 +180,32 @@ def _refuse_others(found: str, **options: Any) -> None:
         raise InputError(f"{given[0]} given, and {found}", where=given[0], expected="one or the other")
 
 
-def _contact(model: OsimModel, knee: OsimKnee, told: Imported) -> OsimContact | None:
+def _contact(knee: OsimKnee, told: Imported) -> OsimContact | None:
     """The contact of femur and patella, the femur's surface first."""
-    chosen = None
-    for contact in model.contacts:
-        missing = [s for s in contact.surfaces if s not in model.surfaces]
+    chosen, surfaces = None, knee.model.surfaces
+    for contact in knee.model.contacts:
+        missing = [s for s in contact.surfaces if s not in surfaces]
+        parts = [] if missing else [knee.placed(surfaces[s].mesh.frame)[0] for s in contact.surfaces]
         if missing:
-            told.left_out.append(LeftOut(CONTACT, contact.name, f"there is no contact mesh {missing[0]!r}"))
-            continue
-        parts = [part_and_pose(model, knee, model.surfaces[s].mesh.frame)[0] for s in contact.surfaces]
-        if sorted(parts) != ["femur", "patella"]:
+            why = f"there is no contact mesh {missing[0]!r}"
+        elif sorted(parts) != ["femur", "patella"]:
             why = f"it is between {' and '.join(parts)}, whose motion is prescribed"
-            told.left_out.append(LeftOut(CONTACT, contact.name, why))
         elif chosen is not None:
-            told.left_out.append(LeftOut(CONTACT, contact.name, "a scene has one contact"))
+            why = "a scene has one contact"
         else:
-            surfaces = contact.surfaces if parts[0] == "femur" else contact.surfaces[::-1]
-            chosen = contact._replace(surfaces=surfaces)
+            chosen = contact if parts[0] == "femur" else contact._replace(surfaces=contact.surfaces[::-1])
+            continue
+        told.left_out.append(LeftOut(CONTACT, contact.name, why))
     return chosen
 
 
-def _contact_meshes(
-    model: OsimModel, knee: OsimKnee, places: list[Path], told: Imported
-) -> tuple[OsimContact | None, list[Written]]:
+def _contact_meshes(knee: OsimKnee, places: list[Path], told: Imported) -> tuple[OsimContact | None, list[Written]]:
     """The contact with its two meshes; neither where a mesh cannot be read."""
-    contact = _contact(model, knee, told)
+    contact = _contact(knee, told)
     if contact is None:
         return None, []
     try:
-        return contact, [load_mesh(model.surfaces[s].mesh, model, knee, places) for s in contact.surfaces]
+        return contact, [load_mesh(knee.model.surfaces[s].mesh, knee, places) for s in contact.surfaces]
     except InputError as error:
         told.left_out.append(LeftOut(CONTACT, contact.name, str(error)))
         return None, []
@@ -243,7 +213,6 @@ def _contact_meshes(
 
 def _write(folder: Path, text: str, tables: dict[str, str], meshes: list[Written], told: Imported) -> None:
     """All files, or none where one of them is there already."""
-    from pftwin.files.interchange.osim_toml import report
     from pftwin.geometry.mesh.mesh import save_mesh
 
     names = ["scene.toml", *tables, REPORT, *(m.file for m in meshes)]
@@ -270,28 +239,22 @@ def _unused_elements(root: Element, told: Imported, *, recorded: bool) -> Iterat
 
     Of markers, whose recording says which are used, nothing is said where the motion was `recorded` by them.
     """
-    taken = {(m.kind, m.name) for m in told.muscles if m.name in told.tensions}
+    taken = {(m.element.tag, m.name) for m in told.muscles if m.name in told.tensions}
     for group in root.children:
-        held = group.child("objects")
-        if held is None:
-            continue
-        if group.tag == "ForceSet":
-            for force in held.children:
-                if force.tag not in _READ and (force.tag, force.name) not in taken:
-                    yield _left_out_force(force, told.muscles)
-        elif group.tag == "ContactGeometrySet":
-            for surface in held.children:
-                if surface.tag != SURFACE:
-                    yield LeftOut(surface.tag, surface.name, f"only <{SURFACE}> is read")
-        elif group.tag in _SETS and not (recorded and group.tag == "MarkerSet"):
-            for part in held.children:
-                if part.tag not in _READ:
-                    yield LeftOut(part.tag, part.name, _SETS[group.tag])
+        for part in group.objects():
+            if group.tag == "ForceSet":
+                if part.tag not in _READ and (part.tag, part.name) not in taken:
+                    yield _left_out_force(part, told.muscles)
+            elif group.tag == "ContactGeometrySet":
+                if part.tag != SURFACE:
+                    yield LeftOut(part.tag, part.name, f"only <{SURFACE}> is read")
+            elif group.tag in _SETS and part.tag not in _READ and not (recorded and group.tag == "MarkerSet"):
+                yield LeftOut(part.tag, part.name, _SETS[group.tag])
 
 
 def _left_out_force(force: Element, muscles: Sequence[PatellarMuscle]) -> LeftOut:
     """Why a force is left out; of one that pulls at the patella also its two ends, for the user to add to the scene."""
-    if muscle := next((m for m in muscles if (m.kind, m.name) == (force.tag, force.name)), None):
+    if muscle := next((m for m in muscles if (m.element.tag, m.name) == (force.tag, force.name)), None):
         return LeftOut(force.tag, force.name, muscle.describe())
     if force.tag == "Ligament" or not list(force.all("PathPoint")):
         return LeftOut(force.tag, force.name, f"pftwin has no effect like <{force.tag}>")

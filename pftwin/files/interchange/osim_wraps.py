@@ -1,20 +1,25 @@
-"""Objects that paths of an OpenSim model wrap over, as a scene has them: cylinders and ellipsoids on the bones."""
+"""Objects that paths of an OpenSim model wrap over, as a scene has them: cylinders and ellipsoids on the bones.
+
+And how much longer the path of a muscle is for them.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
-from pftwin.files.interchange.osim_document import Element, Frames, placed
-from pftwin.files.interchange.osim_knee import OsimKnee, part_and_pose
-from pftwin.files.interchange.osim_model import OsimModel
+from pftwin.files.interchange.osim_document import Element, placed
+from pftwin.files.interchange.osim_knee import PARTS, OsimKnee
+from pftwin.files.interchange.osim_model import PathWrap, path_wraps
 
-_BONES = ("femur", "tibia", "patella")
+if TYPE_CHECKING:
+    from pftwin.geometry.wrapping.obstacle import Obstacle
+
 _HOLDERS = ("Body", "Ground", "PhysicalOffsetFrame")
 _ALL = ("all", "unassigned", "")
 _SIDES = {f"{sign}{axis}": k * unit for axis, unit in zip("xy", np.eye(3)[:2], strict=True)
@@ -47,12 +52,11 @@ def of_group(wraps: Sequence[OsimWrap]) -> OsimWrap:
 class Wraps:
     """The objects of a model."""
 
-    def __init__(self, root: Element, model: OsimModel, knee: OsimKnee) -> None:
-        self.model, self.knee, self.frames = model, knee, Frames(root)
+    def __init__(self, knee: OsimKnee) -> None:
+        self.knee = knee
         self.objects: dict[str, Element] = {}
-        for holder in root.all("WrapObjectSet"):
-            inner = holder.child("objects")
-            for element in [] if inner is None else inner.children:
+        for holder in knee.model.root.all("WrapObjectSet"):
+            for element in holder.objects():
                 self.objects.setdefault(element.name, element)
 
     def over(self, names: Sequence[str]) -> tuple[OsimWrap | None, list[str]]:
@@ -81,7 +85,7 @@ class Wraps:
         side, part = element.words("quadrant").lower(), self._place(element)[0]
         if element.tag not in ("WrapCylinder", "WrapEllipsoid"):
             return f"a <{element.tag}>"
-        if part not in _BONES:
+        if part not in PARTS:
             return f"on the {part}"
         if side not in _ALL and (element.tag == "WrapEllipsoid" or side not in _SIDES):
             return f"of its sides only {side}"
@@ -107,7 +111,7 @@ class Wraps:
         while holder.owner is not None and holder.tag not in _HOLDERS:
             holder = holder.owner
         inside = Element("", "", element.file, element.line, owner=holder)
-        return part_and_pose(self.model, self.knee, self.frames.find("..", inside, element.where))
+        return self.knee.placed(self.knee.model.frames.find("..", inside))
 
 
 def _sizes(element: Element, tag: str, count: int) -> Floats:
@@ -116,3 +120,45 @@ def _sizes(element: Element, tag: str, count: int) -> Floats:
     if not (radii > 0).all():
         raise InputError(f"<{tag}> is {radii.tolist()}", where=element.where, expected="positive numbers")
     return radii
+
+
+class Wrap(NamedTuple):
+    """An obstacle, and the points of a path between which it counts."""
+
+    part: str  # of the knee that carries it
+    obstacle: Obstacle  # in that part's frame
+    between: PathWrap
+
+    def adds(self, start: Floats, end: Floats) -> Floats:
+        """How much longer than straight the line between points (n, 3) of the part's frame is (n,) [m]."""
+        from pftwin.base.leaves import vector
+
+        around = np.asarray(self.obstacle.around(vector(start), vector(end)).length, dtype=np.float64)
+        return np.maximum(around - np.linalg.norm(end - start, axis=-1), 0.0)
+
+
+def wraps_of(muscle: Element, objects: Wraps) -> tuple[list[Wrap], list[str]]:
+    """What a muscle's path wraps over; and the names of those objects that are left out, with the reasons."""
+    found, left = [], []
+    for wrap in path_wraps(muscle):
+        over, why = objects.over([wrap.name])
+        left += why
+        if over is not None:
+            found.append(Wrap(over.body, _obstacle(over), wrap))
+    return found, left
+
+
+def _obstacle(over: OsimWrap) -> Obstacle:
+    """In the model's axes."""
+    from pftwin.base.leaves import number, vector
+    from pftwin.base.spatial import Quaternion
+    from pftwin.geometry.wrapping.cylinder import Cylinder
+    from pftwin.geometry.wrapping.ellipsoid import Ellipsoid
+
+    numbers = over.numbers
+    center = vector(numbers["center_m"])
+    if over.kind == "ellipsoid":
+        turn = Quaternion(*(number(v) for v in numbers["quaternion_wxyz"]))
+        return Ellipsoid(center, over.body, vector(numbers["radii_m"]), turn)
+    side = vector(numbers["side"]) if "side" in numbers else None
+    return Cylinder(center, over.body, number(numbers["radius_m"]), vector(numbers["axis"]), side)

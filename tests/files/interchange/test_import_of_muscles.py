@@ -11,7 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from pftwin.base.errors import InputError
 from pftwin.files.interchange import import_osim
-from pftwin.files.interchange.osim_muscles import PatellarMuscle, shared_tensions
+from pftwin.files.interchange.osim_document import Element
+from pftwin.files.interchange.osim_lines import PatellarMuscle, shared_tensions
 from pftwin.files.scene_file import load_scene_file
 
 ANATOMICAL = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])  # proximal, lateral, anterior of x, y, z
@@ -78,9 +79,9 @@ def test_they_pull_along_the_last_straight_piece_of_their_paths(knee):
 def test_what_comes_from_elsewhere_has_no_tension():
     """A muscle from the pelvis, of which a scene knows nothing, and one without a strength."""
     at = np.array([0.1, 0.2, 0.3])
-    pelvis = PatellarMuscle("Muscle", "recfem", at, at, "pelvis", 800.0)
-    unknown = PatellarMuscle("PathSpring", "band", at, at, "femur", None)
-    vastus = PatellarMuscle("Muscle", "vaslat", at, at, "femur", 800.0)
+    pelvis = PatellarMuscle(Element("Muscle", "recfem", "m.osim", 1), at, at, "pelvis", 800.0)
+    unknown = PatellarMuscle(Element("PathSpring", "band", "m.osim", 1), at, at, "femur", None)
+    vastus = PatellarMuscle(Element("Muscle", "vaslat", "m.osim", 1), at, at, "femur", 800.0)
     assert shared_tensions([pelvis, vastus, unknown], 12.0) == {"vaslat": 12.0}
     with pytest.raises(InputError, match="no muscle of the patella can have a tension"):
         shared_tensions([pelvis, unknown], 12.0)
@@ -123,7 +124,9 @@ def test_points_that_move_and_paths_over_the_patella_are_left_out(tmp_path):
 
 def test_names_that_a_scene_cannot_tell_apart_are_refused():
     at = np.array([0.1, 0.2, 0.3])
-    alike = [PatellarMuscle("Muscle", name, at, at, "femur", 800.0) for name in ("vas int", "vas_int")]
+    alike = [
+        PatellarMuscle(Element("Muscle", name, "m.osim", 1), at, at, "femur", 800.0) for name in ("vas int", "vas_int")
+    ]
     with pytest.raises(InputError, match="vas_int"):
         shared_tensions(alike, 12.0)
 

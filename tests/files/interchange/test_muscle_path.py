@@ -12,11 +12,12 @@ from opensim_process import ask
 from scipy.spatial.transform import Rotation
 
 from pftwin.base.errors import InputError
-from pftwin.files.interchange.osim_document import Frames, read_osim
+from pftwin.files.interchange.osim_document import read_osim
 from pftwin.files.interchange.osim_knee import find_knee
 from pftwin.files.interchange.osim_model import read_model
 from pftwin.files.interchange.osim_motion import Motion, poses
 from pftwin.files.interchange.osim_muscle_path import MovingBodies, path_over_motion
+from pftwin.files.mocap import PoseSeries
 
 LENGTHS = """
 import json, sys
@@ -107,12 +108,11 @@ class Knee:
         values = {name: np.array([row[name] for row in rows]) for name in rows[0]}
         placed = poses(found.tree, [self.knee.femur, self.knee.tibia, self.knee.patella], times, values)
         self.motion = Motion(times, placed, "", values=values)
-        self.model, self.frames = found, Frames(root)
         self.elements = {m.name: m for m in root.all("Millard2012EquilibriumMuscle")}
 
     def path(self, name: str, motion: Motion | None = None):
-        bodies = MovingBodies(self.model, self.knee, motion or self.motion)
-        return path_over_motion(self.elements[name], self.frames, bodies)
+        bodies = MovingBodies(self.knee, motion or self.motion)
+        return path_over_motion(self.elements[name], bodies)
 
 
 @pytest.fixture(scope="module")
@@ -156,14 +156,13 @@ def test_measured_poses_move_what_hangs_on_them(knee):
     """Everything turned and moved in ground is as long; a shank goes with the tibia, a pelvis with the femur."""
     turn, shift = Rotation.from_rotvec([0.4, -0.9, 1.3]), np.array([1.0, 2.0, -3.0])
 
-    def moved(pair):
-        places, quaternions = pair
-        turned = turn * Rotation.from_quat(quaternions, scalar_first=True)
-        return turn.apply(places) + shift, turned.as_quat(scalar_first=True)
+    def moved(poses):
+        turned = turn * Rotation.from_quat(poses.quaternions, scalar_first=True)
+        return PoseSeries(poses.times, turn.apply(poses.positions) + shift, turned.as_quat(scalar_first=True))
 
     still = [dict(row, hip=0.0) for row in ROWS]
     values = {name: np.array([row[name] for row in still]) for name in still[0]}
-    known = {body: moved(pair) for body, pair in knee.motion.poses.items()}
+    known = {body: moved(poses) for body, poses in knee.motion.poses.items()}
     measured = Motion(knee.motion.times, known, "", measured=True)
     for name in ("plain", "pelvis", "shank"):
         expected = knee.path(name, knee.motion._replace(values=values))
@@ -181,11 +180,11 @@ def changed(folder: Path, points: tuple[str, ...]) -> Knee:
     path.write_text(path.read_text().replace(muscle("plain", *MUSCLES["plain"]), muscle("plain", *points)))
     made = Knee.__new__(Knee)
     root = read_osim(path)
-    made.model, made.frames = read_model(root), Frames(root)
-    made.knee = find_knee(made.model)
+    made.knee = find_knee(read_model(root))
     values = {"knee_flex_r": np.array([0.0, 1.0])}
     bodies = [made.knee.femur, made.knee.tibia, made.knee.patella]
-    made.motion = Motion(np.array([0.0, 1.0]), poses(made.model.tree, bodies, np.zeros(2), values), "", values=values)
+    times = np.array([0.0, 1.0])
+    made.motion = Motion(times, poses(made.knee.model.tree, bodies, times, values), "", values=values)
     made.elements = {m.name: m for m in root.all("Millard2012EquilibriumMuscle")}
     return made
 

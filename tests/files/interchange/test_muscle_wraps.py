@@ -15,8 +15,7 @@ from pftwin.base.errors import InputError
 from pftwin.files.interchange.osim_document import read_osim
 from pftwin.files.interchange.osim_knee import find_knee
 from pftwin.files.interchange.osim_model import read_model
-from pftwin.files.interchange.osim_muscle_wraps import wraps_of
-from pftwin.files.interchange.osim_wraps import Wraps
+from pftwin.files.interchange.osim_wraps import Wraps, wraps_of
 
 RADIUS = 0.03
 ROWS = [{"knee_flex_r": 0.2, "pf_tx_r": x, "pf_ty_r": y} for x, y in ((0.06, 0.05), (0.05, 0.0), (0.03, -0.03))]
@@ -46,9 +45,7 @@ def written(folder: Path, wrap: str, over: str = "roll", more: str = "") -> Path
 
 def wraps(folder: Path, *given: str, **more: str):
     root = read_osim(written(folder, *given, **more))
-    found = read_model(root)
-    objects = Wraps(root, found, find_knee(found))
-    return wraps_of(next(root.all("Millard2012EquilibriumMuscle")), objects)
+    return wraps_of(next(root.all("Millard2012EquilibriumMuscle")), Wraps(find_knee(read_model(root))))
 
 
 def test_half_a_turn_around_a_cylinder_is_its_half_circumference(tmp_path):

@@ -10,7 +10,6 @@ import pytest
 from knee_models import FEMUR, axis, body, coordinate, function, ligaments, model
 from opensim_process import ask, poses
 from scipy.interpolate import CubicSpline
-from scipy.spatial.transform import Rotation
 
 from pftwin.files.interchange.osim_document import read_osim
 from pftwin.files.interchange.osim_joints import spline
@@ -101,8 +100,7 @@ def test_bodies_are_where_opensim_had_them(zoo):
     """Every kind of joint, at random coordinates; beside it what OpenSim 4.6 made of this model."""
     found = read_model(read_osim(zoo))
     ours = our_poses(found.tree, list(found.bodies), np.arange(3.0), coordinates_of(found))
-    turns = {n: Rotation.from_quat(turn, scalar_first=True).as_matrix() for n, (_, turn) in ours.items()}
-    rows = [{n: (turns[n][k], place[k]) for n, (place, _) in ours.items()} for k in range(3)]
+    rows = [{n: (p.matrices()[k], p.positions[k]) for n, p in ours.items()} for k in range(3)]
     same_poses(rows, json.loads(KEPT.read_text()), atol=1e-7)
 
 

@@ -5,14 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pftwin.files.interchange.osim_document import Frames, read_osim
+from pftwin.files.interchange.osim_document import read_osim
 from pftwin.files.interchange.osim_knee import find_knee
 from pftwin.files.interchange.osim_model import read_model
 from pftwin.files.interchange.osim_motion import Motion, poses
 from pftwin.files.interchange.osim_muscle_force import MILLARD, read_force
 from pftwin.files.interchange.osim_muscle_path import MovingBodies, path_over_motion
-from pftwin.files.interchange.osim_muscle_wraps import wraps_of
-from pftwin.files.interchange.osim_wraps import Wraps
+from pftwin.files.interchange.osim_wraps import Wraps, wraps_of
 
 MUSCLES = ("recfem_r", "vasint_r", "vaslat_r", "vasmed_r")
 TIBIA, PATELLA = (("flex", "add", "rot", "tx", "ty", "tz"), ("flex", "rot", "tilt", "tx", "ty", "tz"))
@@ -69,11 +68,11 @@ def knee(dm_knee):
     times = np.linspace(0, 1, len(ROWS))
     values = dict(zip(COORDINATES, np.reshape(ROWS, (len(ROWS), -1)).T, strict=True))
     placed = poses(found.tree, [bones.femur, bones.tibia, bones.patella], times, values)
-    bodies = MovingBodies(found, bones, Motion(times, placed, "", values=values))
+    bodies = MovingBodies(bones, Motion(times, placed, "", values=values))
     elements = {m.name: m for m in root.all(MILLARD) if m.name in MUSCLES}
-    wraps = {name: wraps_of(elements[name], Wraps(root, found, bones))[0] for name in MUSCLES}
+    wraps = {name: wraps_of(elements[name], Wraps(bones))[0] for name in MUSCLES}
     straight, wrapped = (
-        {name: path_over_motion(elements[name], Frames(root), bodies, wraps[name] if over else ()) for name in MUSCLES}
+        {name: path_over_motion(elements[name], bodies, wraps[name] if over else ()) for name in MUSCLES}
         for over in (False, True)
     )
     return elements, straight, wrapped

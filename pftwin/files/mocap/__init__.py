@@ -9,8 +9,7 @@ from pftwin.files.mocap.joint_centers import JointCenter, sphere_center
 from pftwin.files.mocap.markers import MarkerTrajectories
 from pftwin.files.mocap.pose_files import read_poses
 from pftwin.files.mocap.poses import PoseSeries, mirror_left_markers, mirror_left_poses
-from pftwin.files.mocap.reading import read_markers, read_readings
-from pftwin.files.mocap.resampling import frame_means
+from pftwin.files.mocap.reading import frame_means, read_markers, read_readings
 from pftwin.files.mocap.sto import read_sto
 from pftwin.files.mocap.strays import Stray, mended_cluster
 from pftwin.files.mocap.tables import Table

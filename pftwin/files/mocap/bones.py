@@ -11,6 +11,7 @@ from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.files.mocap.jumps import APART, TURNED, in_words, jumps, turned
 from pftwin.files.mocap.poses import PoseSeries
+from pftwin.files.mocap.tables import runs
 
 _NEAR = 1e-3  # [m] from its mean: farther off, places of the knee count by distance rather than by its square
 
@@ -44,23 +45,27 @@ def mended_bones(
     odd = out_of_line(bones)
     if not odd.any():
         return femur, tibia, []
-    stretches = np.flatnonzero(np.diff(np.concatenate([[False], odd, [False]]).astype(int))).reshape(-1, 2)
+    stretches = runs(odd)
     _check_gaps(stretches, tibia, max_gap_s)
     curves = [_spline(bone, odd) for bone in bones]
     off = np.array([_off(bone, curve) for bone, curve in zip(bones, curves, strict=True)])
     wrong = np.zeros((len(bones), odd.size), bool)
+
+    def filled() -> list[PoseSeries]:
+        return [_where(w, c, b) for w, c, b in zip(wrong, curves, bones, strict=True)]
+
     for first, end in stretches:
         wrong[np.argmax(off[:, first:end].max(axis=1)), first:end] = True
-    still = out_of_line([_where(w, c, b) for w, c, b in zip(wrong, curves, bones, strict=True)])
+    still = out_of_line(filled())
     for first, end in stretches:
         wrong[:, first:end] |= still[first:end].any()
-    filled = [_where(w, c, b) for w, c, b in zip(wrong, curves, bones, strict=True)]
+    mended = filled()
     words = [
         f"{bone.source}: {in_words(w)} of {odd.size} (counted from 1) filled by a spline: it jumps there out and back"
         for bone, w in zip(bones, wrong, strict=True)
         if w.any()
     ]
-    return (None if femur is None else filled[0]), filled[-1], words
+    return (None if femur is None else mended[0]), mended[-1], words
 
 
 def _in_femur(bones: list[PoseSeries]) -> PoseSeries:
@@ -112,8 +117,7 @@ def _check_gaps(stretches: NDArray[np.intp], tibia: PoseSeries, max_gap_s: float
     interval = float(np.median(np.diff(times)))
     refused = np.zeros(times.size, bool)
     for first, end in stretches:
-        inside = first > 0 and end < times.size
-        if not inside or times[end] - times[first - 1] - interval > max_gap_s + 1e-6 * interval:
+        if first == 0 or end == times.size or times[end] - times[first - 1] - interval > max_gap_s + 1e-6 * interval:
             refused[first:end] = True
     if refused.any():
         raise InputError(

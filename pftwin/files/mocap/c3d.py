@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import os
-import warnings
 from typing import Any
 
 import numpy as np
 
-from pftwin.base.errors import InputError, MissingExtraError, PftwinWarning
+from pftwin.base.errors import InputError, MissingExtraError
 from pftwin.base.text_files import read_bytes
 from pftwin.files.mocap.c3d_structure import check_c3d_structure
-from pftwin.files.mocap.markers import MarkerTrajectories, zeros_to_missing
+from pftwin.files.mocap.markers import MarkerTrajectories, from_file
 from pftwin.files.mocap.tables import Table
-from pftwin.files.mocap.units import check_jumps, check_spread, known_unit, length_factor
+from pftwin.files.mocap.units import known_unit, length_factor
 
 
 def read_c3d(path: str | os.PathLike[str], *, units: str | None = None) -> MarkerTrajectories:
@@ -35,27 +34,17 @@ def read_c3d(path: str | os.PathLike[str], *, units: str | None = None) -> Marke
     points = np.asarray(data["data"]["points"], dtype=np.float64)  # (4, m, n)
     if points.ndim != 3 or 0 in points.shape:
         raise InputError("the file holds no marker positions", where=path, expected="3D points")
-    factor, differs = length_factor(_text(parameters, "UNITS"), units, where=f"{path}, POINT:UNITS")
-    if differs:
-        message = f"{path}: POINT:UNITS says {_text(parameters, 'UNITS')!r}; {units!r} is used as told"
-        warnings.warn(message, PftwinWarning, stacklevel=2)
-    positions = zeros_to_missing(np.transpose(points[:3], (2, 1, 0)) * factor)
+    factor = length_factor(_text(parameters, "UNITS"), units, where=f"{path}, POINT:UNITS")
+    positions = np.transpose(points[:3], (2, 1, 0)) * factor
     residuals = np.asarray(data["data"]["meta_points"]["residuals"], dtype=np.float64)  # (1, m, n)
     if residuals.shape[1:] == points.shape[1:]:
         positions[(residuals[0] < 0).T] = np.nan
-    check_spread(positions, where=path, told=units is not None)
-
     times = _times(data, "POINT", points.shape[2], path)
     labels = _texts(parameters, "LABELS", points.shape[1])
     if not all(labels):
-        raise InputError(
-            f"{len([v for v in labels if v])} labels for {len(labels)} points",
-            where=f"{path}, POINT:LABELS",
-            expected="a name for every point",
-        )
-    markers = MarkerTrajectories(times, labels, positions, source=str(path))
-    check_jumps(markers.positions, markers.times, markers.names, where=path)
-    return markers
+        found = f"{len([v for v in labels if v])} labels for {len(labels)} points"
+        raise InputError(found, where=f"{path}, POINT:LABELS", expected="a name for every point")
+    return from_file(times, labels, positions, path=path, told=units is not None)
 
 
 def read_c3d_channels(path: str | os.PathLike[str]) -> Table:
@@ -89,7 +78,7 @@ def _rid_of_wrong_offsets(samples: np.ndarray, parameters: Any) -> np.ndarray:
     """Channels (n, k) as (integer - offset) * scale; ezc3d takes offsets without their sign, and integers as signed."""
 
     def of(key: str, default: float) -> np.ndarray:
-        values = [float(v) for each in _parts(key) for v in parameters["ANALOG"].get(each, {}).get("value", [])]
+        values = [float(v) for v in _values(parameters["ANALOG"], key)]
         return np.array((values + [default] * samples.shape[1])[: samples.shape[1]])
 
     step, offset = of("SCALE", 1.0) * of("GEN_SCALE", 1.0)[0], of("OFFSET", 0.0)
@@ -122,14 +111,15 @@ def _text(parameters: Any, key: str) -> str | None:
     return str(values[0]).strip() or None if len(values) else None
 
 
-def _parts(key: str) -> tuple[str, ...]:
-    """The parameters that hold a list: 255 values fit in one."""
-    return key, *(f"{key}{i}" for i in range(2, 10))
+def _values(parameters: Any, key: str) -> list[Any]:
+    """The values of a list: 255 fit in one parameter, more follow in KEY2 to KEY9."""
+    names = (key, *(f"{key}{i}" for i in range(2, 10)))
+    return [v for name in names for v in parameters.get(name, {}).get("value", [])]
 
 
 def _texts(parameters: Any, key: str, count: int) -> tuple[str, ...]:
     """One text for each of `count` points or channels; empty where there is none."""
-    texts = [str(v).strip() for name in _parts(key) for v in parameters.get(name, {}).get("value", [])]
+    texts = [str(v).strip() for v in _values(parameters, key)]
     return tuple((texts + [""] * count)[:count])
 
 

@@ -32,6 +32,8 @@ def check_c3d_structure(content: bytes, *, where: object) -> None:
         raise _damaged(where)
     order = ">" if processor == _MIPS else "<"
     counts = _walk_parameters(content, start + 4, order, where)
+    if len(content) < 20:
+        raise _truncated("its header", where)
     _check_channels(content, order, counts, where)
     if processor != _DEC:  # the sign of DEC's float is elsewhere
         _check_length(content, order, where)
@@ -72,8 +74,6 @@ def _walk_parameters(content: bytes, position: int, order: str, where: object) -
 
 def _check_channels(content: bytes, order: str, counts: dict[tuple[bytes, bytes], int], where: object) -> None:
     """Every analog channel has a scale and an offset: ezc3d reads beyond the end of lists that are shorter."""
-    if len(content) < 20:
-        raise _truncated("its header", where)
     (samples,), (each,) = (struct.unpack_from(order + "H", content, at) for at in (4, 18))
     channels = samples // max(each, 1)
     for key in (b"SCALE", b"OFFSET"):
@@ -81,12 +81,8 @@ def _check_channels(content: bytes, order: str, counts: dict[tuple[bytes, bytes]
             n for (group, name), n in counts.items() if group == b"ANALOG" and name.rstrip(b"0123456789") == key
         )
         if there < channels and (b"SHADOW" not in {group for group, _ in counts}):
-            raise InputError(
-                f"{channels} analog channels, and {there} values of ANALOG:{key.decode()}",
-                where=where,
-                expected="one for each channel",
-                remedy="export the file again",
-            )
+            found = f"{channels} analog channels, and {there} values of ANALOG:{key.decode()}"
+            raise InputError(found, where=where, expected="one for each channel", remedy="export the file again")
 
 
 def _check_record(content: bytes, begin: int, end: int, group: int, where: object) -> None:
@@ -110,8 +106,6 @@ def _damaged(where: object) -> InputError:
 
 
 def _check_length(content: bytes, order: str, where: object) -> None:
-    if len(content) < 20:
-        raise _truncated("its header", where)
     points, analogs, first, last = struct.unpack_from(order + "4H", content, 2)
     (scale,) = struct.unpack_from(order + "f", content, 12)
     (block,) = struct.unpack_from(order + "H", content, 16)

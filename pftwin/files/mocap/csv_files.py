@@ -10,9 +10,9 @@ import numpy as np
 
 from pftwin.base.errors import InputError
 from pftwin.base.text_files import csv_cells, read_lines, refuse_repeated, write_text
-from pftwin.files.mocap.markers import MarkerTrajectories, zeros_to_missing
+from pftwin.files.mocap.markers import MarkerTrajectories, from_file
 from pftwin.files.mocap.tables import Table, quoted_list, row_values, unknown_name
-from pftwin.files.mocap.units import check_jumps, check_spread, length_factor, split_unit, to_si
+from pftwin.files.mocap.units import length_factor, split_unit, to_si
 
 _COORDINATE = re.compile(r"^(?P<marker>.+?)[_ .:]?(?P<axis>[xyzXYZ])$")
 Units = Mapping[str, str] | str | None
@@ -36,32 +36,24 @@ def read_csv(path: str | os.PathLike[str], *, time_column: str | None = None, un
             without unit; unknown or contradictory units; a name twice; no time column; repeated or unsorted times.
     """
     labels, values = _read_columns(path)
-    time_index = _time_index(labels, time_column, path)
-    names, si_units, scaled = [], {}, []
-    lookup = {} if isinstance(units, str) or units is None else dict(units)
-    known = {*labels, *(split_unit(label)[0] for label in labels)}
-    for key in lookup:
-        if key not in known:
-            raise unknown_name("column", key, labels, where=f"{path}, argument units")
-    times = np.empty(0)
-    for i, label in enumerate(labels):
-        name, header_unit = split_unit(label)
-        told = lookup.get(label, lookup.get(name, units if isinstance(units, str) and not header_unit else None))
-        if i == time_index and header_unit is None and not isinstance(units, Mapping):
-            told = None  # one unit for all columns is not meant for the time
-        si, factor = _unit(label, header_unit, told, path)
-        if i == time_index:
-            if si != "s":
-                raise InputError(
-                    f"the unit of the times is {si}", where=f"{path}, column {label!r}", expected="s or ms"
-                )
-            times = values[:, i] * factor
-            continue
-        names.append(name)
-        si_units[name] = si
-        scaled.append(values[:, i] * factor)
-    columns = np.stack(scaled, axis=1) if scaled else np.empty((len(values), 0))
-    return Table(times, tuple(names), columns, si_units, source=str(path))
+    at = _time_index(labels, time_column, path)
+    parts = [split_unit(label) for label in labels]
+    if isinstance(units, str):  # it is meant for columns without one, and not for the time
+        told = {label: units for i, label in enumerate(labels) if parts[i][1] is None and i != at}
+    else:
+        told = dict(units or {})
+    known = {*labels, *(name for name, _ in parts)}
+    if strange := [key for key in told if key not in known]:
+        raise unknown_name("column", strange[0], labels, where=f"{path}, argument units")
+    found = [
+        _unit(label, unit, told.get(label, told.get(name)), path)
+        for label, (name, unit) in zip(labels, parts, strict=True)
+    ]
+    _check_time(found[at][0], labels[at], path)
+    values = values * [factor for _, factor in found]
+    kept = [i for i in range(len(labels)) if i != at]
+    si_units = {parts[i][0]: found[i][0] for i in kept}
+    return Table(values[:, at], tuple(parts[i][0] for i in kept), values[:, kept], si_units, source=str(path))
 
 
 def read_marker_csv(
@@ -86,20 +78,18 @@ def read_marker_csv(
             an implausible unit.
     """
     labels, values = _read_columns(path)
-    time_index = _time_index(labels, time_column, path)
-    label = labels[time_index]
-    si, time_factor = _unit(label, split_unit(label)[1], time_unit, path, remedy="time_unit='s' (or 'ms')")
-    if si != "s":
-        raise InputError(f"the unit of the times is {si}", where=f"{path}, column {label!r}", expected="s or ms")
+    at = _time_index(labels, time_column, path)
+    unit, time_factor = _unit(labels[at], split_unit(labels[at])[1], time_unit, path, remedy="time_unit='s' (or 'ms')")
+    _check_time(unit, labels[at], path)
     found: dict[str, dict[str, np.ndarray]] = {}
     for i, label in enumerate(labels):
-        if i == time_index or label.strip("#").lower() == "frame":
+        if i == at or label.strip("#").lower() == "frame":
             continue
         name, header_unit = split_unit(label)
         match = _COORDINATE.match(name)
         if not match:
             raise InputError(f"column {label!r} is no coordinate", where=path, expected="NAME_x, NAME_y, NAME_z")
-        factor, _ = length_factor(header_unit, None if header_unit else units, where=f"{path}, column {label!r}")
+        factor = length_factor(header_unit, None if header_unit else units, where=f"{path}, column {label!r}")
         axes, axis = found.setdefault(match["marker"], {}), match["axis"].lower()
         if axis in axes:
             raise InputError(
@@ -108,16 +98,10 @@ def read_marker_csv(
         axes[axis] = values[:, i] * factor
     incomplete = [name for name, axes in found.items() if len(axes) != 3]
     if incomplete or not found:
-        raise InputError(
-            f"markers without all three coordinates: {quoted_list(incomplete)}" if incomplete else "no markers",
-            where=path,
-            expected="NAME_x, NAME_y, NAME_z for every marker",
-        )
-    positions = zeros_to_missing(np.stack([np.stack([a[k] for k in "xyz"], -1) for a in found.values()], axis=1))
-    check_spread(positions, where=path, told=units is not None)
-    markers = MarkerTrajectories(values[:, time_index] * time_factor, tuple(found), positions, source=str(path))
-    check_jumps(markers.positions, markers.times, markers.names, where=path)
-    return markers
+        problem = f"markers without all three coordinates: {quoted_list(incomplete)}" if incomplete else "no markers"
+        raise InputError(problem, where=path, expected="NAME_x, NAME_y, NAME_z for every marker")
+    positions = np.stack([np.stack([a[k] for k in "xyz"], -1) for a in found.values()], axis=1)
+    return from_file(values[:, at] * time_factor, tuple(found), positions, path=path, told=units is not None)
 
 
 def write_csv(path: str | os.PathLike[str], data: Table | MarkerTrajectories) -> None:
@@ -177,12 +161,13 @@ def _time_index(labels: list[str], time_column: str | None, path: object) -> int
         raise InputError(f"several columns of times: {shown}", where=path, expected="one, or its name as time_column")
     if found:
         return found[0]
-    raise InputError(
-        "no column of times",
-        where=path,
-        expected="a column time_s, time [s] or t",
-        remedy="its name as argument time_column",
-    )
+    expected = "a column time_s, time [s] or t"
+    raise InputError("no column of times", where=path, expected=expected, remedy="its name as argument time_column")
+
+
+def _check_time(unit: str, label: str, path: object) -> None:
+    if unit != "s":
+        raise InputError(f"the unit of the times is {unit}", where=f"{path}, column {label!r}", expected="s or ms")
 
 
 def _unit(label: str, header: str | None, told: str | None, path: object, *, remedy: str = "") -> tuple[str, float]:

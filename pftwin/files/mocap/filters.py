@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pftwin.base.errors import InputError
 from pftwin.files.mocap.markers import MarkerTrajectories
+from pftwin.files.mocap.tables import runs
 
 
 def butterworth_lowpass(
@@ -39,11 +40,8 @@ def butterworth_lowpass(
     if not rate > 0:
         raise InputError(f"the sampling rate is {rate:g} Hz", where="rate", expected="a positive rate")
     if not 0 < cutoff < rate / 2:
-        raise InputError(
-            f"a cut-off of {cutoff:g} Hz cannot be had at {rate:g} Hz",
-            where="cutoff",
-            expected=f"more than 0 and less than half the sampling rate, {rate / 2:g} Hz",
-        )
+        expected = f"more than 0 and less than half the sampling rate, {rate / 2:g} Hz"
+        raise InputError(f"a cut-off of {cutoff:g} Hz cannot be had at {rate:g} Hz", where="cutoff", expected=expected)
     if order < 1:
         raise InputError(f"the filter's order is {order}", where="order", expected="1 or more")
     design = cutoff
@@ -53,11 +51,8 @@ def butterworth_lowpass(
 
     padding = samples_needed(rate, cutoff, order) - 1
     if x.shape[0] <= padding:
-        raise InputError(
-            f"{x.shape[0]} samples are too few for a filter of {cutoff:g} Hz at {rate:g} Hz",
-            where="signal",
-            expected=f"more than {padding} samples ({padding / rate:.3g} s)",
-        )
+        found = f"{x.shape[0]} samples are too few for a filter of {cutoff:g} Hz at {rate:g} Hz"
+        raise InputError(found, where="signal", expected=f"more than {padding} samples ({padding / rate:.3g} s)")
     from scipy.signal import butter, sosfiltfilt
 
     sections = butter(order, design, btype="low", fs=rate, output="sos")
@@ -115,7 +110,7 @@ def singular_spectrum_filter(signal: ArrayLike, window: int = 30, components: in
         omega = 0.56 * beta**3 - 0.95 * beta**2 + 1.82 * beta + 1.43
         components = max(1, int(np.sum(values > omega * np.median(values))))
     kept = (left[:, :components] * values[:components]) @ right[:components]
-    total, count = np.zeros(n), np.zeros(n)
+    total, count = np.zeros((2, n))
     for lag, row in enumerate(kept):
         total[lag : lag + row.size] += row
         count[lag : lag + row.size] += 1
@@ -128,12 +123,8 @@ def _checked(signal: ArrayLike) -> NDArray[np.float64]:
         raise InputError("no samples", where="signal", expected="samples along the first axis")
     if not np.isfinite(x).all():
         row = int(np.argwhere(~np.isfinite(x))[0][0])
-        raise InputError(
-            f"sample {row + 1} (counted from 1) is missing or not finite",
-            where="signal",
-            expected="a signal without gaps",
-            remedy="fill_gaps first",
-        )
+        found = f"sample {row + 1} (counted from 1) is missing or not finite"
+        raise InputError(found, where="signal", expected="a signal without gaps", remedy="fill_gaps first")
     return x
 
 
@@ -158,11 +149,11 @@ class Gap:
 
 def find_gaps(markers: MarkerTrajectories) -> list[Gap]:
     """Every gap of every marker, in the order of markers and time."""
-    gaps = []
-    for name, missing in zip(markers.names, markers.missing.T, strict=True):
-        edges = np.flatnonzero(np.diff(np.concatenate([[False], missing, [False]]).astype(np.int8)))
-        gaps += [Gap(name, int(a), int(b) - 1, False) for a, b in zip(edges[::2], edges[1::2], strict=True)]
-    return gaps
+    return [
+        Gap(name, int(first), int(end) - 1, False)
+        for name, missing in zip(markers.names, markers.missing.T, strict=True)
+        for first, end in runs(missing)
+    ]
 
 
 def fill_gaps(
@@ -191,39 +182,34 @@ def fill_gaps(
     limit = int(np.floor(max_gap_s * markers.rate + 1e-9)) if markers.times.size > 1 else 0
     last = markers.times.size - 1
     seen = dict(zip(markers.names, (~markers.missing).sum(axis=0), strict=True))
-    report = [Gap(g.marker, g.first_frame, g.last_frame, _fillable(g, limit, last, int(seen[g.marker]))) for g in gaps]
+    inside = (g.first_frame > 0 and g.last_frame < last for g in gaps)
+    report = [
+        replace(g, filled=there and g.frames <= limit and int(seen[g.marker]) >= 4)
+        for g, there in zip(gaps, inside, strict=True)
+    ]
     refused = [g for g in report if not g.filled]
     if refused and not keep_long:
         raise _refusal(refused, limit, last, max_gap_s, markers)
+    from scipy.interpolate import CubicSpline
+
     positions = markers.positions.copy()
     for column, name in enumerate(markers.names):
         frames = [f for g in report if g.marker == name and g.filled for f in range(g.first_frame, g.last_frame + 1)]
         if frames:
-            positions[frames, column] = _spline(markers.times, positions[:, column], frames)
+            there = ~markers.missing[:, column]
+            spline = CubicSpline(markers.times[there], positions[there, column])
+            positions[frames, column] = spline(markers.times[frames])
     return markers.with_positions(positions), report
 
 
-def _fillable(gap: Gap, limit: int, last: int, seen: int) -> bool:
-    return gap.first_frame > 0 and gap.last_frame < last and gap.frames <= limit and seen >= 4
-
-
-def _spline(times: NDArray[np.float64], trajectory: NDArray[np.float64], frames: list[int]) -> NDArray[np.float64]:
-    from scipy.interpolate import CubicSpline
-
-    seen = np.isfinite(trajectory[:, 0])
-    return CubicSpline(times[seen], trajectory[seen])(times[frames])
-
-
 def _refusal(gaps: list[Gap], limit: int, last: int, max_gap_s: float, markers: MarkerTrajectories) -> InputError:
-    def text(g: Gap) -> str:
+    listed = []
+    for g in gaps[:6]:
         at_end = " at the start" if g.first_frame == 0 else " at the end" if g.last_frame == last else ""
-        if g.frames > last:
-            return f"{g.marker!r} is never seen"
-        return f"{g.marker!r} {g.in_words()}{at_end}"
-
-    listed = "; ".join(text(g) for g in gaps[:6]) + (f"; and {len(gaps) - 6} more" if len(gaps) > 6 else "")
+        listed.append(f"{g.marker!r} " + ("is never seen" if g.frames > last else f"{g.in_words()}{at_end}"))
+    more = f"; and {len(gaps) - 6} more" if len(gaps) > 6 else ""
     return InputError(
-        f"gaps that cannot be filled: {listed} (frames counted from 1)",
+        f"gaps that cannot be filled: {'; '.join(listed)}{more} (frames counted from 1)",
         where=markers.source,
         expected=f"gaps of at most {max_gap_s:g} s ({limit} frames), not at the ends",
         remedy="fewer markers (select), a part of the recording (between), or a larger max_gap_s",

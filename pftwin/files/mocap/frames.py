@@ -47,11 +47,8 @@ def three_point_frames(
     normal = np.cross(along, side)
     length = np.linalg.norm(along, axis=1) * np.linalg.norm(side, axis=1)
     if (bad := np.flatnonzero(~(np.linalg.norm(normal, axis=1) > _COLLINEAR * length))).size:
-        raise InputError(
-            f"the three points lie on a line in frames {quoted_list(bad + 1)} (from 1)",
-            where=source,
-            expected="three points that span a plane",
-        )
+        found = f"the three points lie on a line in frames {quoted_list(bad + 1)} (from 1)"
+        raise InputError(found, where=source, expected="three points that span a plane")
     first = along / np.linalg.norm(along, axis=1, keepdims=True)
     third = normal / np.linalg.norm(normal, axis=1, keepdims=True)
     second = np.cross(third, first)
@@ -91,11 +88,8 @@ def cluster_poses(
     """
     p, r = np.asarray(measured, dtype=np.float64), np.asarray(reference, dtype=np.float64)
     if p.ndim != 3 or r.shape != p.shape[1:] or r.shape[1:] != (3,):
-        raise InputError(
-            f"markers of shape {p.shape} and a reference of shape {r.shape}",
-            where=source,
-            expected="(n, m, 3) and (m, 3)",
-        )
+        found = f"markers of shape {p.shape} and a reference of shape {r.shape}"
+        raise InputError(found, where=source, expected="(n, m, 3) and (m, 3)")
     labels = list(names) if names is not None else [f"marker {i}" for i in range(r.shape[0])]
     if not np.isfinite(r).all():
         bad = [labels[i] for i in np.flatnonzero(~np.isfinite(r).all(axis=1))]
@@ -132,7 +126,7 @@ def segment_poses(markers: MarkerTrajectories, reference: Mapping[str, ArrayLike
     """`cluster_poses` by marker names: `reference` gives each marker's place (3,) [m] in the segment's frame."""
     names = list(reference)
     chosen = markers.select(names)
-    places = np.array([np.asarray(reference[name], dtype=np.float64) for name in names])
+    places = np.array([*reference.values()], dtype=np.float64)
     label = source or f"{markers.source}, segment of {quoted_list(names)}"
     return cluster_poses(chosen.positions, places, chosen.times, names=names, source=label)
 
@@ -175,8 +169,5 @@ def _refuse_lines(
 ) -> None:
     if (bad := np.flatnonzero(~spans_plane(centred, seen))).size:
         used = [label for label, there in zip(labels, seen[bad[0]], strict=True) if there]
-        raise InputError(
-            f"{what} {quoted_list(used)} lie on a line in frames {quoted_list(bad + 1)} (from 1)",
-            where=source,
-            expected="at least three markers that span a plane",
-        )
+        found = f"{what} {quoted_list(used)} lie on a line in frames {quoted_list(bad + 1)} (from 1)"
+        raise InputError(found, where=source, expected="at least three markers that span a plane")

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pftwin.files.mocap.poses import PoseSeries
+from pftwin.files.mocap.tables import runs
 
 APART, TURNED = 5e-3, np.radians(15.0)  # [m], [rad] that two frames of a good recording may differ by, however close
 _SPEED, _SPIN = 0.25, 6.0  # [m/s], [rad/s] at which a patella may move in the femur, and
@@ -77,10 +78,9 @@ def coasts(times: NDArray[np.float64]) -> float:
 
 def in_words(odd: NDArray[np.bool_]) -> str:
     """The frames, counted from 1: "frames 3 to 5, 9"."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], odd, [False]]).astype(int)))
-    runs = [f"{a + 1}" if b == a + 1 else f"{a + 1} to {b}" for a, b in edges.reshape(-1, 2)]
-    more = f" and {len(runs) - _NAMED} more stretches" if len(runs) > _NAMED else ""
-    return f"frame{'s' if odd.sum() > 1 else ''} {', '.join(runs[:_NAMED])}{more}"
+    stretches = [f"{a + 1}" if b == a + 1 else f"{a + 1} to {b}" for a, b in runs(odd)]
+    more = f" and {len(stretches) - _NAMED} more stretches" if len(stretches) > _NAMED else ""
+    return f"frame{'s' if odd.sum() > 1 else ''} {', '.join(stretches[:_NAMED])}{more}"
 
 
 def _between(poses: PoseSeries, one: Frames, other: Frames | int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -11,6 +12,13 @@ from numpy.typing import ArrayLike, NDArray
 from pftwin.base.errors import InputError
 from pftwin.base.text_files import refuse_repeated
 from pftwin.files.mocap.tables import Sampled, uniform_times, unknown_name
+
+# Motion capture of a person or a rig: between a marker cluster's size and a large laboratory's.
+_SMALLEST_SPREAD, _LARGEST_SPREAD = 0.01, 50.0
+# Markers are balls of 6 to 14 mm, and cameras merge two that nearly touch; six of them are on two segments at least. Of
+# rigs and persons in centimetres that are labelled millimetres, nearest neighbours are 4 to 9 "mm" apart.
+_NEAREST, _SMALLEST_OF_SIX = 0.012, 0.1
+_FASTEST = 100.0  # [m/s]; markers on limbs reach 10, on a golf club 50
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,24 +41,14 @@ class MarkerTrajectories(Sampled):
     source: str = "markers"
 
     def __post_init__(self) -> None:
-        times = uniform_times(self.times, where=self.source)
-        positions = np.array(self.positions, dtype=np.float64)
-        names = tuple(self.names)
-        if positions.shape != (times.size, len(names), 3):
-            raise InputError(
-                f"positions of shape {positions.shape}",
-                where=self.source,
-                expected=f"{(times.size, len(names), 3)} for {times.size} times and {len(names)} names",
-            )
+        times, names = uniform_times(self.times, where=self.source), tuple(self.names)
+        positions = self._array("positions", (times.size, len(names), 3))
         refuse_repeated(names, "marker names", where=self.source)
         if (bad := np.argwhere(np.isinf(positions).any(axis=-1))).size:
-            frame, marker = bad[0]
-            raise InputError(
-                f"marker {names[marker]!r} is infinite on row {frame + 1}", where=self.source, expected="finite or NaN"
-            )
+            found = f"marker {names[bad[0][1]]!r} is infinite on row {bad[0][0] + 1}"
+            raise InputError(found, where=self.source, expected="finite or NaN")
         positions[np.isnan(positions).any(axis=-1)] = np.nan
-        for field, value in (("times", times), ("names", names), ("positions", positions)):
-            object.__setattr__(self, field, value)
+        self._set(times=times, names=names, positions=positions)
 
     @property
     def missing(self) -> NDArray[np.bool_]:
@@ -82,12 +80,89 @@ class MarkerTrajectories(Sampled):
         return replace(self, names=tuple(names.get(n, n) for n in self.names))
 
 
-def zeros_to_missing(positions: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Positions (n, m, 3) with every triple of exact zeros turned to NaN.
+def from_file(
+    times: NDArray[np.float64],
+    names: Sequence[str],
+    positions: NDArray[np.float64],
+    *,
+    path: str | os.PathLike[str],
+    told: bool,
+) -> MarkerTrajectories:
+    """The markers that a file holds; places that are exactly 0 0 0 are missing.
 
     Several systems write a marker that was not seen as 0 0 0 (or -0 0 0); no real marker rests on the laboratory's
     origin to the last digit.
+
+    Args:
+        times: (n,) seconds.
+        names: m markers.
+        positions: (n, m, 3) metres; NaN where missing.
+        path: of the file, for messages.
+        told: whether the caller gave the unit; then what is merely unusual is believed.
+
+    Raises:
+        InputError: as `MarkerTrajectories`. All markers together span more than 50 m, or two or more of them less than
+            10 mm. Unless told: most markers are less than 12 mm from the nearest other one, or six or more span less
+            than 100 mm in most frames. A marker moves faster than 100 m/s between two frames in which it is seen, as
+            where a number stands for "not seen" in a few rows.
     """
-    out = positions.copy()
-    out[(out == 0).all(axis=-1)] = np.nan
-    return out
+    positions = np.where((positions == 0).all(axis=-1, keepdims=True), np.nan, positions)
+    _check_spread(positions, where=path, told=told)
+    markers = MarkerTrajectories(times, tuple(names), positions, source=str(path))
+    _check_jumps(markers)
+    return markers
+
+
+def _check_spread(positions: NDArray[np.float64], *, where: object, told: bool) -> None:
+    present = positions[np.isfinite(positions).all(axis=-1)]
+    if not len(present):
+        return
+    spread = float(np.max(present.max(axis=0) - present.min(axis=0)))
+    several = positions.shape[1] > 1
+    if spread > _LARGEST_SPREAD or (several and spread < _SMALLEST_SPREAD):
+        raise InputError(
+            f"the markers span {spread:.4g} m in the file's unit: that unit looks wrong",
+            where=where,
+            expected=f"a spread between {_SMALLEST_SPREAD} m and {_LARGEST_SPREAD:g} m",
+            remedy="the true unit as argument: units='mm' (or 'm', 'cm')",
+        )
+    if not told and several:
+        _check_distances(positions, where)
+
+
+def _check_distances(positions: NDArray[np.float64], where: object) -> None:
+    some = positions[:: max(1, len(positions) // 20)]  # some twenty frames
+    distances = np.linalg.norm(some[:, :, None] - some[:, None], axis=-1)
+    apart = distances[np.isfinite(distances) & (distances > 0)]  # virtual markers may lie in one place
+    if not apart.size:
+        return
+    distances[~(distances > 0)] = np.inf
+    nearest = distances.min(axis=2)
+    near = float(np.median(nearest[np.isfinite(nearest)]))
+    seen = np.asarray(np.isfinite(some).all(axis=2), dtype=np.bool_)
+    across = [float(np.ptp(p[s], axis=0).max()) for p, s in zip(some, seen, strict=True) if s.sum() >= 6]
+    size = float(np.median(across)) if across else np.inf
+    if near >= _NEAREST and size >= _SMALLEST_OF_SIX:
+        return
+    found = f"markers are {near * 1e3:.3g} mm from the nearest other one"
+    if near >= _NEAREST:
+        found = f"six markers or more span {size * 1e3:.3g} mm"
+    raise InputError(
+        f"{found} in the file's unit: that unit looks wrong",
+        where=where,
+        expected=f"{_NEAREST * 1e3:g} mm or more between markers, {_SMALLEST_OF_SIX * 1e3:g} mm across six of them",
+        remedy="the true unit as argument, the file's own too if it is right: units='cm' (or 'mm', 'm')",
+    )
+
+
+def _check_jumps(markers: MarkerTrajectories) -> None:
+    for i, name in enumerate(markers.names):
+        rows = np.flatnonzero(~markers.missing[:, i])
+        steps = np.linalg.norm(np.diff(markers.positions[rows, i], axis=0), axis=1)
+        fast = np.flatnonzero(steps > _FASTEST * np.diff(markers.times[rows]))
+        if fast.size:
+            first, row = fast[0], rows[fast[0] + 1]
+            x, y, z = markers.positions[row, i]
+            found = f"marker {name!r} jumps by {steps[first]:.3g} m to ({x:.4g}, {y:.4g}, {z:.4g}) m on row {row + 1}"
+            remedy = "empty cells where a marker was not seen; else check the unit and the times"
+            raise InputError(found, where=markers.source, expected=f"at most {_FASTEST:g} m/s", remedy=remedy)

@@ -48,12 +48,9 @@ class PoseSeries(Sampled):
 
     def __post_init__(self) -> None:
         times = increasing_times(self.times, where=self.source)
-        n = times.size
-        positions = np.array(self.positions, dtype=np.float64)
-        quaternions = np.array(self.quaternions, dtype=np.float64)
-        for label, array, width in (("positions", positions, 3), ("quaternions", quaternions, 4)):
-            if array.shape != (n, width):
-                raise InputError(f"{label} of shape {array.shape}", where=self.source, expected=f"{(n, width)}")
+        positions = self._array("positions", (times.size, 3))
+        quaternions = self._array("quaternions", (times.size, 4))
+        for label, array in (("positions", positions), ("quaternions", quaternions)):
             if (bad := np.flatnonzero(~np.isfinite(array).all(axis=1))).size:
                 raise InputError(f"row {bad[0] + 1} of the {label} is missing or not finite", where=self.source)
         norms = np.linalg.norm(quaternions, axis=1)
@@ -65,14 +62,8 @@ class PoseSeries(Sampled):
                 remedy="check the order of the columns and the unit of the file",
             )
         quaternions = continuous_signs(quaternions / norms[:, None])
-        values = [("times", times), ("positions", positions), ("quaternions", quaternions)]
-        if self.residual_rms is not None:
-            residual = np.array(self.residual_rms, dtype=np.float64)
-            if residual.shape != (n,):
-                raise InputError(f"residuals of shape {residual.shape}", where=self.source, expected=f"{(n,)}")
-            values.append(("residual_rms", residual))
-        for attribute, value in values:
-            object.__setattr__(self, attribute, value)
+        residual = None if self.residual_rms is None else self._array("residual_rms", (times.size,))
+        self._set(times=times, positions=positions, quaternions=quaternions, residual_rms=residual)
 
     @staticmethod
     def from_matrices(
@@ -97,8 +88,7 @@ class PoseSeries(Sampled):
 
     def compose(self, fixed: Pose) -> PoseSeries:
         """X_AC = X_AB X_BC for a frame C fixed in B, an anatomical frame in a cluster's for instance."""
-        position, quaternion = pose_arrays(fixed)
-        one = PoseSeries(np.zeros(1), position[None], quaternion[None], source="fixed pose")
+        one = _fixed(fixed, np.zeros(1))
         turned = np.einsum("nij,j->ni", self.matrices(), one.positions[0])
         quaternions = quaternion_product(self.quaternions, one.quaternions)
         return replace(self, positions=self.positions + turned, quaternions=quaternions)
@@ -114,19 +104,16 @@ class PoseSeries(Sampled):
 
     def seen_from(self, fixed: Pose) -> PoseSeries:
         """X_CB = X_AC^-1 X_AB for a frame C fixed in A."""
-        position, quaternion = pose_arrays(fixed)
-        n = self.times.size
-        return self.relative_to(
-            PoseSeries(self.times, np.tile(position, (n, 1)), np.tile(quaternion, (n, 1)), source="a fixed frame")
-        )
+        return self.relative_to(_fixed(fixed, self.times))
 
 
-def pose_arrays(pose: Pose) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Position (3,) and quaternion (4,) of one fixed pose, in float64."""
+def _fixed(pose: Pose, times: NDArray[np.float64]) -> PoseSeries:
+    """One fixed pose at several times."""
     position, quaternion = host_array(pose.position), host_array(pose.orientation)
     if position.shape != (3,) or quaternion.shape != (4,):
         raise InputError(f"a batch of poses of shape {position.shape[:-1]}", where="pose", expected="one fixed pose")
-    return position, quaternion
+    positions, quaternions = (np.tile(part, (times.size, 1)) for part in (position, quaternion))
+    return PoseSeries(times, positions, quaternions, source="a fixed frame")
 
 
 def quaternion_product(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:

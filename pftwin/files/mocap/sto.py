@@ -45,8 +45,7 @@ def read_sto(path: str | os.PathLike[str], *, rotational: Collection[str] | None
     """
     lines, ended = read_lines(path)
     header, labels_at = _header(lines, path)
-    labels = lines[labels_at].split("\t") if "\t" in lines[labels_at] else lines[labels_at].split()
-    labels = [c.strip() for c in labels]
+    labels = [c.strip() for c in lines[labels_at].split("\t" if "\t" in lines[labels_at] else None)]
     while labels and not labels[-1]:
         labels.pop()
     if not labels or labels[0].lower() != "time":
@@ -58,15 +57,16 @@ def read_sto(path: str | os.PathLike[str], *, rotational: Collection[str] | None
             message = f"{path}: the header says {key}={header[key]}, the file has {actual}: the file's content counts"
             warnings.warn(message, PftwinWarning, stacklevel=2)
     names = tuple(labels[1:])
-    in_degrees = _in_degrees(header, path)
+    flag = header.get("indegrees", "no").lower()
+    if flag not in {"yes", "no", "true", "false", "1", "0"}:
+        raise InputError(f"inDegrees={flag}", where=f"{path}, header", expected="yes or no")
+    in_degrees = flag in {"yes", "true", "1"}
     units = dict.fromkeys(names, "")
     columns = values[:, 1:]
     if in_degrees:
         angles = _angles(names, rotational, path)
-        for i, name in enumerate(names):
-            if name in angles:
-                columns[:, i] = np.deg2rad(columns[:, i])
-                units[name] = "rad/s" if name.endswith("/speed") else "rad"
+        columns[:, [name in angles for name in names]] *= np.pi / 180
+        units |= {name: "rad/s" if name.endswith("/speed") else "rad" for name in angles}
     return Table(values[:, 0], names, columns, units, source=str(path), in_degrees=in_degrees)
 
 
@@ -85,13 +85,6 @@ def _header(lines: list[str], path: object) -> tuple[dict[str, str], int]:
             key, value = text.split()
         header[key.strip().lower()] = value.strip()
     raise InputError("no line 'endheader'", where=path, expected="a STO or MOT file with its header")
-
-
-def _in_degrees(header: dict[str, str], path: object) -> bool:
-    flag = header.get("indegrees", "no").lower()
-    if flag not in {"yes", "no", "true", "false", "1", "0"}:
-        raise InputError(f"inDegrees={flag}", where=f"{path}, header", expected="yes or no")
-    return flag in {"yes", "true", "1"}
 
 
 def _may_be_angle(name: str) -> bool:

@@ -62,7 +62,7 @@ def mended_cluster(
     """
     names = list(reference)
     chosen = markers.select(names)
-    places = np.array([np.asarray(reference[name], dtype=np.float64) for name in names])
+    places = np.array([*reference.values()], dtype=np.float64)
     seen = ~chosen.missing
     known = np.broadcast_to(places, chosen.positions.shape)
     usable = np.flatnonzero(spans_plane(chosen.positions, seen) & spans_plane(known, seen))

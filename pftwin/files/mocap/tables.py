@@ -30,14 +30,11 @@ def increasing_times(times: ArrayLike, *, where: object) -> NDArray[np.float64]:
         raise InputError(f"row {bad[0] + 1} has no finite time", where=where, expected="a time in seconds on every row")
     if (bad := np.flatnonzero(np.diff(t) <= 0)).size:
         i = int(bad[0]) + 1
-        kind = "repeats the time" if t[i] == t[i - 1] else "goes back in time:"
-        detail = f"{t[i]:.9g} s" if t[i] == t[i - 1] else f"{t[i]:.9g} s after {t[i - 1]:.9g} s"
-        raise InputError(
-            f"row {i + 1} {kind} {detail}",
-            where=where,
-            expected="strictly increasing times",
-            remedy="sort the rows and remove repeated ones",
-        )
+        found = f"repeats the time {t[i]:.9g} s"
+        if t[i] < t[i - 1]:
+            found = f"goes back in time: {t[i]:.9g} s after {t[i - 1]:.9g} s"
+        remedy = "sort the rows and remove repeated ones"
+        raise InputError(f"row {i + 1} {found}", where=where, expected="strictly increasing times", remedy=remedy)
     return t
 
 
@@ -67,35 +64,6 @@ def uniform_times(times: ArrayLike, *, where: object) -> NDArray[np.float64]:
     return grid
 
 
-def sampling_rate(times: NDArray[np.float64], *, where: object) -> float:
-    """Frames per second [Hz] of evenly spaced times.
-
-    Raises:
-        InputError: fewer than two frames, or uneven spacing.
-    """
-    if times.size < 2:
-        raise InputError("one frame has no sampling rate", where=where, expected="at least two frames")
-    grid = uniform_times(times, where=where)
-    return float((grid.size - 1) / (grid[-1] - grid[0]))
-
-
-def frames_between(times: NDArray[np.float64], start: float, end: float, *, where: object) -> NDArray[np.bool_]:
-    """Mask (n,) of the times within [start, end], to within a rounding error.
-
-    Raises:
-        InputError: no frame lies in between.
-    """
-    slack = 1e-9 * max(1.0, abs(start), abs(end))
-    keep = (times >= start - slack) & (times <= end + slack)
-    if not keep.any():
-        raise InputError(
-            f"no frame between {start:g} s and {end:g} s",
-            where=where,
-            expected=f"an interval within {times[0]:g} s to {times[-1]:g} s",
-        )
-    return keep
-
-
 class Sampled:
     """Base of tables, markers and poses: arrays whose first axis is the n times."""
 
@@ -103,14 +71,33 @@ class Sampled:
         times: NDArray[np.float64]
         source: str
 
+    def _array(self, field: str, shape: tuple[int, ...]) -> NDArray[np.float64]:
+        """A copy of a field's array, if it has this shape."""
+        array = np.array(getattr(self, field), dtype=np.float64)
+        if array.shape != shape:
+            raise InputError(f"{field} of shape {array.shape}", where=self.source, expected=f"{shape}")
+        return array
+
+    def _set(self, **values: object) -> None:
+        """Sets the fields of a frozen dataclass as they are checked."""
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+
     @property
     def rate(self) -> float:
-        """Sampling rate [Hz]; uneven times are an InputError."""
-        return sampling_rate(self.times, where=self.source)
+        """Sampling rate [Hz]; uneven times, or a single one, are an InputError."""
+        if self.times.size < 2:
+            raise InputError("one frame has no sampling rate", where=self.source, expected="at least two frames")
+        grid = uniform_times(self.times, where=self.source)
+        return float((grid.size - 1) / (grid[-1] - grid[0]))
 
     def between(self, start: float, end: float) -> Self:
-        """The frames with start <= t <= end [s]; none of them is an InputError."""
-        keep = frames_between(self.times, start, end, where=self.source)
+        """The frames with start <= t <= end [s], to within a rounding error; none of them is an InputError."""
+        slack = 1e-9 * max(1.0, abs(start), abs(end))
+        keep = (self.times >= start - slack) & (self.times <= end + slack)
+        if not keep.any():
+            expected = f"an interval within {self.times[0]:g} s to {self.times[-1]:g} s"
+            raise InputError(f"no frame between {start:g} s and {end:g} s", where=self.source, expected=expected)
         arrays = {name: value[keep] for name, value in vars(self).items() if isinstance(value, np.ndarray)}
         return replace(self, **arrays)  # pyright: ignore[reportArgumentType]
 
@@ -140,19 +127,11 @@ class Table(Sampled):
     in_degrees: bool | None = None
 
     def __post_init__(self) -> None:
-        times = increasing_times(self.times, where=self.source)
-        values = np.array(self.values, dtype=np.float64)
-        names = tuple(self.names)
-        if values.shape != (times.size, len(names)):
-            raise InputError(
-                f"values of shape {values.shape}",
-                where=self.source,
-                expected=f"{(times.size, len(names))} for {times.size} times and {len(names)} names",
-            )
+        times, names = increasing_times(self.times, where=self.source), tuple(self.names)
+        values = self._array("values", (times.size, len(names)))
         refuse_repeated(names, "columns", where=self.source)
         units = {name: self.units.get(name, "") for name in names}
-        for attribute, value in (("times", times), ("names", names), ("values", values), ("units", units)):
-            object.__setattr__(self, attribute, value)
+        self._set(times=times, names=names, values=values, units=units)
 
     def column(self, name: str) -> NDArray[np.float64]:
         """One column (n,); an unknown name is an InputError that offers the nearest known ones."""
@@ -206,3 +185,8 @@ def quoted_list(names: Iterable[object], limit: int = 8) -> str:
     items = [str(n) for n in names]
     tail = f" and {len(items) - limit} more" if len(items) > limit else ""
     return ", ".join(items[:limit]) + tail
+
+
+def runs(mask: NDArray[np.bool_]) -> NDArray[np.intp]:
+    """First and end (k, 2) of the runs of True in a mask (n,); the end is the first index after a run."""
+    return np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8))).reshape(-1, 2)

@@ -16,8 +16,8 @@ import numpy as np
 
 from pftwin.base.errors import InputError, PftwinWarning
 from pftwin.base.text_files import check_row_length, numbers, read_lines, write_text
-from pftwin.files.mocap.markers import MarkerTrajectories, zeros_to_missing
-from pftwin.files.mocap.units import check_jumps, check_spread, length_factor
+from pftwin.files.mocap.markers import MarkerTrajectories, from_file
+from pftwin.files.mocap.units import length_factor
 
 _COORDINATE = re.compile(r"^[XYZ]\d*$", re.IGNORECASE)
 
@@ -40,22 +40,19 @@ def read_trc(path: str | os.PathLike[str], *, units: str | None = None) -> Marke
     lines, ended = read_lines(path)
     labels_at = _label_line(lines, path)
     header = _header(lines[:labels_at])
-    names = _names(lines[labels_at], f"{path}, line {labels_at + 1}")
+    names = tuple(c for c in _cells(lines[labels_at]) if c)[2:]
+    if not names:
+        where = f"{path}, line {labels_at + 1}"
+        raise InputError("no marker names", where=where, expected="names after Frame# and Time")
     _check_axes(lines[: labels_at + 1], lines[labels_at + 1 : labels_at + 3], len(names), path)
     frames, times, positions = _rows(lines, labels_at + 1, names, ended, path)
     if replaced := _placeholders_to_missing(positions):
         message = f"{path}: {replaced} places of markers are -9999 or the like in all coordinates: taken for missing"
         warnings.warn(message, PftwinWarning, stacklevel=2)
 
-    factor, differs = length_factor(header.get("units"), units, where=f"{path}, header field Units")
-    if differs:
-        message = f"{path}: the header's unit is {header['units']!r}; {units!r} is used as told"
-        warnings.warn(message, PftwinWarning, stacklevel=2)
-    positions = zeros_to_missing(positions) * factor
-    check_spread(positions, where=path, told=units is not None)
-    markers = MarkerTrajectories(times, names, positions, source=str(path))
+    positions *= length_factor(header.get("units"), units, where=f"{path}, header field Units")
+    markers = from_file(times, names, positions, path=path, told=units is not None)
     _check_frames(frames, path)
-    check_jumps(markers.positions, markers.times, markers.names, where=path)
     for message in _disagreements(header, markers):
         warnings.warn(f"{path}: {message}", PftwinWarning, stacklevel=2)
     return markers
@@ -92,7 +89,7 @@ def trc_text(name: str, markers: MarkerTrajectories) -> str:
 
 
 def _cells(line: str) -> list[str]:
-    return [c.strip() for c in (line.split("\t") if "\t" in line else line.split())]
+    return [c.strip() for c in line.split("\t" if "\t" in line else None)]
 
 
 def _label_line(lines: list[str], path: object) -> int:
@@ -100,11 +97,8 @@ def _label_line(lines: list[str], path: object) -> int:
         cells = [c.lower() for c in _cells(line) if c]
         if cells[:1] and cells[0].startswith("frame") and "time" in cells[1:2]:
             return i
-    raise InputError(
-        "no line with the marker names (it begins with Frame# and Time)",
-        where=path,
-        expected="a TRC file with its header",
-    )
+    found = "no line with the marker names (it begins with Frame# and Time)"
+    raise InputError(found, where=path, expected="a TRC file with its header")
 
 
 def _header(lines: list[str]) -> dict[str, str]:
@@ -115,13 +109,6 @@ def _header(lines: list[str]) -> dict[str, str]:
         if "datarate" in lowered or "units" in lowered:
             return {k: v for k, v in zip(lowered, values, strict=False) if k and v}
     return {}
-
-
-def _names(line: str, where: object) -> tuple[str, ...]:
-    names = tuple(c for c in _cells(line) if c)[2:]
-    if not names:
-        raise InputError("no marker names", where=where, expected="names after Frame# and Time")
-    return names
 
 
 def _rows(

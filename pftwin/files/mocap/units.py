@@ -4,12 +4,9 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+import warnings
 
-import numpy as np
-from numpy.typing import NDArray
-
-from pftwin.base.errors import InputError
+from pftwin.base.errors import InputError, PftwinWarning
 from pftwin.files.mocap.tables import unknown_name
 
 # SI unit: units as written, with their factors to it
@@ -45,13 +42,6 @@ _LONG_NAMES = {name: unit for unit, words in _WORDS.items() for word in words fo
 _BRACKETS_ONLY = {"1", "-", "in"}
 _DIMENSIONLESS = re.compile(r"(^|_)q[wxyz]$|^frame#?$|^status$", re.IGNORECASE)
 
-# Motion capture of a person or a rig: between a marker cluster's size and a large laboratory's.
-_SMALLEST_SPREAD, _LARGEST_SPREAD = 0.01, 50.0
-# Markers are balls of 6 to 14 mm, and cameras merge two that nearly touch; six of them are on two segments at least. Of
-# rigs and persons in centimetres that are labelled millimetres, nearest neighbours are 4 to 9 "mm" apart.
-_NEAREST, _SMALLEST_OF_SIX = 0.012, 0.1
-_FASTEST = 100.0  # [m/s]; markers on limbs reach 10, on a golf club 50
-
 
 def to_si(unit: str, *, where: object) -> tuple[str, float]:
     """SI unit and the factor that converts to it.
@@ -72,29 +62,27 @@ def known_unit(unit: str) -> tuple[str, float] | None:
     return next((_UNITS[candidate] for candidate in spelled if candidate in _UNITS), None)
 
 
-def length_factor(header: str | None, argument: str | None, *, where: object) -> tuple[float, bool]:
-    """Metres per unit of length, from a file's header or the caller's argument; and whether the two disagree.
+def length_factor(header: str | None, argument: str | None, *, where: object) -> float:
+    """Metres per unit of length, from a file's header or the caller's argument.
 
-    The argument wins over the header (the way out when a header is wrong).
+    The argument wins over the header (the way out when a header is wrong), with a warning where the two differ.
 
     Raises:
         InputError: neither gives a unit, or it is not a length.
     """
     if not (argument or header):
-        raise InputError(
-            "no unit of length in the file, and none given",
-            where=where,
-            expected="a unit in the header (m, cm, mm)",
-            remedy="units='mm' (or 'm', 'cm'): as an argument, in [motion] of a scene file, as --units of a command",
-        )
+        found = "no unit of length in the file, and none given"
+        remedy = "units='mm' (or 'm', 'cm'): as an argument, in [motion] of a scene file, as --units of a command"
+        raise InputError(found, where=where, expected="a unit in the header (m, cm, mm)", remedy=remedy)
     factors = []
-    for text in (argument, header):
-        if text:
-            si, factor = to_si(text, where=where)
-            if si != "m":
-                raise InputError(f"the unit {text!r} is not a length", where=where, expected="m, cm or mm")
-            factors.append(factor)
-    return factors[0], len(factors) == 2 and factors[0] != factors[1]
+    for text in filter(None, (argument, header)):
+        si, factor = to_si(text, where=where)
+        if si != "m":
+            raise InputError(f"the unit {text!r} is not a length", where=where, expected="m, cm or mm")
+        factors.append(factor)
+    if factors[0] != factors[-1]:
+        warnings.warn(f"{where}: it says {header!r}; {argument!r} is used as told", PftwinWarning, stacklevel=3)
+    return factors[0]
 
 
 def split_unit(column: str) -> tuple[str, str | None]:
@@ -112,85 +100,3 @@ def split_unit(column: str) -> tuple[str, str | None]:
         return column, "1"
     name, _, unit = column.rpartition("_")
     return (name, unit) if name and unit in _UNITS and unit not in _BRACKETS_ONLY else (column, None)
-
-
-def check_spread(positions: NDArray[np.float64], *, where: object, told: bool) -> None:
-    """Refuse marker positions (n, m, 3) in metres whose spread says that the unit is wrong.
-
-    Args:
-        positions: NaN where missing.
-        where: the file, for messages.
-        told: whether the caller gave the unit; then what is merely unusual is believed.
-
-    Raises:
-        InputError: all markers together span more than 50 m, or two or more of them less than 10 mm. Unless told: most
-            markers are less than 12 mm from the nearest other one, or six or more span less than 100 mm in most frames.
-    """
-    present = positions[np.isfinite(positions).all(axis=-1)]
-    if not len(present):
-        return
-    spread = float(np.max(present.max(axis=0) - present.min(axis=0)))
-    several = positions.shape[1] > 1
-    if spread > _LARGEST_SPREAD or (several and spread < _SMALLEST_SPREAD):
-        raise InputError(
-            f"the markers span {spread:.4g} m in the file's unit: that unit looks wrong",
-            where=where,
-            expected=f"a spread between {_SMALLEST_SPREAD} m and {_LARGEST_SPREAD:g} m",
-            remedy="the true unit as argument: units='mm' (or 'm', 'cm')",
-        )
-    if not told and several:
-        _check_distances(positions, where)
-
-
-def _check_distances(positions: NDArray[np.float64], where: object) -> None:
-    some = positions[:: max(1, len(positions) // 20)]  # some twenty frames
-    distances = np.linalg.norm(some[:, :, None] - some[:, None], axis=-1)
-    apart = distances[np.isfinite(distances) & (distances > 0)]  # virtual markers may lie in one place
-    if not apart.size:
-        return
-    distances[~(distances > 0)] = np.inf
-    nearest = distances.min(axis=2)
-    near = float(np.median(nearest[np.isfinite(nearest)]))
-    seen = np.asarray(np.isfinite(some).all(axis=2), dtype=np.bool_)
-    across = [float(np.ptp(p[s], axis=0).max()) for p, s in zip(some, seen, strict=True) if s.sum() >= 6]
-    size = float(np.median(across)) if across else np.inf
-    if near >= _NEAREST and size >= _SMALLEST_OF_SIX:
-        return
-    found = f"markers are {near * 1e3:.3g} mm from the nearest other one"
-    if near >= _NEAREST:
-        found = f"six markers or more span {size * 1e3:.3g} mm"
-    raise InputError(
-        f"{found} in the file's unit: that unit looks wrong",
-        where=where,
-        expected=f"{_NEAREST * 1e3:g} mm or more between markers, {_SMALLEST_OF_SIX * 1e3:g} mm across six of them",
-        remedy="the true unit as argument, the file's own too if it is right: units='cm' (or 'mm', 'm')",
-    )
-
-
-def check_jumps(
-    positions: NDArray[np.float64], times: NDArray[np.float64], names: Sequence[str], *, where: object
-) -> None:
-    """Refuse markers (n, m, 3) [m] that jump, as where a number stands for "not seen" in a few rows.
-
-    Args:
-        positions: NaN where missing.
-        times: (n,) seconds, increasing.
-        names: m markers.
-        where: the file, for messages.
-
-    Raises:
-        InputError: a marker moves faster than 100 m/s between two frames in which it is seen (naming it and the row).
-    """
-    for i, name in enumerate(names):
-        rows = np.flatnonzero(np.isfinite(positions[:, i]).all(axis=1))
-        steps = np.linalg.norm(np.diff(positions[rows, i], axis=0), axis=1)
-        fast = np.flatnonzero(steps > _FASTEST * np.diff(times[rows]))
-        if fast.size:
-            first, row = fast[0], rows[fast[0] + 1]
-            x, y, z = positions[row, i]
-            raise InputError(
-                f"marker {name!r} jumps by {steps[first]:.3g} m to ({x:.4g}, {y:.4g}, {z:.4g}) m on row {row + 1}",
-                where=where,
-                expected=f"at most {_FASTEST:g} m/s",
-                remedy="empty cells where a marker was not seen; else check the unit and the times",
-            )

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from at_once import at_once
 
-from pftwin.base.errors import InputError
+from pftwin.base.errors import InputError, PftwinWarning
 from pftwin.files.mocap import read_csv, read_markers, read_sto
 from pftwin.files.mocap.units import length_factor, split_unit, to_si
 
@@ -97,10 +97,11 @@ def test_a_long_label_takes_no_time(label):
 
 
 def test_a_files_length_is_the_arguments_before_the_headers():
-    assert length_factor("mm", None, where="a") == (0.001, False)
-    assert length_factor(None, "cm", where="a") == (0.01, False)
-    assert length_factor("mm", "m", where="a") == (1.0, True)
-    assert length_factor("mm", "mm", where="a") == (0.001, False)
+    assert length_factor("mm", None, where="a") == 0.001
+    assert length_factor(None, "cm", where="a") == 0.01
+    with pytest.warns(PftwinWarning, match="a: it says 'mm'; 'm' is used as told"):
+        assert length_factor("mm", "m", where="a") == 1.0
+    assert length_factor("mm", "mm", where="a") == 0.001
     with pytest.raises(InputError, match="the unit 'N' is not a length"):
         length_factor("N", None, where="a")
     with pytest.raises(InputError, match="no unit of length"):

@@ -47,7 +47,7 @@ def intersecting(first: Floats, second: Floats) -> NDArray[np.int64]:
             near &= highs[0][:, None, k] >= lows[1][None, some, k]
         pairs = np.argwhere(near)
         pairs[:, 1] += start
-        found.append(pairs[_meet(first[pairs[:, 0]], second[pairs[:, 1]])])
+        found.append(pairs[meet(first[pairs[:, 0]], second[pairs[:, 1]])])
     every = np.concatenate(found)
     every = np.stack([one[every[:, 0]], other[every[:, 1]]], axis=1)
     return every[np.lexsort((every[:, 1], every[:, 0]))]
@@ -91,7 +91,7 @@ def ray_depths(points: Floats, normals: Floats, corners: Floats, limit: float) -
     return depths
 
 
-def _meet(s: Floats, t: Floats) -> NDArray[np.bool_]:
+def meet(s: Floats, t: Floats) -> NDArray[np.bool_]:
     """Whether triangles (k, 3, 3) meet, one by one: no axis separates them."""
     sides, others = np.roll(s, -1, axis=1) - s, np.roll(t, -1, axis=1) - t
     normals, normal = np.cross(sides[:, 0], sides[:, 1]), np.cross(others[:, 0], others[:, 1])

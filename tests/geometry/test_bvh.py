@@ -109,18 +109,6 @@ def test_a_tree_is_built_once_and_found_again(tmp_path, monkeypatch):
         np.testing.assert_array_equal(a, b)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"leaf": 0}, "leaves of 0 triangles"),
-        ({"depth": 2}, "a depth of 2; expected: 4 or more"),
-    ],
-)
-def test_trees_that_cannot_be(arguments, message):
-    with pytest.raises(InputError, match=message):
-        build_tree(soup(1), **arguments)
-
-
 def test_meshes_without_a_tree():
     with pytest.raises(InputError, match="0 triangles"):
         build_tree(SurfaceMesh(np.zeros((0, 3)), np.zeros((0, 3), int)))

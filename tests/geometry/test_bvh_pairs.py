@@ -128,11 +128,6 @@ def test_a_clear_pose_has_no_pairs(search):
     assert not pairs.overflow.any()
 
 
-def test_trees_that_do_not_go_together_are_refused(search):
-    with pytest.raises(TypeError, match="leaves of 4 and 8"):
-        pair_search(search.a, build_tree(BUTTON, leaf=8))
-
-
 @pytest.mark.slow
 def test_a_thousand_poses(search):
     poses = on_the_groove(1000, 0.5e-3, seed=7)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import brute_force
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -11,7 +12,7 @@ from height_meshes import grid, plate
 from mesh_contacts import RADIUS, at, lateral, member, mesh_pair, on_the_groove
 
 from pftwin.base.spatial import Pose, Quaternion, Vec3
-from pftwin.geometry.bvh.triangle import Triangle, crossing, triangles_cross
+from pftwin.geometry.bvh.triangle import Triangle, crossing
 from pftwin.geometry.contact.contact_mesh import contact_mesh
 from pftwin.geometry.contact.contour import Contacts, MeshPair
 from pftwin.geometry.mesh.icosphere import icosphere
@@ -209,9 +210,10 @@ def test_on_the_implant_the_indentation_is_the_spheres():
 
 def test_crossings_of_random_triangles_lie_on_both():
     rng = np.random.default_rng(4)
-    a, b = (Triangle.of_rows(jnp.asarray(rng.normal(size=(2000, 9)))) for _ in range(2))
+    rows = rng.normal(size=(2, 2000, 9))
+    a, b = (Triangle.of_rows(jnp.asarray(x)) for x in rows)
     segment = crossing(a, b)
-    np.testing.assert_array_equal(segment.crossing, triangles_cross(a, b))
+    np.testing.assert_array_equal(segment.crossing, brute_force.meet(*rows.reshape(2, -1, 3, 3)))
     assert 100 < int(segment.crossing.sum()) < 1900
     for end in (segment.start, segment.end):
         for t in (a, b):

@@ -6,8 +6,6 @@ nearly spherical, however large.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -90,13 +88,6 @@ def _shell(v: Floats, n: Floats, middle: Floats, sign: Floats, margin: float) ->
 EDGE = 1e-12  # share of a triangle by which a ray may miss its edge and still count
 
 
-class Longest(NamedTuple):
-    """The longest ray through some triangles."""
-
-    depth: Scalar  # [m]; -1 where none leaves through any
-    lane: Array  # () int32: which triangle
-
-
 def ray_depth(corner: Vec3, normal: Vec3, t: Triangle) -> tuple[Scalar, Array]:
     """How far from a corner, against its normal, a ray leaves through a triangle; and whether it does (bool)."""
     across = t.area_vector()
@@ -131,25 +122,3 @@ def may_leave(a: Array, b: Array, X: Pose, deepest: Array) -> Array:
     # Against a thin disc's normal no ray leaves; a thick one's triangles may look anywhere.
     back = (slope < -0.1) & (a[7] < 0.1 * a[6])
     return jnp.where(steep, passes, ~back)
-
-
-def longest_ray(
-    triangles: Array, first: Array, many: int, corners: CornerTree, j: Array, X: Pose, limit: Scalar
-) -> Longest:
-    """The ray of a corner through neighbouring triangles.
-
-    Args:
-        triangles: (places, 9), of all.
-        first, many: of those tried.
-        corners, j: the tree and the place of the corner.
-        X: of the corners' frame in the triangles'.
-        limit: longer rays do not count [m].
-    """
-    rows = jax.lax.dynamic_slice_in_dim(triangles, first, many).T
-    t = Triangle(*(Vec3(*rows[3 * k : 3 * k + 3]) for k in range(3)))
-    rotation = X.orientation.rotation()
-    point = rotation.apply(Vec3(*corners.points[j])) + X.position
-    depth, hit = ray_depth(point, rotation.apply(Vec3(*corners.normals[j])), t)
-    depth = jnp.where(hit & (depth >= 0) & (depth <= limit), depth, -1.0)
-    lane = jnp.argmax(depth).astype(jnp.int32)
-    return Longest(depth[lane], lane)

@@ -17,10 +17,11 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from pftwin.base.spatial import Pose, Rotation, Scalar, Vec3
-from pftwin.geometry.bvh.corners import ROUGH, CornerTree, longest_ray, may_leave
+from pftwin.geometry.bvh.corners import ROUGH, CornerTree, may_leave, ray_depth
 from pftwin.geometry.bvh.descent import Descent, descent, go_down, unpacked
 from pftwin.geometry.bvh.loops import LANES, Queue, member_by_member, pushed_where, queue_of
 from pftwin.geometry.bvh.tree import CANCELLED
+from pftwin.geometry.bvh.triangle import Triangle
 from pftwin.geometry.contact.contact_mesh import ContactMesh
 
 NODES = 1024  # pairs of nodes that there is room for, where steps down in both trees leave many behind
@@ -173,11 +174,17 @@ def _rays_tried(search: DepthSearch, X: Pose, stack: _Stack, best: _Best) -> tup
 
 def _ray(search: DepthSearch, X: Pose, pair: Array, best: _Best) -> _Best:
     """The ray of a corner through the sixteen triangles of a node."""
-    i, j = unpacked(pair, search.corners.depth)
-    ray = longest_ray(search.onto.tree.triangles, i * LANES, LANES, search.corners, j, X, search.limit)
+    corners, rotation = search.corners, X.orientation.rotation()
+    i, j = unpacked(pair, corners.depth)
+    rows = jax.lax.dynamic_slice_in_dim(search.onto.tree.triangles, i * LANES, LANES).T
+    t = Triangle(*(Vec3(*rows[3 * k : 3 * k + 3]) for k in range(3)))
+    point = rotation.apply(Vec3(*corners.points[j])) + X.position
+    depth, hit = ray_depth(point, rotation.apply(Vec3(*corners.normals[j])), t)
+    depth = jnp.where(hit & (depth >= 0) & (depth <= search.limit), depth, -1.0)
+    lane = jnp.argmax(depth).astype(jnp.int32)
     facet = _facet(search, pair, 0)
-    better = ray.depth > best.depth[facet]
-    new = ray.depth, i * LANES + ray.lane, j
+    better = depth[lane] > best.depth[facet]
+    new = depth[lane], i * LANES + lane, j
     return _Best(
         *(
             jax.lax.dynamic_update_index_in_dim(old, jnp.where(better, x, old[facet]), facet, 0)
@@ -196,13 +203,8 @@ MOST_TILT = 0.4  # tilt of normals against a shell's above which it gives no bou
 
 def triangle_nodes(discs: Sequence[Array], limit: Array) -> list[Array]:
     """Rows (9): a disc (8), and how far above it corners may be that are deep by the limit [m] at most."""
-    rows = []
-    for disc in discs:
-        radius, half = disc[:, 6], disc[:, 7]
-        # Rays leave outward: corners are below, but for what triangles are inclined to their disc.
-        above = half + ROUGH + limit * jnp.minimum(4 * half / radius, 1.0)
-        rows.append(_single(disc, above))
-    return rows
+    # Rays leave outward: corners are below, but for what triangles are inclined to their disc.
+    return [_single(d, d[:, 7] + ROUGH + limit * jnp.minimum(4 * d[:, 7] / d[:, 6], 1.0)) for d in discs]
 
 
 def corner_nodes(levels: Sequence[Array], limit: Array) -> list[Array]:

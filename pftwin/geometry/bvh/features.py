@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from pftwin.geometry.mesh.mesh import SurfaceMesh
+from pftwin.geometry.mesh.mesh import SurfaceMesh, summed_at
 from pftwin.geometry.mesh.topology import Edges, edges_of
 
 
@@ -29,22 +29,17 @@ def features_of(mesh: SurfaceMesh, label: NDArray[np.int64]) -> Features:
     faces, n = mesh.faces, len(mesh.vertices)
     normals = mesh.area_vectors / np.maximum(mesh.face_areas, 1e-300)[:, None]
     edges = edges_of(faces)
-    at_edges = _sums(edges.of_face, np.repeat(normals, 3, axis=0), len(edges.corners))
+    at_edges = summed_at(edges.of_face, np.repeat(normals, 3, axis=0), len(edges.corners))
     arms = np.roll(mesh.vertices[faces], -1, axis=1) - mesh.vertices[faces]
     arms /= np.maximum(np.linalg.norm(arms, axis=2, keepdims=True), 1e-300)
     angles = np.arccos(np.clip(-np.einsum("nij,nij->ni", arms, np.roll(arms, 1, axis=1)), -1, 1))
-    at_corners = _sums(faces, (angles[:, :, None] * normals[:, None]).reshape(-1, 3), n)
+    at_corners = summed_at(faces, (angles[:, :, None] * normals[:, None]).reshape(-1, 3), n)
     outward = np.concatenate([normals[:, None], at_edges[edges.of_face], at_corners[faces]], axis=1)
     outward /= np.maximum(np.linalg.norm(outward, axis=2, keepdims=True), 1e-300)
     between = _label_borders(edges, label)
     return Features(
         outward, *(_marked_features(faces, edges.of_face, edges.corners, m, n) for m in (edges.count == 1, between))
     )
-
-
-def _sums(groups: NDArray, values: NDArray, n: int) -> NDArray[np.float64]:
-    sums = [np.bincount(groups.ravel(), values[:, k], minlength=n).astype(np.float64) for k in range(3)]
-    return np.stack(sums, axis=1)
 
 
 def _marked_features(faces: NDArray, of_face: NDArray, corners: NDArray, marked: NDArray, n: int) -> NDArray[np.bool_]:
@@ -62,13 +57,9 @@ def _label_borders(edges: Edges, label: NDArray) -> NDArray[np.bool_]:
     return lowest < highest
 
 
-def edges_between(mesh: SurfaceMesh, label: NDArray) -> NDArray[np.float64]:
-    """The edges (k, 6) where triangles of different labels (m,) meet."""
+def border_edges(mesh: SurfaceMesh, label: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The edges (k, 6) where triangles of different labels (m,) meet, and those of an open mesh's boundary."""
     edges = edges_of(mesh.faces)
-    return mesh.vertices[edges.corners[_label_borders(edges, label)]].reshape(-1, 6)
-
-
-def rim_edges(mesh: SurfaceMesh) -> NDArray[np.float64]:
-    """The edges (k, 6) of an open mesh's boundary; none of a closed one's."""
-    edges = edges_of(mesh.faces)
-    return mesh.vertices[edges.corners[edges.count == 1]].reshape(-1, 6)
+    marked = _label_borders(edges, label), edges.count == 1
+    seam, rim = (mesh.vertices[edges.corners[m]].reshape(-1, 6) for m in marked)
+    return seam, rim

@@ -17,19 +17,14 @@ import numpy as np
 from jax.custom_batching import custom_vmap
 from jax.lax import stop_gradient
 from jaxtyping import Array
-from numpy.typing import NDArray
 
 LANES = 16
 _BYTE = 8
 
 
-def _tables() -> tuple[NDArray[np.int32], NDArray[np.int32]]:
-    """For every byte the places of its ones, in order, and their number."""
-    ones = (np.arange(256)[:, None] >> np.arange(_BYTE)) & 1
-    return np.argsort(1 - ones, axis=1, kind="stable").astype(np.int32), ones.sum(axis=1).astype(np.int32)
-
-
-_PLACES, _COUNT = _tables()
+# For every byte its bits, the places of its ones in order, and their number.
+_BITS = (np.arange(256)[:, None] >> np.arange(_BYTE)) & 1
+_PLACES, _COUNT = np.argsort(1 - _BITS, axis=1, kind="stable").astype(np.int32), _BITS.sum(axis=1).astype(np.int32)
 _WEIGHTS = (1 << np.arange(_BYTE)).astype(np.int32)
 
 

@@ -17,7 +17,7 @@ from pftwin.base.spatial import Pose, Scalar, Vec3
 from pftwin.geometry.bvh.descent import Descent, descent, go_down, unpacked
 from pftwin.geometry.bvh.loops import LANES, Queue, member_by_member, pushed_where, queue_of
 from pftwin.geometry.bvh.tree import MeshTree, discs_overlap
-from pftwin.geometry.bvh.triangle import Triangle, triangles_cross
+from pftwin.geometry.bvh.triangle import Triangle, crossing
 
 LEAF = 4  # triangles in a leaf: sixteen pairs of triangles in a pair of leaves
 NODES = 2048  # capacity for pairs of nodes
@@ -32,10 +32,6 @@ class Pairs(NamedTuple):
     b: Array  # (width,) int32
     count: Array  # () int32: entries that count, from the start
     overflow: Array  # () bool: pairs were lost
-
-    def valid(self) -> Array:
-        """Which entries count, (width,)."""
-        return jnp.arange(self.a.shape[0], dtype=jnp.int32) < self.count
 
 
 class PairListLengths(NamedTuple):
@@ -68,8 +64,6 @@ def pair_search(a: MeshTree, b: MeshTree, room: PairListLengths | None = None) -
         a, b: trees with four triangles a leaf.
         room: None: more than an implant and a button need.
     """
-    if (a.leaf, b.leaf) != (LEAF, LEAF):
-        raise TypeError(f"leaves of {a.leaf} and {b.leaf} triangles: expected {LEAF}")
     room = PairListLengths(NODES, CANDIDATES) if room is None else room
     triangles = leaves_with_planes(a), leaves_with_planes(b)
     return PairSearch(
@@ -129,7 +123,7 @@ def _exact(search: PairSearch, X: Pose, leaves: Queue, candidates: Queue) -> Que
         i, j = unpacked(pair, b_depth)
         rows = search.a.triangles[i * LEAF + lane // LEAF], search.b.triangles[j * LEAF + lane % LEAF]
         first, second = (Triangle.of_rows(r) for r in jax.lax.optimization_barrier(rows))
-        yes = triangles_cross(first, _moved(X, second)) & there
+        yes = crossing(first, _moved(X, second)).crossing & there
         return start + LANES, pushed_where(found, yes, lambda lane: entries[lane])
 
     start = jnp.zeros((), jnp.int32), queue_of(search.room.meeting)

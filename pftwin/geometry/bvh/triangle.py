@@ -8,7 +8,7 @@ infinite: at a vertex, on an edge, or on the triangle itself.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
@@ -18,7 +18,8 @@ from jaxtyping import Array
 
 from pftwin.base.spatial import Scalar, Vec3
 
-FACE, EDGES, CORNERS = 0, (1, 2, 3), (4, 5, 6)  # edge 1 is ab, 2 is bc, 3 is ca; corner 4 is a
+T = TypeVar("T")
+FACE = 0  # of a triangle's features: then come the edges ab, bc, ca and the corners a, b, c
 
 
 class Triangle(eqx.Module):
@@ -62,8 +63,7 @@ def closest_on_triangle(t: Triangle, p: Vec3) -> OnTriangle:
     for edge, (start, way, arm) in enumerate(((t.a, ab, ap), (t.b, bc, bp), (t.c, ca, cp))):
         at, s, corner = _on_edge(start, way, arm, p, edge)
         nearer = ~inside & (stop_gradient(s) < stop_gradient(square))
-        best = _select(nearer, at, best)
-        square, feature = jnp.where(nearer, s, square), jnp.where(nearer, corner, feature)
+        best, square, feature = select(nearer, (at, s, corner), (best, square, feature))
     return OnTriangle(best, square, feature)
 
 
@@ -96,36 +96,23 @@ class Segment(NamedTuple):
     crossing: Array  # bool
 
 
-def triangles_cross(s: Triangle, t: Triangle) -> Array:
-    """Whether two triangles cross: an edge of one pierces the other. Triangles in one plane do not count.
-
-    With signed volumes of tetrahedra alone, no division; for batches of one shape. An edge passes all of a triangle's
-    edges on the same side, or it misses; the nine volumes of two edges each serve both triangles.
-    """
-    turns = [_volumes(p, q, t) for p, q in _edges(s)]
-    hit = jnp.zeros_like(s.a.x, dtype=bool)
-    for k, crosses in enumerate(_edges_through(s, t)):
-        hit = hit | (crosses & _same_sign(turns[k]))
-    for k, crosses in enumerate(_edges_through(t, s)):
-        hit = hit | (crosses & _same_sign([row[k] for row in turns]))
-    return hit
-
-
 def crossing(s: Triangle, t: Triangle) -> Segment:
-    """The segment in which two triangles cross; for batches of one shape. Differentiable wherever they do."""
+    """The segment in which two triangles cross; for batches of one shape. Differentiable wherever they do.
+
+    Triangles in one plane do not count.
+    """
     along = s.area_vector().cross(t.area_vector())
     ends = []
     for own, other in ((s, t), (t, s)):
         (p, q), bits, cuts = _edge_crossings(own, other)
         ahead = stop_gradient(p.dot(along) <= q.dot(along))
-        ends.append((_select(ahead, p, q), _select(ahead, q, p), *_ordered_bits(ahead, bits), cuts))
+        ends.append((*select(ahead, (p, q, *bits), (q, p, *bits[::-1])), cuts))
     (s0, s1, s_bit0, s_bit1, s_cuts), (t0, t1, t_bit0, t_bit1, t_cuts) = ends
     from_s = stop_gradient(s0.dot(along) >= t0.dot(along))
     to_s = stop_gradient(s1.dot(along) <= t1.dot(along))
-    start, end = _select(from_s, s0, t0), _select(to_s, s1, t1)
     zero = jnp.zeros_like(s_bit0)
-    start_edges = jnp.where(from_s, s_bit0, zero), jnp.where(from_s, zero, t_bit0)
-    end_edges = jnp.where(to_s, s_bit1, zero), jnp.where(to_s, zero, t_bit1)
+    start, start_edges = select(from_s, (s0, (s_bit0, zero)), (t0, (zero, t_bit0)))
+    end, end_edges = select(to_s, (s1, (s_bit1, zero)), (t1, (zero, t_bit1)))
     ahead = stop_gradient((end - start).dot(along)) > 0
     return Segment(start, end, start_edges, end_edges, s_cuts & t_cuts & ahead)
 
@@ -157,32 +144,6 @@ def _edge_crossings(own: Triangle, other: Triangle) -> tuple[tuple[Vec3, Vec3], 
     return (points[0], points[1]), (bits[0], bits[1]), cuts
 
 
-def _select(first: Array, p: Vec3, q: Vec3) -> Vec3:
+def select(first: Array, p: T, q: T) -> T:
+    """One structure of arrays where a condition holds, the other elsewhere."""
     return jax.tree.map(lambda x, y: jnp.where(first, x, y), p, q)
-
-
-def _ordered_bits(in_order: Array, bits: tuple[Array, Array]) -> tuple[Array, Array]:
-    return jnp.where(in_order, bits[0], bits[1]), jnp.where(in_order, bits[1], bits[0])
-
-
-def _edges(t: Triangle) -> tuple[tuple[Vec3, Vec3], ...]:
-    return (t.a, t.b), (t.b, t.c), (t.c, t.a)
-
-
-def _volumes(start: Vec3, end: Vec3, t: Triangle) -> list[Scalar]:
-    """Of an edge with each of a triangle's edges, six times, signed."""
-    way, a, b, c = end - start, t.a - start, t.b - start, t.c - start
-    return [way.dot(p.cross(q)) for p, q in ((a, b), (b, c), (c, a))]
-
-
-def _edges_through(edges: Triangle, face: Triangle) -> list[Array]:
-    """Which of a triangle's edges have ends on both sides of another's plane."""
-    normal = face.area_vector()
-    above = [(p - face.a).dot(normal) > 0 for p in (edges.a, edges.b, edges.c)]
-    return [above[k] != above[(k + 1) % 3] for k in range(3)]
-
-
-def _same_sign(x: list[Scalar]) -> Array:
-    """Whether no two of three numbers have opposite signs."""
-    up = (x[0] >= 0) & (x[1] >= 0) & (x[2] >= 0)
-    return up | ((x[0] <= 0) & (x[1] <= 0) & (x[2] <= 0))

@@ -20,18 +20,8 @@ from pftwin.geometry.bvh.tree import ROUNDING, depth_for, tree_arrays
 
 FAN = 16  # children of a node
 T = TypeVar("T")
-DEEP = 10  # fans on top of each other: more than two million triangles
+STACK = 11 * FAN  # of ten fans on top of each other, for two million triangles; and what a write of eight may spill
 SLACK = 1e-5  # share of a distance by which single precision may be off
-
-
-def stack_size() -> int:
-    """Of a stack of nodes: a node goes, sixteen come; and what a write of eight may spill."""
-    return DEEP * FAN + FAN
-
-
-def push_children(stack: Array, top: Array, first: Array, mask: Array) -> tuple[Array, Array]:
-    """A stack with those of the sixteen nodes from the number `first` on it whose mask is set."""
-    return written_where(stack, top, stack.shape[0] - FAN // 2, mask, lambda lane: first + lane)
 
 
 def walk(
@@ -63,7 +53,7 @@ def walk(
         # The nearest last, so that it is looked at first.
         best = jnp.argmin(away).astype(jnp.int32)
         others = near & (jnp.arange(FAN, dtype=jnp.int32) != best)
-        stack, top = push_children(stack, top, FAN * node, others)
+        stack, top = written_where(stack, top, STACK - FAN // 2, others, lambda lane: FAN * node + lane)
         stack = jax.lax.dynamic_update_index_in_dim(stack, FAN * node + best, top, 0)
         return stack, top + near[best].astype(jnp.int32), known
 
@@ -82,7 +72,7 @@ def walk(
             (stack, top, known),
         )
 
-    begin = open_fan(jnp.zeros(stack_size(), jnp.int32), jnp.int32(0), start, jnp.int32(0))
+    begin = open_fan(jnp.zeros(STACK, jnp.int32), jnp.int32(0), start, jnp.int32(0))
     return jax.lax.while_loop(lambda now: now[1] > 0, step, begin)[2]
 
 
@@ -109,22 +99,30 @@ def fans_of(corners: NDArray[np.float64], lanes: int, balls: bool) -> Fans:
     depth = depth_for(len(corners), lanes)
     used = -(-len(corners) // 2**depth)  # in the fullest leaf: splits halve to within one
     triangles, index, discs = tree_arrays(corners, used, depth)
-    first_level = depth if depth < STRIDE else depth % STRIDE or STRIDE
-    levels = list(range(first_level, depth + 1, STRIDE))
     margin = ROUNDING * float(np.abs(corners).max())
     middles = triangles.reshape(-1, 3, 3).mean(axis=1)
-    tables = [_balls(middles.reshape(2**k, -1, 3), margin) if balls else discs[k] for k in levels]
-    root = np.zeros((FAN, tables[0].shape[1]), dtype=np.float32)
-    root[:, 0] = FAR
-    root[: len(tables[0])] = tables[0]
-    rows = [root, *tables[1:]]
-    bounds = np.concatenate([r.reshape(-1, FAN, r.shape[1]) for r in rows])
-    parents = [1, *(2**level for level in levels[:-1])]
-    begins = np.cumsum([1, *(2**level for level in levels)])[: len(levels)]  # each level's first number
-    steps = [np.arange(k) * FAN + b for k, b in zip(parents, begins, strict=True)]
-    return Fans(
-        np.ascontiguousarray(bounds.swapaxes(1, 2)), np.concatenate(steps).astype(np.int32), index.reshape(-1, used)
-    )
+    tables = [_balls(middles.reshape(2**k, -1, 3), margin) if balls else discs[k] for k in kept_levels(depth)]
+    bounds = blocks_of(tables)
+    below = 1 + len(tables[0]) + FAN * np.arange(len(bounds) - 1)  # of the root, which is node 0, 1
+    return Fans(bounds, np.concatenate([[1], below]).astype(np.int32), index.reshape(-1, used))
+
+
+def kept_levels(depth: int) -> range:
+    """Of a binary tree, every fourth level down to the leaves."""
+    return range(depth % STRIDE or min(STRIDE, depth), depth + 1, STRIDE)
+
+
+def blocks_of(levels: list[NDArray[np.float32]]) -> NDArray[np.float32]:
+    """Bounds (nodes, 8 or 4, 16) of nodes' children, level by level, from those of kept levels (2^l, 8 or 4)."""
+    top = np.tile(nowhere(levels[0].shape[1]), (FAN, 1))
+    top[: len(levels[0])] = levels[0]
+    blocks = np.concatenate([level.reshape(-1, FAN, level.shape[1]) for level in (top, *levels[1:])])
+    return np.ascontiguousarray(blocks.swapaxes(1, 2))
+
+
+def nowhere(size: int) -> NDArray[np.float32]:
+    """A bound (size,) that no search comes to."""
+    return FAR * np.eye(1, size, dtype=np.float32)[0]
 
 
 def rows_of(fans: Fans) -> NDArray[np.float32]:

@@ -16,15 +16,11 @@ import numpy as np
 from jaxtyping import Array
 from numpy.typing import NDArray
 
-from pftwin.base.errors import InputError
 from pftwin.base.spatial import Scalar, Vec3
 from pftwin.geometry.bvh.loops import member_by_member, written_where
 from pftwin.geometry.bvh.tree import CANCELLED, MeshTree
 from pftwin.geometry.bvh.triangle import Triangle, closest_on_triangle
-
-FAN = 16  # descendants looked at together, four levels of the binary tree below
-SLACK = 1e-5  # share of a distance by which single precision may be off
-_NOWHERE = 1e6  # [m] where the discs lie that fill up the first block
+from pftwin.geometry.bvh.walk import FAN, SLACK, blocks_of, kept_levels, nowhere
 
 
 class WideTree(eqx.Module):
@@ -62,22 +58,10 @@ class WideTree(eqx.Module):
 
 
 def wide_tree(tree: MeshTree) -> WideTree:
-    """The blocks of a tree. The copies that fill its empty places are found by no search.
-
-    Raises:
-        InputError: a tree with more than one triangle in a leaf.
-    """
-    if tree.leaf != 1:
-        raise InputError(f"{tree.leaf} triangles a leaf", where="tree", expected="one")
-    top = tree.depth % 4 or min(4, tree.depth)
-    levels = [np.array(tree.levels[k]) for k in range(top, tree.depth + 1, 4)]
-    nowhere = np.array([_NOWHERE] * 3 + [0, 0, 1, 0, 0], np.float32)
-    levels[-1][np.asarray(tree.index) < 0] = nowhere  # copies, which fill empty places
-    filled = np.tile(nowhere, (FAN, 1))
-    filled[: len(levels[0])] = levels[0]
-    blocks = [filled[None], *(level.reshape(-1, FAN, 8) for level in levels[1:])]
-    lanes = np.ascontiguousarray(np.swapaxes(np.concatenate(blocks), 1, 2))
-    return WideTree(jax.device_put(lanes), len(levels[0]), len(levels))
+    """The blocks of a tree of single triangles. The copies that fill its empty places are found by no search."""
+    levels = [np.array(tree.levels[k]) for k in kept_levels(tree.depth)]
+    levels[-1][np.asarray(tree.index) < 0] = nowhere(8)  # copies, which fill empty places
+    return WideTree(jax.device_put(blocks_of(levels)), len(levels[0]), len(levels))
 
 
 def squared_distance_bounds(block: Array, point: Array) -> tuple[Array, Array]:
@@ -145,12 +129,12 @@ def _search_nearest(half: int | None, tree: WideTree, rows: Array, point: Array)
     start = (zero, jnp.full(WIDTH + FAN, -1, jnp.int32), zero + 1, jnp.asarray(jnp.inf, jnp.float32))
     head, nodes, end, _ = jax.lax.while_loop(more, look, start)
     last = jnp.minimum(end, WIDTH)
-    place, _ = _nearest_in_stretch(rows, point, nodes - tree.n_inner, head, last)
+    place = _nearest_in_stretch(rows, point, nodes - tree.n_inner, head, last)
     return NearestTriangle(place, (end > WIDTH) | (head >= last))
 
 
-def _nearest_in_stretch(rows: Array, point: Array, places: Array, first: Array, end: Array) -> tuple[Array, Array]:
-    """The place of the nearest triangle of a stretch of a list, and the square of its distance."""
+def _nearest_in_stretch(rows: Array, point: Array, places: Array, first: Array, end: Array) -> Array:
+    """The place of the nearest triangle of a stretch of a list."""
 
     def compare(state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         i, best, square = state
@@ -163,7 +147,7 @@ def _nearest_in_stretch(rows: Array, point: Array, places: Array, first: Array, 
         return i + LAST, jnp.where(nearer, some[k], best), jnp.where(nearer, found[k], square)
 
     start = (first, jnp.zeros((), jnp.int32), jnp.asarray(jnp.inf, point.dtype))
-    return jax.lax.while_loop(lambda s: s[0] < end, compare, start)[1:]
+    return jax.lax.while_loop(lambda s: s[0] < end, compare, start)[1]
 
 
 # What is inside a ball: a node that lies wholly in it counts as one, with its sums, and only triangles along the ball's

@@ -54,10 +54,10 @@ def contact_mesh(mesh: SurfaceMesh, lateral: ArrayLike | None = None) -> Contact
     tree, source, features, facets = facet_tree(mesh, lateral, leaf=LEAF, least_depth=2)
     marked = (features.seam, features.rim)
     seam, rim = ((x[source][:, 1:4] * np.array([1, 2, 4])).sum(axis=1).astype(np.int8) for x in marked)
-    corners = corner_tree(mesh.vertices, _corner_normals(mesh, features))
-    return ContactMesh(
-        tree, jax.device_put(source.astype(np.int32)), corners, jax.device_put(seam), jax.device_put(rim), facets
-    )
+    normals = np.zeros_like(mesh.vertices)  # outward at the vertices, weighted by angles
+    normals[mesh.faces] = features.outward[:, 4:]
+    source, seam, rim = jax.device_put((source.astype(np.int32), seam, rim))
+    return ContactMesh(tree, source, corner_tree(mesh.vertices, normals), seam, rim, facets)
 
 
 class FacetTree(NamedTuple):
@@ -88,10 +88,3 @@ def facet_tree(mesh: SurfaceMesh, lateral: ArrayLike | None, *, leaf: int, least
     trees = [build_tree(part, leaf=leaf, depth=depth) for part in parts]
     source = np.concatenate([g[np.asarray(t.source_index())] for g, t in zip(groups, trees, strict=True)])
     return FacetTree(joined_tree(trees), source, features_of(mesh, label), len(groups))
-
-
-def _corner_normals(mesh: SurfaceMesh, features: Features) -> NDArray[np.float64]:
-    """Outward unit normals at the vertices (n, 3), weighted by angles."""
-    normals = np.zeros_like(mesh.vertices)
-    normals[mesh.faces] = features.outward[:, 4:]
-    return normals

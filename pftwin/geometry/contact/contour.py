@@ -27,7 +27,7 @@ from pftwin.geometry.bvh.corners import ray_depth
 from pftwin.geometry.bvh.deepest import Deepest, DepthSearch, depth_search
 from pftwin.geometry.bvh.loops import member_by_member, most_in_batch
 from pftwin.geometry.bvh.pairs import PairListLengths, Pairs, PairSearch, pair_search
-from pftwin.geometry.bvh.triangle import Segment, Triangle, crossing
+from pftwin.geometry.bvh.triangle import Segment, Triangle, crossing, select
 from pftwin.geometry.contact.contact_mesh import ContactMesh
 
 LIMIT = 5e-3  # [m]: no indentation is looked for beyond it
@@ -71,7 +71,7 @@ class MeshPair(eqx.Module):
         depths = self._indentations(X_AB, deepest)
         if self.a.facets == 2:
             both = jax.tree.map(lambda x, y: x + y, *sums)
-            sums = _select(merged, both, sums[0]), _select(merged, jax.tree.map(jnp.zeros_like, both), sums[1])
+            sums = select(merged, (both, jax.tree.map(jnp.zeros_like, both)), sums)
             most = jnp.maximum(depths[0], depths[1])
             depths = [jnp.where(merged, most, depths[0]), jnp.where(merged, 0.0, depths[1])]
         each = tuple(_contact(s, d, X_AB.position) for s, d in zip(sums, depths, strict=True))
@@ -99,10 +99,6 @@ def mesh_pair(a: ContactMesh, b: ContactMesh, *, room: PairListLengths | None = 
         room: for lists of pairs; None: more than an implant and a button need.
     """
     return MeshPair(a, b, pair_search(a.tree, b.tree, room), depth_search(a, b.corners, jnp.asarray(LIMIT, float)))
-
-
-def _select(which: Array, one: SegmentSums, other: SegmentSums) -> SegmentSums:
-    return jax.tree.map(lambda x, y: jnp.where(which, x, y), one, other)
 
 
 def _contact(sums: SegmentSums, depth: Scalar, origin: Vec3) -> ContourContact:

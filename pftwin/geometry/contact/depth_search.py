@@ -8,7 +8,6 @@ femur's tree together. Nothing here is differentiated; batches are taken one by 
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 import jax
@@ -17,10 +16,9 @@ from jax.lax import optimization_barrier
 from jaxtyping import Array
 
 from pftwin.base.spatial import Rotation, Scalar, Vec3
-from pftwin.geometry.bvh.loops import member_by_member
 from pftwin.geometry.bvh.tree import disc_distances
 from pftwin.geometry.bvh.triangle import Triangle, closest_on_triangle
-from pftwin.geometry.bvh.walk import FAN, FAR, stack_size, walk
+from pftwin.geometry.bvh.walk import FAN, FAR, STACK, walk
 
 if TYPE_CHECKING:
     from pftwin.geometry.contact.depth_sides import PressedSurface, PressingSurface
@@ -34,38 +32,16 @@ class TouchingLeaves(NamedTuple):
     total: Array  # () int32: how many there were, which may be more than the list holds
 
 
-def find(
+def touching_leaves(
+    width: int,
+    band: float,
+    reach: float,
     button: PressingSurface,
     femur: PressedSurface,
     position: Vec3,
     rotation: Rotation,
-    *,
-    width: int,
-    band: float,
-    reach: float,
 ) -> TouchingLeaves:
-    """The leaves of the button in which a centroid's depth is above -band.
-
-    Args:
-        button, femur: the surfaces.
-        position, rotation: of the button's frame in the femur's.
-        width: room for leaves.
-        band: how far outside triangles are still wanted [m].
-        reach: how far from the surface triangles are looked for, on either side [m].
-    """
-    search = partial(_search, width=width, band=band, reach=reach)
-    return member_by_member(search)(button, femur, position, rotation)
-
-
-def _search(
-    button: PressingSurface,
-    femur: PressedSurface,
-    position: Vec3,
-    rotation: Rotation,
-    width: int,
-    band: float,
-    reach: float,
-) -> TouchingLeaves:
+    """See `PressedSurface.touching`; for one member of a batch."""
     pieces, count = _pieces(button, femur, position, rotation, band, reach)
 
     def take(k: Array, now: tuple[Array, Array]) -> tuple[Array, Array]:
@@ -117,9 +93,7 @@ def _pieces(
         return stack, top - 1 + opened, table, total + (wanted & is_leaf).astype(jnp.int32), near.place
 
     zero = jnp.int32(0)
-    stack = jax.lax.dynamic_update_slice_in_dim(
-        jnp.zeros(stack_size(), jnp.int32), jnp.arange(FAN, dtype=jnp.int32), 0, 0
-    )
+    stack = jnp.arange(STACK, dtype=jnp.int32)
     living = jnp.sum(button.rows[:FAN, 0] < FAR, dtype=jnp.int32)  # the root's dead lanes come last
     table = jnp.zeros((button.leaves + 1, 2), jnp.int32)
     _, _, table, total, _ = jax.lax.while_loop(lambda now: now[1] > 0, look, (stack, living, table, zero, zero))

@@ -6,6 +6,7 @@ are queried, by their centroids. Both may be open.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TypeVar
 
 import equinox as eqx
@@ -21,10 +22,11 @@ from pftwin.base.errors import InputError
 from pftwin.base.program_cache import cached
 from pftwin.base.spatial import Rotation, Scalar, Vec3, safe_sqrt
 from pftwin.geometry.bvh.features import features_of
+from pftwin.geometry.bvh.loops import member_by_member
 from pftwin.geometry.bvh.tree import check_searchable
 from pftwin.geometry.bvh.triangle import Triangle, closest_on_triangle
 from pftwin.geometry.bvh.walk import Fans, fans_of, rows_of
-from pftwin.geometry.contact.depth_search import TouchingLeaves, find
+from pftwin.geometry.contact.depth_search import TouchingLeaves, touching_leaves
 from pftwin.geometry.mesh.mesh import SurfaceMesh
 
 T = TypeVar("T")
@@ -69,8 +71,16 @@ class PressedSurface(eqx.Module):
     def touching(
         self, button: PressingSurface, position: Vec3, rotation: Rotation, *, width: int, band: float, reach: float
     ) -> TouchingLeaves:
-        """See `pftwin.geometry.contact.depth_search.find`."""
-        return find(button, self, position, rotation, width=width, band=band, reach=reach)
+        """The leaves of a button in which a centroid's depth is above -band.
+
+        Args:
+            button, position, rotation: the other surface, and its frame in this one's.
+            width: room for leaves.
+            band: how far outside triangles are still wanted [m].
+            reach: how far from the surface triangles are looked for, on either side [m].
+        """
+        search = member_by_member(partial(touching_leaves, width, band, reach))
+        return search(button, self, position, rotation)
 
     def below(self, place: Array, point: Vec3) -> tuple[Scalar, Vec3, Array]:
         """Depth [m] of points (k,) below the triangles in some places (k,), the normal there, and whether it is the
@@ -141,21 +151,23 @@ def pressed_surface(mesh: SurfaceMesh, labels: ArrayLike | None = None) -> Press
                 where=mesh.source,
                 expected=f"({len(mesh.faces)},): 0 (medial) or 1 (lateral) for each triangle",
             )
-        facets = jax.device_put(facets.astype(np.int32))
+        facets = facets.astype(np.int32)
     fans, outward, rim = cached(_fans_and_features, mesh.vertices, mesh.faces, files=())
-    corners, index = _packed_corners(mesh.vertices[mesh.faces], fans)
+    source = _originals(fans.places)
+    corners = mesh.vertices[mesh.faces][source].reshape(*source.shape, 9)
     own = canonicalize_dtype(float)
-    return PressedSurface(
-        bounds=jax.device_put(fans.bounds),
-        rows=jax.device_put(rows_of(fans)),
-        first=jax.device_put(fans.first),
-        lanes=jax.device_put(np.ascontiguousarray(corners.swapaxes(1, 2)).astype(own)),
-        corners=jax.device_put(corners.reshape(-1, 9).astype(own)),
-        triangle=jax.device_put(_originals(index).ravel().astype(np.int32)),
-        outward=jax.device_put(outward.astype(own)),
-        rim=jax.device_put(rim),
-        label=facets,
-    )
+    parts = {
+        "bounds": fans.bounds,
+        "rows": rows_of(fans),
+        "first": fans.first,
+        "lanes": np.ascontiguousarray(corners.swapaxes(1, 2)).astype(own),
+        "corners": corners.reshape(-1, 9).astype(own),
+        "triangle": source.ravel(),
+        "outward": outward.astype(own),
+        "rim": rim,
+        "label": facets,
+    }
+    return PressedSurface(**jax.device_put(parts))
 
 
 def pressing_surface(mesh: SurfaceMesh, together: int = 1) -> PressingSurface:
@@ -168,18 +180,17 @@ def pressing_surface(mesh: SurfaceMesh, together: int = 1) -> PressingSurface:
     whole = mesh.vertices[mesh.faces]
     triangles = whole if together == 1 else cached(_taken_together, whole, together, files=())
     fans = cached(fans_of, triangles, BUTTON_LANES, True, files=())
-    corners, index = _packed_corners(triangles, fans)
+    corners = triangles[_originals(fans.places)]
     own = canonicalize_dtype(float)
-    discs = _discs(corners.reshape(*index.shape, 3, 3)).astype(own)
     parts = (
         rows_of(fans),
         fans.first,
         corners.reshape(-1, 9).astype(own),
-        index.astype(np.int32),
-        discs,
+        fans.places,
+        _discs(corners).astype(own),
         whole.reshape(-1, 9).astype(own),
     )
-    return PressingSurface(*(jax.device_put(a) for a in parts))
+    return PressingSurface(*jax.device_put(parts))
 
 
 def _fans_and_features(
@@ -229,9 +240,3 @@ def _discs(corners: NDArray[np.float64]) -> NDArray[np.float64]:
 def _originals(places: NDArray[np.int32]) -> NDArray[np.int32]:
     """The triangles themselves, also where a place holds a copy."""
     return np.where(places < 0, -1 - places, places)
-
-
-def _packed_corners(triangles: NDArray[np.float64], fans: Fans) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Corners (leaves, lanes, 9), and the index of each place."""
-    source = _originals(fans.places)
-    return triangles[source].reshape(*source.shape, 9), fans.places

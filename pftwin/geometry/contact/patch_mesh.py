@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -13,14 +13,11 @@ from numpy.typing import ArrayLike
 
 from pftwin.base.errors import InputError
 from pftwin.base.spatial import Scalar, Vec3, safe_sqrt
-from pftwin.geometry.bvh.features import edges_between, rim_edges
+from pftwin.geometry.bvh.features import border_edges
 from pftwin.geometry.bvh.triangle import Triangle
 from pftwin.geometry.bvh.wide import BallListLengths
 from pftwin.geometry.contact.mesh_facets import MeshFacets, mesh_facets
 from pftwin.geometry.mesh.mesh import SurfaceMesh
-
-if TYPE_CHECKING:
-    pass
 
 CHUNK = 64  # triangles cut at a time
 DEEPEST = 0.05  # of the radius: indentation up to which there is room on two facets at once
@@ -80,8 +77,7 @@ def patch_mesh(mesh: SurfaceMesh, radius: float, lateral: ArrayLike | None = Non
     outline = 2 * np.pi * radius * np.sqrt(2 * DEEPEST) * facets.count
     side = np.sqrt(np.quantile(mesh.face_areas, 0.25))
     cut = CHUNK * int(np.ceil(min(max(ALONG * outline / side, 2 * CHUNK), len(mesh.faces)) / CHUNK))
-    dtype = facets.triangles.dtype
-    seam, rim = jnp.asarray(edges_between(mesh, label), dtype), jnp.asarray(rim_edges(mesh), dtype)
+    seam, rim = (jnp.asarray(edges, facets.triangles.dtype) for edges in border_edges(mesh, label))
     return PatchMesh(facets, seam, rim, BallListLengths(cut, cut + 1))
 
 

@@ -16,10 +16,10 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-from jax.custom_batching import sequential_vmap
 from jaxtyping import Array
 
 from pftwin.base.spatial import Scalar, Vec3
+from pftwin.geometry.bvh.loops import member_by_member
 from pftwin.geometry.bvh.triangle import Triangle
 from pftwin.geometry.bvh.wide import InBall, in_ball
 from pftwin.geometry.contact.ball_cut import BallArcs, BallCut, ball_arcs, ball_cut
@@ -48,13 +48,7 @@ def sphere_patch(mesh: PatchMesh, center: Vec3, radius: Scalar) -> Patch:
 
 @eqx.filter_custom_jvp
 def _patch(mesh: PatchMesh, center: Vec3, radius: Scalar) -> Patch:
-    leaves, structure = jax.tree.flatten((mesh, center, radius))
-
-    @sequential_vmap
-    def search(*values: Array) -> Patch:
-        return _counted(*jax.tree.unflatten(structure, values))
-
-    return search(*leaves)
+    return member_by_member(_counted)(mesh, center, radius)
 
 
 @_patch.def_jvp
@@ -95,15 +89,12 @@ def _moved(cut: BallCut, arcs: BallArcs, radius: Scalar, dc: Vec3, dr: Scalar) -
 @eqx.filter_custom_jvp
 def _outline_arcs(mesh: PatchMesh, center: Vec3, radius: Scalar) -> tuple[BallArcs, BallArcs]:
     """The outline's arcs on the medial and the lateral facet."""
-    leaves, structure = jax.tree.flatten((mesh, center, radius))
 
-    @sequential_vmap
-    def search(*values: Array) -> Array:
-        mesh, center, radius = jax.tree.unflatten(structure, values)
+    def search(mesh: PatchMesh, center: Vec3, radius: Scalar) -> Array:
         found = in_ball(mesh.facets.wide, center, radius, mesh.room)
         return _over_triangles(mesh, found, center, radius, _arcs_of)
 
-    medial, lateral = search(*leaves)
+    medial, lateral = member_by_member(search)(mesh, center, radius)
     return _ball_arcs_of(medial), _ball_arcs_of(lateral)
 
 
@@ -180,8 +171,7 @@ def _group_sums(
 
 
 def _cut_of(t: Triangle, radius: Scalar) -> tuple[Scalar, ...]:
-    cut = ball_cut(t, radius)
-    return cut.area, cut.doubled, cut.moment.x, cut.moment.y, cut.moment.z, cut.flux
+    return tuple(jax.tree.leaves(ball_cut(t, radius)))
 
 
 def _arcs_of(t: Triangle, radius: Scalar) -> tuple[Scalar, ...]:

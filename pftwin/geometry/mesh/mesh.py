@@ -53,13 +53,7 @@ class SurfaceMesh:
     @cached_property
     def vertex_normals(self) -> NDArray[np.float64]:
         """Unit outward normals weighted by area, (n, 3); zero at a vertex that no triangle uses."""
-        total = np.stack(
-            [
-                np.bincount(self.faces.ravel(), np.repeat(self.area_vectors[:, k], 3), minlength=len(self.vertices))
-                for k in range(3)
-            ],
-            axis=1,
-        )
+        total = summed_at(self.faces, np.repeat(self.area_vectors, 3, axis=0), len(self.vertices))
         length = np.linalg.norm(total, axis=1, keepdims=True)
         return np.divide(total, length, out=np.zeros_like(total), where=length > 0)
 
@@ -86,6 +80,18 @@ class SurfaceMesh:
         return SurfaceMesh(self.vertices, self.faces[:, ::-1].copy(), self.source)
 
 
+def check_units(units: str) -> None:
+    """Refuse a length unit that is none of `UNITS`."""
+    if units not in UNITS:
+        raise InputError(f"unknown length unit {units!r}", where="units", expected=f"one of {', '.join(UNITS)}")
+
+
+def summed_at(groups: NDArray[np.int64], values: NDArray[np.float64], n: int) -> NDArray[np.float64]:
+    """Sums of vectors (k, 3) over each of n groups, (n, 3); groups, flattened, tell which each belongs to."""
+    sums = [np.bincount(groups.ravel(), values[:, k], minlength=n).astype(np.float64) for k in range(3)]
+    return np.stack(sums, axis=1)
+
+
 def load_mesh(
     path: str | os.PathLike[str],
     *,
@@ -106,11 +112,9 @@ def load_mesh(
         InputError: missing, empty or unreadable file; no triangles; vertices that are not finite; a size that does not
             suit the units; triangles whose winding disagrees with their neighbours'; a closed mesh that is inside out.
     """
-    where = str(path)
-    if units not in UNITS:
-        raise InputError(f"unknown length unit {units!r}", where="units", expected=f"one of {', '.join(UNITS)}")
+    check_units(units)
     vertices, faces = read_triangles(Path(path))
-    return check_mesh(vertices * UNITS[units], faces, source=where, size=size, repair=repair, units=units)
+    return check_mesh(vertices * UNITS[units], faces, source=str(path), size=size, repair=repair, units=units)
 
 
 def check_mesh(
@@ -132,11 +136,8 @@ def check_mesh(
         raise InputError(f"a face names vertex {f.max()}, but there are {len(p)}", where=source)
     bad = np.flatnonzero(~np.isfinite(p).all(axis=1))
     if bad.size:
-        raise InputError(
-            f"{bad.size} of {len(p)} vertices are not finite, the first is number {bad[0]}: {p[bad[0]]}",
-            where=source,
-            remedy="export the mesh again",
-        )
+        found = f"{bad.size} of {len(p)} vertices are not finite, the first is number {bad[0]}: {p[bad[0]]}"
+        raise InputError(found, where=source, remedy="export the mesh again")
     mesh = _welded_and_cleaned(p, f, source)
     if size is not None:
         check_size(mesh.extent, mesh.source, size, units)
@@ -155,8 +156,7 @@ def save_mesh(mesh: SurfaceMesh, path: str | os.PathLike[str], *, units: str = "
     import trimesh
 
     target = Path(path)
-    if units not in UNITS:
-        raise InputError(f"unknown length unit {units!r}", where="units", expected=f"one of {', '.join(UNITS)}")
+    check_units(units)
     check_format(target)
     exported = trimesh.Trimesh(mesh.vertices / UNITS[units], mesh.faces, process=False)
     data = exported.export(file_type=target.suffix[1:].lower())

@@ -125,7 +125,7 @@ def outcome_rows(study: PaperStudy) -> Iterator[OutcomeRow]:
 
 def notes(study: PaperStudy) -> Iterator[str]:
     """What the errors mean, one paragraph each."""
-    from pftwin.rig.plant import MISPLACED
+    from pftwin.rig.geometry import MISPLACED
 
     names = study.fits[FITS[0]].names
     nearest, recorded = (100 * (values_of(v) / study.nominal - 1) for v in (study.nearest, study.recorded))

@@ -15,8 +15,7 @@ from pftwin.cli.exit_codes import exit_flagged
 
 if TYPE_CHECKING:
     from pftwin.geometry.mesh.doctor import Diagnosis
-    from pftwin.geometry.mesh.principal import PrincipalAxis
-    from pftwin.geometry.patch.directions import Candidate
+    from pftwin.geometry.patch.directions import Candidate, PrincipalAxis
 
 _SEVERITIES = {"safe": "can be repaired", "left": "stays as it is", "fatal": "makes it unusable"}
 _MOST_PARTS = 5  # of a mesh that are described
@@ -96,8 +95,7 @@ def _axes(mesh: Path, unit: str, output: Path | None) -> tuple[dict[str, Any], l
     """Axes to take for anatomical ones, as facts and in lines, and their picture where one is asked for."""
     terminal.start_computing()
     from pftwin.geometry.mesh.mesh import load_mesh
-    from pftwin.geometry.mesh.principal import principal_axes
-    from pftwin.geometry.patch.directions import directions_with_groove
+    from pftwin.geometry.patch.directions import directions_with_groove, principal_axes
 
     with terminal.spinner("looking for axes"):
         surface = load_mesh(mesh, units=unit, size=None, repair=True)

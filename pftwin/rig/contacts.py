@@ -115,7 +115,7 @@ def _fitted(name: str, chart: Literal["plane", "cylinder"], float64: bool) -> Pa
 
 def _of_meshes(name: str, law: ContactLaw) -> Effect:
     from pftwin.geometry.contact.contact_mesh import contact_mesh
-    from pftwin.geometry.mesh.resolution import RESOLUTIONS, button_mesh
+    from pftwin.geometry.mesh.icosphere import RESOLUTIONS, button_mesh
     from pftwin.model.effects.mesh_contact import MeshContact
 
     mesh, lateral = _femur(name)
@@ -143,7 +143,7 @@ def _femur(name: str) -> tuple[SurfaceMesh, NDArray[np.bool_]]:
 
 def _meshed(name: str) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.bool_]]:
     from pftwin.geometry.contact.mesh_facets import lateral_of_groove
-    from pftwin.geometry.mesh.resolution import RESOLUTIONS
+    from pftwin.geometry.mesh.icosphere import RESOLUTIONS
 
     with jax.enable_x64(True):
         mesh = replace(rig_implant(), half_width=_WIDE).mesh(deviation=RESOLUTIONS[name])

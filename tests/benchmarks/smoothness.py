@@ -82,7 +82,7 @@ def effects() -> Iterator[tuple[str, str, Any]]:
     from pftwin.geometry.contact.contact_mesh import contact_mesh
     from pftwin.geometry.contact.mesh_facets import lateral_of_groove, mesh_facets
     from pftwin.geometry.contact.patch_mesh import patch_mesh
-    from pftwin.geometry.mesh.resolution import button_mesh
+    from pftwin.geometry.mesh.icosphere import button_mesh
     from pftwin.geometry.patch.implant import rig_implant, rig_region
     from pftwin.model.effects.mesh_contact import MeshContact
     from pftwin.model.effects.mesh_sphere_contact import MeshSphereContact

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from pftwin.base.errors import InputError
-from pftwin.geometry.mesh.icosphere import icosphere, icosphere_deviation
+from pftwin.geometry.mesh.icosphere import RESOLUTIONS, button_mesh, icosphere, icosphere_deviation
 from pftwin.geometry.mesh.mesh import check_mesh
-from pftwin.geometry.mesh.resolution import RESOLUTIONS, button_mesh
 
 R = 0.025
 

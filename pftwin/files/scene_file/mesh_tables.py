@@ -124,7 +124,7 @@ class SphereButtonSection(Section):
 
     def triangles(self, setting: Setting, at: Place) -> ButtonMesh:
         """An icosphere, the coarsest that keeps to the deviation."""
-        from pftwin.geometry.mesh.resolution import RESOLUTIONS, button_mesh
+        from pftwin.geometry.mesh.icosphere import RESOLUTIONS, button_mesh
 
         with setting.document.naming(*at, "deviation_m"):
             mesh = button_mesh(self.radius_m, self.deviation_m or RESOLUTIONS["FM"])

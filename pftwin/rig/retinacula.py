@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.base.leaves import number, vector
 from pftwin.model.effects.tendon import StrandGroup
@@ -25,7 +26,7 @@ from pftwin.model.scene import Scene
 
 STRANDS = 5
 TOE_STRAIN = 0.06
-DAMPING_TIME = 0.003
+DAMPING_TIME = 0.003  # [s]
 REFERENCE_POSITION = (0.0244, 0.0076, 0.0476)  # of the patella's origin in the femur
 REFERENCE_QUATERNION = (0.9954, 0.0892, 0.0113, 0.0337)  # of the patella in the femur, scalar first
 
@@ -74,17 +75,15 @@ def ligament(name: str, *, reference_strain: float = 0.0) -> StrandGroup:
     )
     there = Rotation.from_quat(REFERENCE_QUATERNION, scalar_first=True).apply(insertion) + np.array(REFERENCE_POSITION)
     slack = np.linalg.norm(there - origin, axis=1) / (1 + reference_strain)
-    one = np.ones(STRANDS)
-    return StrandGroup(
-        number(made.stiffness / STRANDS * slack),
-        number(slack),
-        number(TOE_STRAIN * one),
-        number(DAMPING_TIME * one),
-        vector(insertion),
-        vector(origin),
-        "femur",
-        name=name,
-    )
+    return strand_group(name, "femur", made.stiffness / STRANDS * slack, slack, TOE_STRAIN, insertion, origin)
+
+
+def strand_group(
+    name: str, body: str, stiffness: Floats, slack: Floats, toe_strain: float, patella: Floats, origin: Floats
+) -> StrandGroup:
+    """Strands with this module's damping: stiffness [N per unit strain] and slack lengths (n,), ends (n, 3) [m]."""
+    toe, damping = (number(np.full_like(slack, x)) for x in (toe_strain, DAMPING_TIME))
+    return StrandGroup(number(stiffness), number(slack), toe, damping, vector(patella), vector(origin), body, name=name)
 
 
 def with_retinacula(

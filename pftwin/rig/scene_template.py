@@ -34,11 +34,10 @@ def write_example(folder: Path, case: int = 1) -> list[Path]:
             files = [Path(p) for p in rig.write_files(case, built)]
             scene = built / "scene.toml"
             scene.write_text(scene_text(case), encoding="utf-8")
-            targets = [folder / p.relative_to(built) for p in (scene, *files)]
+            targets = [folder / p.name for p in (scene, *files)]
             if there := [t for t in targets if t.exists()]:
                 raise OutputError(f"{there[0]}: is there already; try: another folder, or remove it first")
             for source, target in zip((scene, *files), targets, strict=True):
-                target.parent.mkdir(parents=True, exist_ok=True)
                 shutil.move(source, target)
             return targets
     except OutputError:

@@ -96,7 +96,8 @@ class Anatomy:
         """
         if kind not in _DEJOUR:
             raise InputError(f"no type {kind!r} of trochlear dysplasia", expected=f"one of: {', '.join(_DEJOUR)}")
-        return Anatomy(**_DEJOUR[kind])
+        sulcus, lateral, ratio, depth, prominence = _DEJOUR[kind]
+        return Anatomy(sulcus, lateral, ratio, depth, prominence_mm=prominence)
 
     @property
     def medial_inclination_deg(self) -> float:
@@ -106,9 +107,7 @@ class Anatomy:
     @property
     def lateral_facet_mm(self) -> float:
         """Width of the lateral facet, from the groove to its ridge."""
-        lateral, medial = (
-            math.tan(math.radians(a)) for a in (self.lateral_inclination_deg, self.medial_inclination_deg)
-        )
+        lateral, medial = _slope(self.lateral_inclination_deg), _slope(self.medial_inclination_deg)
         return 2 * self.trochlear_depth_mm / (lateral + self.facet_ratio * medial)
 
     @property
@@ -119,12 +118,12 @@ class Anatomy:
     @property
     def lateral_height_mm(self) -> float:
         """Of the lateral ridge above the groove's deepest point."""
-        return self.lateral_facet_mm * math.tan(math.radians(self.lateral_inclination_deg))
+        return self.lateral_facet_mm * _slope(self.lateral_inclination_deg)
 
     @property
     def medial_height_mm(self) -> float:
         """Of the medial ridge."""
-        return self.medial_facet_mm * math.tan(math.radians(self.medial_inclination_deg))
+        return self.medial_facet_mm * _slope(self.medial_inclination_deg)
 
     @property
     def tendon_length_mm(self) -> float:
@@ -132,27 +131,14 @@ class Anatomy:
         return self.insall_salvati * self.patella_height_mm
 
 
-_DEJOUR: dict[str, dict[str, float]] = {
-    "A": {"sulcus_angle_deg": 150.0, "lateral_inclination_deg": 15.0, "facet_ratio": 0.6, "trochlear_depth_mm": 2.8},
-    "B": {
-        "sulcus_angle_deg": 165.0,
-        "lateral_inclination_deg": 8.0,
-        "facet_ratio": 0.6,
-        "trochlear_depth_mm": 1.6,
-        "prominence_mm": 4.0,
-    },
-    "C": {
-        "sulcus_angle_deg": 162.0,
-        "lateral_inclination_deg": 9.0,
-        "facet_ratio": 0.3,
-        "trochlear_depth_mm": 1.8,
-        "prominence_mm": 1.0,
-    },
-    "D": {
-        "sulcus_angle_deg": 168.0,
-        "lateral_inclination_deg": 6.0,
-        "facet_ratio": 0.25,
-        "trochlear_depth_mm": 1.2,
-        "prominence_mm": 5.5,
-    },
+def _slope(inclination_deg: float) -> float:
+    return math.tan(math.radians(inclination_deg))
+
+
+# Of each type: sulcus angle, lateral inclination, facet ratio, trochlear depth, prominence.
+_DEJOUR = {
+    "A": (150.0, 15.0, 0.6, 2.8, -0.8),
+    "B": (165.0, 8.0, 0.6, 1.6, 4.0),
+    "C": (162.0, 9.0, 0.3, 1.8, 1.0),
+    "D": (168.0, 6.0, 0.25, 1.2, 5.5),
 }

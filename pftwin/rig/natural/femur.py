@@ -12,10 +12,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pftwin.base.arrays import Floats
 from pftwin.rig.natural.anatomy import EPICONDYLE, RIDGE_TO_SIDE, Anatomy
-from pftwin.rig.natural.implicit import Points, largest, smallest, smooth_step
-
-Values = NDArray[np.float64]
+from pftwin.rig.natural.implicit import largest, smallest, smooth_step
 
 SHAFT_LENGTH = 110.0  # above the trochlear axis [mm]
 SHAFT_WIDTH, SHAFT_DEPTH = 28.0, 27.0  # of the shaft [mm]
@@ -35,12 +34,12 @@ TROCHLEA_TOP = 32.0  # where the facets have run out, above the axis [mm]
 class _Profile(NamedTuple):
     """Of sections across, at each point."""
 
-    floor: Values  # of the groove: radius, or height above the axis
-    lateral: Values  # of the ridges, likewise
-    medial: Values
-    lateral_at: Values  # of the ridges, from the groove
-    medial_at: Values
-    half_width: Values  # of the condyles
+    floor: Floats  # of the groove: radius, or height above the axis
+    lateral: Floats  # of the ridges, likewise
+    medial: Floats
+    lateral_at: Floats  # of the ridges, from the groove
+    medial_at: Floats
+    half_width: Floats  # of the condyles
 
 
 class FemurShape:
@@ -49,7 +48,7 @@ class FemurShape:
     def __init__(self, anatomy: Anatomy) -> None:
         self.anatomy = anatomy
 
-    def __call__(self, points: Points) -> Values:
+    def __call__(self, points: Floats) -> Floats:
         """At points (n, 3) [mm]."""
         with np.errstate(over="ignore", under="ignore"):
             return largest(self._joint(points), self._shaft(points), blend=BLEND)
@@ -57,18 +56,13 @@ class FemurShape:
     def box(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
         """Corners of a box that holds it."""
         a = self.anatomy
-        reach = (
-            max(
-                a.condyle_radius_mm - FLEXION_AXIS[0],
-                a.trochlear_radius_mm + max(a.lateral_height_mm, a.medial_height_mm),
-            )
-            + 8
-        )
+        ridges = a.trochlear_radius_mm + max(a.lateral_height_mm, a.medial_height_mm)
+        reach = max(a.condyle_radius_mm - FLEXION_AXIS[0], ridges) + 8
         wide = 0.5 * a.epicondylar_width_mm + 6
         back = max(a.condyle_radius_mm - FLEXION_AXIS[1], SHAFT_DEPTH + a.prominence_mm - a.trochlear_radius_mm) + 8
         return (-reach, -wide, -back), (SHAFT_LENGTH + 6, wide, reach + max(0.0, -a.prominence_mm))
 
-    def _joint(self, points: Points) -> Values:
+    def _joint(self, points: Floats) -> Floats:
         x, y, z = points.T
         above, back = x > 0, z < 0
         out = np.where(above, np.abs(z), np.hypot(x, z))
@@ -84,7 +78,7 @@ class FemurShape:
         within = self.anatomy.trochlear_radius_mm * (1 - level)
         return smallest(within, TROCHLEA_TOP + 2 - x, blend=0.5 * BLEND)
 
-    def _profile(self, angle: Values, x: Values, back: NDArray[np.bool_]) -> _Profile:
+    def _profile(self, angle: Floats, x: Floats, back: NDArray[np.bool_]) -> _Profile:
         """By the angle from anterior over distal to posterior [deg], and the height above the axis."""
         a = self.anatomy
         radius, half = a.trochlear_radius_mm, 0.5 * a.epicondylar_width_mm - EPICONDYLE
@@ -97,13 +91,13 @@ class FemurShape:
         condyles = _distance_to_circle(angle, a.condyle_radius_mm)
         crest = half - CONDYLE_HALF_WIDTH
 
-        def blended(anterior: Values, behind: Values | float, share: Values) -> Values:
+        def blended(anterior: Floats, behind: Floats | float, share: Floats) -> Floats:
             return rounded * ((1 - share) * anterior + share * behind)
 
-        def ridge(height: float) -> Values:
+        def ridge(height: float) -> Floats:
             return blended(radius - receding + height * fading, condyles, to_condyle)
 
-        def aside(width: float) -> Values:
+        def aside(width: float) -> Floats:
             return width + (crest - width) * to_crest
 
         narrowing = (half - 0.5 * SHAFT_WIDTH - 8) * smooth_step(x / TROCHLEA_TOP)
@@ -112,14 +106,14 @@ class FemurShape:
         floor = blended(radius - receding, NOTCH_FLOOR, to_notch)
         return _Profile(floor, ridge(a.lateral_height_mm), ridge(a.medial_height_mm), lateral, medial, width)
 
-    def recession(self, x: Values) -> Values:
+    def recession(self, x: Floats) -> Floats:
         """How far the groove's floor lies behind its foremost point, above the axis: circular at first [mm]."""
         a = self.anatomy
         t = np.clip(x / TROCHLEA_TOP, 0.0, 1.0)
         round_off = 0.5 * TROCHLEA_TOP**2 / a.trochlear_radius_mm * t**2 * (1 - t) ** 3
         return (a.prominence_mm + 1.5) * smooth_step(t) + round_off
 
-    def _shaft(self, points: Points) -> Values:
+    def _shaft(self, points: Floats) -> Floats:
         x, y, z = points.T
         a = self.anatomy
         cortex = a.trochlear_radius_mm - a.prominence_mm
@@ -134,14 +128,14 @@ class FemurShape:
         return smallest(round_about, x + 9, SHAFT_LENGTH - x, blend=BLEND)
 
 
-def _distance_to_circle(angle: Values, radius: float) -> Values:
+def _distance_to_circle(angle: Floats, radius: float) -> Floats:
     """From the trochlear axis to the condyles' circle, at an angle from anterior over distal [deg]."""
     x, z = FLEXION_AXIS
     along = -x * np.sin(np.radians(angle)) + z * np.cos(np.radians(angle))
     return along + np.sqrt(radius**2 - x * x - z * z + along**2)
 
 
-def facet(t: Values) -> Values:
+def facet(t: Floats) -> Floats:
     """Height from the groove (0) to the ridge (1): flat at both ends, straight between, with continuous curvature."""
     a, b = GROOVE_ROUNDING, RIDGE_ROUNDING
     x, y = np.clip(t / a, 0.0, 1.0), np.clip((t - 1 + b) / b, 0.0, 1.0)

@@ -8,15 +8,16 @@ itself by Newton's method along the gradient, so that the mesh is as exact as it
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.geometry.mesh.mesh import SurfaceMesh
 
-Points = NDArray[np.float64]
-Body = Callable[[Points], NDArray[np.float64]]  # (n, 3) [mm] -> (n,) [mm], positive inside
+Body = Callable[[Floats], Floats]  # (n, 3) [mm] -> (n,) [mm], positive inside
 
 _CORNERS = np.stack(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij"), axis=-1).reshape(-1, 3)
 _STEP = 1e-3  # of central differences [mm]
@@ -25,18 +26,18 @@ _LONGEST = 0.5  # of a Newton step, by the spacing
 _CLOSE = 1e-5  # [mm] a vertex is on the surface
 
 
-def smallest(*values: NDArray[np.float64], blend: float) -> NDArray[np.float64]:
+def smallest(*values: Floats, blend: float) -> Floats:
     """A smooth minimum: bodies intersect. Below it by at most `blend` times the logarithm of their number."""
     least = np.min(values, axis=0)
     return least - blend * np.log(np.sum([np.exp((least - v) / blend) for v in values], axis=0))
 
 
-def largest(*values: NDArray[np.float64], blend: float) -> NDArray[np.float64]:
+def largest(*values: Floats, blend: float) -> Floats:
     """A smooth maximum: bodies unite."""
     return -smallest(*(-v for v in values), blend=blend)
 
 
-def smooth_step(x: NDArray[np.float64]) -> NDArray[np.float64]:
+def smooth_step(x: Floats) -> Floats:
     """From 0 below 0 to 1 above 1, with continuous curvature."""
     t = np.clip(x, 0.0, 1.0)
     return t**3 * (10 - 15 * t + 6 * t * t)
@@ -71,30 +72,25 @@ def mesh_of(body: Body, low: tuple[float, ...], high: tuple[float, ...], spacing
 
 
 def _vertices(
-    value: NDArray[np.float64], inside: NDArray[np.bool_], axes: list[Points], spacing: float
-) -> tuple[Points, NDArray[np.int64]]:
+    value: Floats, inside: NDArray[np.bool_], axes: list[Floats], spacing: float
+) -> tuple[Floats, NDArray[np.int64]]:
     """In each cube that is crossed the mean of where its edges are; and the number of each cube's vertex, or -1."""
     shape = tuple(n - 1 for n in inside.shape)
-    corner = [_shifted(value, c, shape) for c in _CORNERS]
+    corner = [value[tuple(slice(c, c + n) for c, n in zip(place, shape, strict=True))] for place in _CORNERS]
     total, count = np.zeros((*shape, 3)), np.zeros(shape)
-    for a in range(8):
-        for b in range(a + 1, 8):
-            if np.abs(_CORNERS[a] - _CORNERS[b]).sum() != 1:
-                continue
-            crossed = (corner[a] > 0) != (corner[b] > 0)
-            gap = np.where(crossed, corner[a] - corner[b], 1.0)
-            at = _CORNERS[a] + (corner[a] / gap)[..., None] * (_CORNERS[b] - _CORNERS[a])
-            total += np.where(crossed[..., None], at, 0.0)
-            count += crossed
+    for a, b in combinations(range(8), 2):
+        if np.abs(_CORNERS[a] - _CORNERS[b]).sum() != 1:
+            continue  # no edge of the cube
+        crossed = (corner[a] > 0) != (corner[b] > 0)
+        gap = np.where(crossed, corner[a] - corner[b], 1.0)
+        at = _CORNERS[a] + (corner[a] / gap)[..., None] * (_CORNERS[b] - _CORNERS[a])
+        total += np.where(crossed[..., None], at, 0.0)
+        count += crossed
     found = np.argwhere(count > 0)
     number = np.full(shape, -1, dtype=np.int64)
     number[tuple(found.T)] = np.arange(len(found))
     middle = total[tuple(found.T)] / count[tuple(found.T)][:, None]
     return np.array([a[0] for a in axes]) + spacing * (found + middle), number
-
-
-def _shifted(value: NDArray, corner: NDArray, shape: tuple[int, ...]) -> NDArray:
-    return value[tuple(slice(c, c + n) for c, n in zip(corner, shape, strict=True))]
 
 
 def _faces(inside: NDArray[np.bool_], number: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -117,7 +113,7 @@ def _faces(inside: NDArray[np.bool_], number: NDArray[np.int64]) -> NDArray[np.i
     return np.concatenate(faces)
 
 
-def _projected(body: Body, points: Points, spacing: float) -> Points:
+def _projected(body: Body, points: Floats, spacing: float) -> Floats:
     """The points moved onto the surface along its normals."""
     for _ in range(_NEWTON_STEPS):
         value = body(points)
@@ -130,7 +126,7 @@ def _projected(body: Body, points: Points, spacing: float) -> Points:
     return points
 
 
-def gradient(body: Body, points: Points) -> Points:
+def gradient(body: Body, points: Floats) -> Floats:
     """By central differences (n, 3)."""
     change = [body(points + _STEP * e) - body(points - _STEP * e) for e in np.eye(3)]
     return np.stack(change, axis=1) / (2 * _STEP)

@@ -8,20 +8,19 @@ Clin Orthop Surg 7:303; 8 is a choice).
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.base.rotations import tibiofemoral_orientation
+from pftwin.files.mocap.poses import PoseSeries
+from pftwin.model.motion import KneeMotion
 from pftwin.rig.natural.femur import FLEXION_AXIS
 from pftwin.rig.natural.implicit import smooth_step
-
-if TYPE_CHECKING:
-    from scipy.spatial.transform import Rotation
-
-    from pftwin.model.motion import KneeMotion
 
 STRAIGHT, BENT = 15.0, 90.0  # flexion between which it goes [deg]
 SCREW_HOME, SCREWED = 8.0, 30.0  # inward turn of the tibia, and the flexion at which it is complete [deg]
@@ -32,9 +31,9 @@ class Activity(NamedTuple):
     """What is prescribed, at each frame."""
 
     motion: KneeMotion
-    flexion: NDArray[np.float64]  # (n,) of the knee [deg]
-    inclined: NDArray[np.float64]  # (n,) the femur backward from its place in full extension [deg]
-    pull: NDArray[np.float64]  # (n,) of all the quadriceps, as a share of its largest
+    flexion: Floats  # (n,) of the knee [deg]
+    inclined: Floats  # (n,) the femur backward from its place in full extension [deg]
+    pull: Floats  # (n,) of all the quadriceps, as a share of its largest
     gravity: tuple[float, float, float]  # in the world [m/s^2]
 
 
@@ -53,21 +52,14 @@ def squat(duration: float) -> Activity:
     return Activity(_motion(times, inclined, flexion), flexion, inclined, pull, (-9.81, 0.0, 0.0))
 
 
-def tibia_turn(flexion: NDArray[np.float64]) -> Rotation:
+def tibia_turn(flexion: Floats) -> Rotation:
     """Of the tibia in the femur [deg]: it turns inward as it bends, from none in full extension."""
-    from scipy.spatial.transform import Rotation
-
     inward = SCREW_HOME * smooth_step(flexion / SCREWED)
     q = tibiofemoral_orientation(*(np.radians(a) for a in (flexion, 0 * flexion, inward)))
     return Rotation.from_quat(np.stack([q.w, q.x, q.y, q.z], axis=-1), scalar_first=True)
 
 
 def _motion(times: NDArray, inclined: NDArray, flexion: NDArray) -> KneeMotion:
-    from scipy.spatial.transform import Rotation
-
-    from pftwin.files.mocap.poses import PoseSeries
-    from pftwin.model.motion import KneeMotion
-
     femur = Rotation.from_euler("Y", inclined[:, None], degrees=True)
     tibia = femur * tibia_turn(flexion)
     axis = 1e-3 * np.array([FLEXION_AXIS[0], 0.0, FLEXION_AXIS[1]])

@@ -9,13 +9,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.rig.natural.anatomy import Anatomy
-from pftwin.rig.natural.implicit import Points, smallest
-
-Values = NDArray[np.float64]
+from pftwin.rig.natural.implicit import smallest
 
 ARTICULAR = 0.76  # share of the height that is articular (32.7 of 43 mm)
 RIDGE_RADIUS = 6.0  # of the ridge's rounding, across [mm]
@@ -45,7 +43,7 @@ class PatellaShape:
                 expected=f"at least {math.ceil(10 * self.edge) / 10:g} mm",
             )
 
-    def __call__(self, points: Points) -> Values:
+    def __call__(self, points: Floats) -> Floats:
         """At points (n, 3) [mm]."""
         x, y, z = points.T
         behind = z - self.articular(y) - 0.008 * np.maximum(-x - self.top, 0.0) ** 3
@@ -65,7 +63,7 @@ class PatellaShape:
         """Of the outline, lateral of the ridge [mm]."""
         return 0.5 * (self.lateral - self.medial)
 
-    def articular(self, y: Values) -> Values:
+    def articular(self, y: Floats) -> Floats:
         """Of the articular surface before the ridge [mm]: hyperbola whose flanks enclose the ridge angle.
 
         Both facets are inclined alike: the ridge angle's bisector points forward.
@@ -74,13 +72,13 @@ class PatellaShape:
         rounding = RIDGE_RADIUS * slope
         return slope * (np.sqrt(y * y + rounding**2) - rounding)
 
-    def _front(self, x: Values, y: Values) -> Values:
+    def _front(self, x: Floats, y: Floats) -> Floats:
         """Foremost over the origin, where the thickness is measured."""
         u = x / np.where(x > 0, self.top, -self.bottom)
         v = y / np.where(y > 0, self.lateral, self.medial)
         return self.thickness - (self.thickness - self.edge) * (0.6 * u * u + v * v)
 
-    def _outline(self, x: Values, y: Values) -> Values:
+    def _outline(self, x: Floats, y: Floats) -> Floats:
         """A rounded shield: wide above, an apex below."""
         a = self.anatomy
         middle_x, middle_y = 0.5 * (self.top + self.bottom), self.middle

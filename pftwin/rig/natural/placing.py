@@ -8,18 +8,16 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.spatial.transform import Rotation
 
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.rig.natural.anatomy import EPICONDYLE, Anatomy
 from pftwin.rig.natural.femur import FLEXION_AXIS, FemurShape
 from pftwin.rig.natural.motion import tibia_turn
 from pftwin.rig.natural.patella import PatellaShape
 from pftwin.rig.natural.tibia import TibiaShape
-
-Points = NDArray[np.float64]
 
 STRANDS = {"patellar_tendon": 5, "mpfl": 3, "lpfl": 3}
 TENDON_WIDTH = 24.0  # of the patellar tendon at the patella; at the tuberosity two thirds of it
@@ -38,8 +36,8 @@ QUADRICEPS = {
 class Ends(NamedTuple):
     """Of lines of force, (n, 3) each."""
 
-    patella: Points
-    body: Points
+    patella: Floats
+    body: Floats
 
 
 def muscles(anatomy: Anatomy) -> Ends:
@@ -83,7 +81,7 @@ def retinaculum(anatomy: Anatomy, name: str) -> Ends:
     return Ends(patella, femur)
 
 
-def rest_pose(anatomy: Anatomy, flexion: float) -> tuple[Points, Rotation]:
+def rest_pose(anatomy: Anatomy, flexion: float) -> tuple[Floats, Rotation]:
     """Of the patella in the femur: its ridge in the groove, the tendon's middle strand as long as the anatomy says.
 
     Raises:
@@ -95,7 +93,7 @@ def rest_pose(anatomy: Anatomy, flexion: float) -> tuple[Points, Rotation]:
     axis = np.array([FLEXION_AXIS[0], 0.0, FLEXION_AXIS[1]])
     tuberosity = axis + bent.apply(insertion - axis)
 
-    def at(angle: float) -> tuple[Points, Rotation]:
+    def at(angle: float) -> tuple[Floats, Rotation]:
         radius = anatomy.trochlear_radius_mm
         if angle < 0:
             place = radius * np.array([np.sin(angle), 0.0, np.cos(angle)])

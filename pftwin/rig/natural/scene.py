@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from pftwin.base.errors import InputError
 from pftwin.base.leaves import number, vector
@@ -19,13 +20,13 @@ from pftwin.model.effects.damping import LinearDamping
 from pftwin.model.effects.elastic_foundation import ElasticFoundation
 from pftwin.model.effects.foundation_law import LinearFoundation, checked_layer
 from pftwin.model.effects.gravity import Gravity
-from pftwin.model.effects.tendon import StrandGroup
 from pftwin.model.effects.tension import PrescribedTension
 from pftwin.model.scene import PatellaBody, Scene
 from pftwin.rig.natural import placing
 from pftwin.rig.natural.anatomy import Anatomy
 from pftwin.rig.natural.motion import RATE, Activity, squat
 from pftwin.rig.natural.surfaces import articular, bones
+from pftwin.rig.retinacula import LIGAMENTS, TOE_STRAIN, strand_group
 
 MODULUS, POISSON = 5e6, 0.45  # of cartilage [Pa], [-]: the model of Lenhart et al. 2015, Ann Biomed Eng 43:2675
 LAYER_DAMPING = 2e-3  # of cartilage [s]
@@ -33,9 +34,7 @@ DENSITY = 1300.0  # of the patella [kg/m^3]
 DRAG = 5.0, 5e-3  # [N s/m], [N m s/rad]
 # Stiffness of the patellar tendon [N per unit strain]: 660 MPa (Johnson et al. 1994, J Orthop Res 12:796) on 100 mm^2.
 TENDON_STIFFNESS = 66e3
-RETINACULA = {"mpfl": 42.5e3, "lpfl": 16.0e3}  # [N/m]; sources in `pftwin.rig.retinacula`
-TOE_STRAIN = {"patellar_tendon": 0.03, "mpfl": 0.06, "lpfl": 0.06}
-DAMPING_TIME = 3e-3  # of tendon and retinacula [s]
+TENDON_TOE_STRAIN = 0.03
 TOGETHER = 4  # triangles of the patella that are taken for one
 GROOVE_ANGLES, GROOVE_HALF_WIDTH = (-75.0, 45.0), 22e-3  # of the smooth stand-in [deg], [m]
 GROOVE_TOLERANCE = 0.05e-3  # [m]
@@ -60,10 +59,8 @@ def knee(
     Raises:
         InputError: a number out of range, a patella that lies nowhere on the trochlea, a resolution too coarse.
     """
-    for name, value, (low, high) in (
-        ("quadriceps", quadriceps, (20.0, 5000.0)),
-        ("resolution_mm", resolution_mm, (0.5, 2.0)),
-    ):
+    limits = {"quadriceps": (quadriceps, 20.0, 5000.0), "resolution_mm": (resolution_mm, 0.5, 2.0)}
+    for name, (value, low, high) in limits.items():
         if not low <= value <= high:
             raise InputError(f"found {value!r}", where=name, expected=f"{low:g} to {high:g}")
     anatomy, done = anatomy or Anatomy(), squat(duration)
@@ -73,7 +70,7 @@ def knee(
         Gravity(body.mass, vector(done.gravity)),
         _quadriceps(anatomy, quadriceps, done),
         _strands(anatomy, "patellar_tendon"),
-        *(_strands(anatomy, name) for name in RETINACULA),
+        *(_strands(anatomy, name) for name in LIGAMENTS),
         _cartilage(anatomy, *articular(made)),
         LinearDamping(*(number(c) for c in DRAG), body="femur"),
     )
@@ -83,8 +80,6 @@ def knee(
 
 def _start(anatomy: Anatomy, done: Activity) -> Pose:
     """In the world, at the first frame."""
-    from scipy.spatial.transform import Rotation
-
     place, turn = placing.rest_pose(anatomy, done.flexion[0])
     femur = Rotation.from_euler("Y", done.inclined[0], degrees=True)
     quaternion = (femur * turn).as_quat(scalar_first=True)
@@ -142,15 +137,8 @@ def _strands(anatomy: Anatomy, name: str) -> Effect:
     ends = placing.patellar_tendon(anatomy) if tendon else placing.retinaculum(anatomy, name)
     place, turn = placing.rest_pose(anatomy, 0.0)
     slack = 1e-3 * np.linalg.norm(place + turn.apply(ends.patella) - ends.body, axis=1)
-    one = np.ones_like(slack)
-    stiffness = (TENDON_STIFFNESS * one if tendon else RETINACULA[name] * slack) / len(slack)
-    return StrandGroup(
-        number(stiffness),
-        number(slack),
-        number(TOE_STRAIN[name] * one),
-        number(DAMPING_TIME * one),
-        vector(1e-3 * ends.patella),
-        vector(1e-3 * ends.body),
-        "tibia" if tendon else "femur",
-        name=name,
-    )
+    patella, body = 1e-3 * ends.patella, 1e-3 * ends.body
+    if tendon:
+        stiffness = np.full_like(slack, TENDON_STIFFNESS) / len(slack)
+        return strand_group(name, "tibia", stiffness, slack, TENDON_TOE_STRAIN, patella, body)
+    return strand_group(name, "femur", LIGAMENTS[name].stiffness * slack / len(slack), slack, TOE_STRAIN, patella, body)

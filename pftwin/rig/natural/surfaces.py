@@ -17,7 +17,7 @@ from pftwin.rig.natural.implicit import mesh_of
 from pftwin.rig.natural.patella import PatellaShape
 from pftwin.rig.natural.tibia import TibiaShape
 
-_SHAPES: dict[str, type[FemurShape] | type[PatellaShape] | type[TibiaShape]] = {
+_SHAPES: dict[str, type[FemurShape | PatellaShape | TibiaShape]] = {
     "femur": FemurShape,
     "patella": PatellaShape,
     "tibia": TibiaShape,

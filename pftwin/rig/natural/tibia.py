@@ -6,13 +6,11 @@ Tibial axes: the femur's in full extension, origin there, millimetres.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from pftwin.base.arrays import Floats
 from pftwin.rig.natural.anatomy import Anatomy
 from pftwin.rig.natural.femur import FLEXION_AXIS
-from pftwin.rig.natural.implicit import Points, largest, smallest, smooth_step
-
-Values = NDArray[np.float64]
+from pftwin.rig.natural.implicit import largest, smallest, smooth_step
 
 GAP = 5.0  # between condyles and plateau: cartilage and menisci [mm]
 TUBEROSITY_BELOW = 22.0  # the plateau [mm]
@@ -35,7 +33,7 @@ class TibiaShape:
         """Where the patellar tendon ends: as far lateral of the groove as TT-TG says [mm]."""
         return self.plateau - TUBEROSITY_BELOW, self.anatomy.tt_tg_mm, TUBEROSITY_BEFORE
 
-    def __call__(self, points: Points) -> Values:
+    def __call__(self, points: Floats) -> Floats:
         """At points (n, 3) [mm]."""
         x, y, z = points.T
         with np.errstate(over="ignore", under="ignore"):
@@ -46,7 +44,7 @@ class TibiaShape:
         wide = max(0.5 * self.anatomy.epicondylar_width_mm, self.anatomy.tt_tg_mm + TUBEROSITY_HALF_WIDTH) + 6
         return (self.plateau - LENGTH - 6, -wide, -40.0), (self.plateau + 8, wide, TUBEROSITY_BEFORE + 8)
 
-    def _shaft(self, x: Values, y: Values, z: Values) -> Values:
+    def _shaft(self, x: Floats, y: Floats, z: Floats) -> Floats:
         below = self.plateau - x
         taper = smooth_step((below + 6) / 62)
         half_width = 0.5 * (self.anatomy.epicondylar_width_mm - 3) * (1 - taper) + 0.5 * SHAFT_WIDTH * taper
@@ -58,7 +56,7 @@ class TibiaShape:
         round_about = np.minimum(half_width, half_depth) * (1 - level)
         return smallest(round_about, below + eminence - hollow, LENGTH - below, blend=BLEND)
 
-    def _bump(self, x: Values, y: Values, z: Values) -> Values:
+    def _bump(self, x: Floats, y: Floats, z: Floats) -> Floats:
         """An ellipsoid whose front is the tuberosity."""
         height, aside, before = self.tuberosity
         u, v, w = (x - height + 4) / 26, (y - aside) / TUBEROSITY_HALF_WIDTH, (z - before + 11) / 11

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pftwin.geometry.patch.closest import FLATTEST, PUSH, DescentStep, Slope, descend
+from pftwin.geometry.patch.closest import FLATTEST, PUSH, DescentStep, descend
 
 GRAM = (1.3, 1.1)
 CASES = {  # gradient, Hessian (uu, uv, vv), longest steps
@@ -29,7 +29,7 @@ CASES = {  # gradient, Hessian (uu, uv, vv), longest steps
 def step_of(numbers: jax.Array, side: float = 1.0) -> DescentStep:
     gu, gv, uu, uv, vv, along, across = numbers
     gram = (jnp.asarray(GRAM[0]), jnp.asarray(GRAM[1]))
-    return descend(Slope((gu, gv), (uu, uv, vv), gram, (along, across)), side)
+    return descend((gu, gv), (uu, uv, vv), gram, (along, across), side)
 
 
 def moved(numbers: jax.Array) -> jax.Array:

@@ -37,16 +37,14 @@ def features_of(mesh: SurfaceMesh, label: NDArray[np.int64]) -> Features:
     outward = np.concatenate([normals[:, None], at_edges[edges.of_face], at_corners[faces]], axis=1)
     outward /= np.maximum(np.linalg.norm(outward, axis=2, keepdims=True), 1e-300)
     between = _label_borders(edges, label)
-    return Features(
-        outward, *(_marked_features(faces, edges.of_face, edges.corners, m, n) for m in (edges.count == 1, between))
-    )
+    return Features(outward, *(_marked_features(faces, edges, marked) for marked in (edges.count == 1, between)))
 
 
-def _marked_features(faces: NDArray, of_face: NDArray, corners: NDArray, marked: NDArray, n: int) -> NDArray[np.bool_]:
+def _marked_features(faces: NDArray, edges: Edges, marked: NDArray) -> NDArray[np.bool_]:
     """(m, 7) from marks on edges: their ends are marked too, faces never."""
-    ends = np.zeros(n, dtype=bool)
-    ends[corners[marked]] = True
-    return np.concatenate([np.zeros((len(faces), 1), bool), marked[of_face], ends[faces]], axis=1)
+    ends = np.zeros(edges.corners.max() + 1, dtype=bool)
+    ends[edges.corners[marked]] = True
+    return np.concatenate([np.zeros((len(faces), 1), bool), marked[edges.of_face], ends[faces]], axis=1)
 
 
 def _label_borders(edges: Edges, label: NDArray) -> NDArray[np.bool_]:

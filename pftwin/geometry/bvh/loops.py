@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -119,15 +120,12 @@ def _in_turns(search: Callable[..., Any]) -> Callable[..., Any]:
 
     @turns.def_vmap
     def batch(_size: int, is_batched: Any, *args: Any) -> tuple[Any, Any]:
-        leaves, structure = jax.tree.flatten(args)
-        flags = jax.tree.leaves(is_batched)
+        batched, same = eqx.partition(args, tuple(is_batched))
 
-        def member(own: list[Array]) -> Any:
-            next_own = iter(own)
-            return turns(*structure.unflatten([next(next_own) if f else x for x, f in zip(leaves, flags, strict=True)]))
+        def member(own: Any) -> Any:
+            return turns(*eqx.combine(own, same))
 
-        batched = [x for x, f in zip(leaves, flags, strict=True) if f]
-        one = jax.eval_shape(member, [jax.ShapeDtypeStruct(x.shape[1:], x.dtype) for x in batched])
+        one = jax.eval_shape(member, jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:], x.dtype), batched))
         stacked = jax.lax.map(lambda own: _pack_leaves(member(own)), batched)
         return jax.vmap(lambda numbers: _unpacked(numbers, one))(stacked), jax.tree.map(lambda _: True, one)
 

@@ -66,27 +66,21 @@ def pair_search(a: MeshTree, b: MeshTree, room: PairListLengths | None = None) -
     """
     room = PairListLengths(NODES, CANDIDATES) if room is None else room
     triangles = leaves_with_planes(a), leaves_with_planes(b)
-    return PairSearch(
-        a, b, descent(a.levels, b.levels), triangles, SLACK * (largest_coordinate(a) + largest_coordinate(b)), room
-    )
+    largest = [jnp.abs(tree.triangles).max().astype(jnp.float32) for tree in (a, b)]
+    return PairSearch(a, b, descent(a.levels, b.levels), triangles, SLACK * (largest[0] + largest[1]), room)
 
 
 def _leaves_that_meet(search: PairSearch, X_AB: Pose) -> Pairs:
     b, room = search.b, search.room
     X = jax.tree.map(lambda x: x.astype(jnp.float32), X_AB)
-    rotation, translation = X.orientation.rotation().array(), X.position.array()
-
-    leaves, lost = go_down(search.descent, lambda x, y: discs_overlap(x, y, rotation, translation), room.nodes)
+    rotation = X.orientation.rotation()
+    leaves, lost = go_down(search.descent, lambda x, y: discs_overlap(x, y, rotation, X.position), room.nodes)
     candidates = _candidates(search, X, leaves)
     found = _exact(search, X_AB, leaves, candidates)
     pair, lane = _pair_and_lane(leaves, found.entries[: room.meeting])
     i, j = unpacked(pair, b.depth)
-    return Pairs(
-        i * LEAF + lane // LEAF,
-        j * LEAF + lane % LEAF,
-        found.length,
-        lost | candidates.overflow | found.overflow,
-    )
+    overflow = lost | candidates.overflow | found.overflow
+    return Pairs(i * LEAF + lane // LEAF, j * LEAF + lane % LEAF, found.length, overflow)
 
 
 def _pair_and_lane(leaves: Queue, entries: Array) -> tuple[Array, Array]:
@@ -123,16 +117,12 @@ def _exact(search: PairSearch, X: Pose, leaves: Queue, candidates: Queue) -> Que
         i, j = unpacked(pair, b_depth)
         rows = search.a.triangles[i * LEAF + lane // LEAF], search.b.triangles[j * LEAF + lane % LEAF]
         first, second = (Triangle.of_rows(r) for r in jax.lax.optimization_barrier(rows))
-        yes = crossing(first, _moved(X, second)).crossing & there
+        moved = Triangle(*(X.apply(p) for p in (second.a, second.b, second.c)))
+        yes = crossing(first, moved).crossing & there
         return start + LANES, pushed_where(found, yes, lambda lane: entries[lane])
 
     start = jnp.zeros((), jnp.int32), queue_of(search.room.meeting)
     return jax.lax.while_loop(lambda s: s[0] < candidates.length, body, start)[1]
-
-
-def _moved(X: Pose, t: Triangle) -> Triangle:
-    rotation, position = X.orientation.rotation(), X.position
-    return Triangle(*(rotation.apply(p) + position for p in (t.a, t.b, t.c)))
 
 
 # Two triangles meet only where each reaches the other's plane. Planes are made in full precision, so that single
@@ -156,11 +146,6 @@ def leaves_with_planes(tree: MeshTree) -> Array:
     rows = jnp.concatenate([tree.triangles, plane], axis=-1).astype(jnp.float32)
     rows = jnp.where((tree.index >= 0)[:, None], rows, jnp.nan)
     return jnp.swapaxes(rows.reshape(-1, tree.leaf, rows.shape[-1]), 1, 2)
-
-
-def largest_coordinate(tree: MeshTree) -> Scalar:
-    """The largest coordinate of a mesh [m]."""
-    return jnp.abs(tree.triangles).max().astype(jnp.float32)
 
 
 def triangles_within_reach(of_a: Rows, of_b: Rows, X_AB: Pose, room: Scalar) -> Array:

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from pftwin.base.errors import InputError
 from pftwin.base.program_cache import cached
+from pftwin.base.spatial import Rotation, Vec3
 from pftwin.base.text_files import MESH_TRIANGLES
 from pftwin.geometry.mesh.mesh import SurfaceMesh
 
@@ -180,30 +181,27 @@ def fit_discs(corners: NDArray[np.float64], vectors: NDArray[np.float64], margin
 
 def disc_distances(rows: Array, point: Array) -> Array:
     """The least distances (...) that a point (3,) may have from the surface in discs (..., 8) [m]."""
-    away = [point[i] - rows[..., i] for i in range(3)]
-    height = jnp.abs(_dot(away, [rows[..., 3 + i] for i in range(3)]))
-    beside = jnp.sqrt(jnp.maximum(_dot(away, away) - height * height, 0))
+    away = Vec3(*(point[i] - rows[..., i] for i in range(3)))
+    height = jnp.abs(away.dot(Vec3(*(rows[..., 3 + i] for i in range(3)))))
+    beside = jnp.sqrt(jnp.maximum(away.squared_norm() - height * height, 0))
     radius, thickness = rows[..., 6], rows[..., 7]
     over, beyond = jnp.maximum(height - thickness, 0), jnp.maximum(beside - radius, 0)
     return jnp.sqrt(over * over + beyond * beyond)
 
 
-def discs_overlap(a: Array, b: Array, rotation: Array, translation: Array) -> Array:
+def discs_overlap(a: Array, b: Array, rotation: Rotation, position: Vec3) -> Array:
     """Whether discs a (8, ...) and b (8, ...), a component a row, may touch.
 
     They do not where a direction separates them: either's normal, or the line between their middles. b's frame in a's
-    is given by rotation (3, 3) and translation (3,).
+    is given by rotation and position.
     """
-    middle = [_dot(list(rotation[i]), list(b[:3])) + translation[i] for i in range(3)]
-    n = [_dot(list(rotation[i]), list(b[3:6])) for i in range(3)]
-    m = list(a[3:6])
-    away = [middle[i] - a[i] for i in range(3)]
+    m, n = Vec3(*a[3:6]), rotation.apply(Vec3(*b[3:6]))
+    away = rotation.apply(Vec3(*b[:3])) + position - Vec3(*a[:3])
     (ra, ta), (rb, tb) = ((rows[6], rows[7]) for rows in (a, b))
-    along = _dot(m, n)
+    along = m.dot(n)
     tilted = jnp.abs(1 - along * along) + CANCELLED  # square of the sine of the angle between them
     along = jnp.abs(along)
-    over_a, over_b = jnp.abs(_dot(away, m)), jnp.abs(_dot(away, n))
-    square = _dot(away, away)
+    over_a, over_b, square = jnp.abs(away.dot(m)), jnp.abs(away.dot(n)), away.squared_norm()
     # Radii stand with roots, so squares are compared: x > r sqrt(s) where x > 0 and x^2 > r^2 s.
     beyond_a, beyond_b = over_a - ta - tb * along, over_b - tb - ta * along
     apart = _exceeds_root(beyond_a, rb * rb * tilted) | _exceeds_root(beyond_b, ra * ra * tilted)
@@ -218,7 +216,3 @@ def discs_overlap(a: Array, b: Array, rotation: Array, translation: Array) -> Ar
 def _exceeds_root(length: Array, square: Array) -> Array:
     """Whether a length, which may be negative, is more than the root of a square."""
     return (length > 0) & (length * length > square)
-
-
-def _dot(a: list[Array], b: list[Array]) -> Array:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]

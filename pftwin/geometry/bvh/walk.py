@@ -15,40 +15,35 @@ import numpy as np
 from jaxtyping import Array
 from numpy.typing import NDArray
 
+from pftwin.base.spatial import Vec3
 from pftwin.geometry.bvh.loops import written_where
-from pftwin.geometry.bvh.tree import ROUNDING, depth_for, tree_arrays
+from pftwin.geometry.bvh.tree import ROUNDING, depth_for, disc_distances, tree_arrays
 
 FAN = 16  # children of a node
 T = TypeVar("T")
+SearchTree = tuple[Array, Array, Array]
 STACK = 11 * FAN  # of ten fans on top of each other, for two million triangles; and what a write of eight may spill
 SLACK = 1e-5  # share of a distance by which single precision may be off
 
 
-def walk(
-    bounds: Array,
-    rows: Array,
-    first: Array,
-    distances: Callable[[Array], Array],
-    limit: Callable[[T], Array],
-    at_leaf: Callable[[T, Array], T],
-    start: T,
-) -> T:
+def walk(tree: SearchTree, point: Vec3, limit: Callable[[T], Array], at_leaf: Callable[[T, Array], T], start: T) -> T:
     """Folds `at_leaf` over the leaves within the limit, from `start`; the nearest child of a node comes first.
 
     Args:
-        bounds, rows, first: of the tree; see `Fans`.
-        distances: from bounds (..., 8) to the least distances (...).
+        tree: bounds of each node's children (nodes, 8, 16), the same child after child (16 nodes, 8), and `Fans.first`.
+        point: that the limit is about [m].
         limit: nodes farther away are left out, as far as is known when they are looked at; finite.
         at_leaf: from what is known and a leaf's number to what is known then.
         start: what is known.
     """
+    (bounds, rows, first), at = tree, point.array().astype(jnp.float32)
     inner = jnp.int32(first.shape[0])
 
     def within(away: Array, known: T) -> Array:
         return away <= limit(known).astype(away.dtype) * (1 + SLACK)
 
     def open_fan(stack: Array, top: Array, known: T, node: Array) -> tuple[Array, Array, T]:
-        away = distances(jax.lax.dynamic_index_in_dim(bounds, node, keepdims=False).T)
+        away = disc_distances(jax.lax.dynamic_index_in_dim(bounds, node, keepdims=False).T, at)
         near = within(away, known)
         # The nearest last, so that it is looked at first.
         best = jnp.argmin(away).astype(jnp.int32)
@@ -61,7 +56,7 @@ def walk(
         stack, top, known = now
         child, top = stack[top - 1], top - 1
         number = first[child // FAN] + child % FAN
-        still = within(distances(jax.lax.dynamic_index_in_dim(rows, child, keepdims=False)), known)
+        still = within(disc_distances(jax.lax.dynamic_index_in_dim(rows, child, keepdims=False), at), known)
         return jax.lax.switch(
             jnp.where(still, jnp.where(number < inner, jnp.int32(1), jnp.int32(2)), jnp.int32(0)),
             (

@@ -66,9 +66,8 @@ def wide_tree(tree: MeshTree) -> WideTree:
 
 def squared_distance_bounds(block: Array, point: Array) -> tuple[Array, Array]:
     """Bounds (16,) on the squared distances from a point (3,) to what is in the discs (8, 16): at least, at most."""
-    away = [point[i] - block[i] for i in range(3)]
-    square = away[0] * away[0] + away[1] * away[1] + away[2] * away[2]
-    height = jnp.abs(away[0] * block[3] + away[1] * block[4] + away[2] * block[5])
+    away = Vec3(*point) - Vec3(*block[:3])
+    square, height = away.squared_norm(), jnp.abs(away.dot(Vec3(*block[3:6])))
     beside, lost = square - height * height, jnp.float32(CANCELLED) * square
     nearest = jnp.maximum(jnp.sqrt(jnp.maximum(beside - lost, 0)) - block[6], 0)
     farthest = jnp.sqrt(jnp.maximum(beside, 0) + lost) + block[6]

@@ -17,6 +17,7 @@ first moment of the area over R: its boundary, where the depth is zero, adds not
 from __future__ import annotations
 
 import math
+from functools import reduce
 from typing import NamedTuple
 
 import jax
@@ -206,7 +207,4 @@ def _angle_jvp(primals: tuple[Scalar, Scalar], tangents: tuple[Scalar, Scalar]) 
 
 
 def _horner(coefficients: tuple[float, ...], z: Scalar) -> Scalar:
-    total = jnp.full_like(z, coefficients[0])
-    for c in coefficients[1:]:
-        total = total * z + c
-    return total
+    return reduce(lambda total, c: total * z + c, coefficients[1:], jnp.full_like(z, coefficients[0]))

@@ -6,8 +6,6 @@ can be read from its place.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -60,17 +58,13 @@ def contact_mesh(mesh: SurfaceMesh, lateral: ArrayLike | None = None) -> Contact
     return ContactMesh(tree, source, corner_tree(mesh.vertices, normals), seam, rim, facets)
 
 
-class FacetTree(NamedTuple):
-    """A mesh's tree, with one facet below each child of the root where there are two."""
-
-    tree: MeshTree
-    source: NDArray[np.int64]  # (places,) which triangle of the mesh is in each place
-    features: Features
-    count: int
-
-
-def facet_tree(mesh: SurfaceMesh, lateral: ArrayLike | None, *, leaf: int, least_depth: int) -> FacetTree:
+def facet_tree(
+    mesh: SurfaceMesh, lateral: ArrayLike | None, *, leaf: int, least_depth: int
+) -> tuple[MeshTree, NDArray[np.int64], Features, int]:
     """The tree of a mesh whose triangles are medial, or lateral as (m,) bool says; None: all is one facet.
+
+    Two facets have one tree, each below a child of the root. With which triangle of the mesh is in each place
+    (places,), the triangles' features, and the number of facets.
 
     Raises:
         InputError: labels that do not suit the mesh, or leave one facet without triangles.
@@ -87,4 +81,4 @@ def facet_tree(mesh: SurfaceMesh, lateral: ArrayLike | None, *, leaf: int, least
     parts = [SurfaceMesh(mesh.vertices, mesh.faces[g], mesh.source) for g in groups]
     trees = [build_tree(part, leaf=leaf, depth=depth) for part in parts]
     source = np.concatenate([g[np.asarray(t.source_index())] for g, t in zip(groups, trees, strict=True)])
-    return FacetTree(joined_tree(trees), source, features_of(mesh, label), len(groups))
+    return joined_tree(trees), source, features_of(mesh, label), len(groups)

@@ -156,13 +156,7 @@ class ContourSums(NamedTuple):
     across: Scalar  # how many segments end on the border of two facets
 
 
-class Sloped(NamedTuple):
-    """Sums and their slopes."""
-
-    sums: ContourSums
-    slopes: ContourSums  # by the pose's position and quaternion: (7,) each
-
-
+Sloped = tuple[ContourSums, ContourSums]  # sums, and slopes by the pose's position and quaternion: (7,) each
 Piece = Callable[["MeshPair", Pose, Pairs, Array], T]  # of the pairs from a place on
 
 
@@ -238,7 +232,7 @@ def _sloped_piece(meshes: MeshPair, X_AB: Pose, pairs: Pairs, start: Array) -> S
         change = jax.tree.unflatten(structure, [direction[k] for k in range(len(leaves))])
         return jax.jvp(lambda X: _sums_over_pairs(meshes, X, pairs, start), (X_AB,), (change,))
 
-    return Sloped(*jax.vmap(along, out_axes=(None, 0))(directions))
+    return jax.vmap(along, out_axes=(None, 0))(directions)
 
 
 def _sums_over_pairs(meshes: MeshPair, X_AB: Pose, pairs: Pairs, start: Array) -> ContourSums:

@@ -7,7 +7,6 @@ femur's tree together. Nothing here is differentiated; batches are taken one by 
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple
 
 import jax
@@ -16,7 +15,6 @@ from jax.lax import optimization_barrier
 from jaxtyping import Array
 
 from pftwin.base.spatial import Rotation, Scalar, Vec3
-from pftwin.geometry.bvh.tree import disc_distances
 from pftwin.geometry.bvh.triangle import Triangle, closest_on_triangle
 from pftwin.geometry.bvh.walk import FAN, FAR, STACK, walk
 
@@ -33,22 +31,16 @@ class TouchingLeaves(NamedTuple):
 
 
 def touching_leaves(
-    width: int,
-    band: float,
-    reach: float,
-    button: PressingSurface,
-    femur: PressedSurface,
-    position: Vec3,
-    rotation: Rotation,
+    width: int, band: float, reach: float, button: PressingSurface, femur: PressedSurface, at: Vec3, rotation: Rotation
 ) -> TouchingLeaves:
-    """See `PressedSurface.touching`; for one member of a batch."""
-    pieces, count = _pieces(button, femur, position, rotation, band, reach)
+    """See `PressedSurface.touching`; for one member of a batch, the button's frame at a place."""
+    pieces, count = _pieces(button, femur, at, rotation, band, reach)
 
     def take(k: Array, now: tuple[Array, Array]) -> tuple[Array, Array]:
         table, total = now
         leaf = pieces[k, 0]
         index = jax.lax.dynamic_index_in_dim(button.index, leaf, keepdims=False)
-        points = _centroids(button, leaf, position, rotation)
+        points = _centroids(button, leaf, at, rotation)
         places = nearest_to_all(femur, points, pieces[k, 1])
 
         def look(lane: Array, wanted: Array) -> Array:
@@ -122,14 +114,15 @@ def nearest_triangle(femur: PressedSurface, p: Vec3, guess: Array) -> NearestDis
     """The place of the triangle nearest to a point, from one that is anywhere; the nearer, the quicker."""
 
     def at_leaf(known: NearestDistances, leaf: Array) -> NearestDistances:
-        square = closest_on_triangle(femur.leaf(leaf), _as_lanes(p, femur)).square
+        lanes = jax.tree.map(lambda a: jnp.broadcast_to(a, (femur.width,)), p)
+        square = closest_on_triangle(femur.leaf(leaf), lanes).square
         best = jnp.argmin(square).astype(jnp.int32)
         better = square[best] < known.square
         place = leaf * jnp.int32(femur.width) + best
         return NearestDistances(*(jnp.where(better, n, o) for n, o in zip((square[best], place), known, strict=True)))
 
     start = NearestDistances(closest_on_triangle(_corners_at(femur, guess), p).square, guess)
-    return _nearest(femur, p, lambda known: jnp.sqrt(known.square), at_leaf, start)
+    return walk(femur.tree, p, lambda known: jnp.sqrt(known.square), at_leaf, start)
 
 
 def nearest_to_all(femur: PressedSurface, points: Vec3, guess: Array) -> Array:
@@ -151,19 +144,11 @@ def nearest_to_all(femur: PressedSurface, points: Vec3, guess: Array) -> Array:
     start = NearestDistances(closest_on_triangle(same, points).square, jnp.broadcast_to(guess, lanes))
     around = points - jax.tree.map(lambda a: jnp.broadcast_to(a, lanes), middle)
     spread = jnp.sqrt(jnp.max(around.squared_norm()))
-    return _nearest(femur, middle, lambda known: jnp.sqrt(jnp.max(known.square)) + spread, at_leaf, start).place
 
+    def limit(known: NearestDistances) -> Array:
+        return jnp.sqrt(jnp.max(known.square)) + spread
 
-def _nearest(
-    femur: PressedSurface,
-    p: Vec3,
-    reach: Callable[[NearestDistances], Array],
-    at_leaf: Callable[[NearestDistances, Array], NearestDistances],
-    start: NearestDistances,
-) -> NearestDistances:
-    """What is known at the end of a walk through the leaves that may be within reach [m] of a point."""
-    at = p.array().astype(jnp.float32)
-    return walk(femur.bounds, femur.rows, femur.first, lambda rows: disc_distances(rows, at), reach, at_leaf, start)
+    return walk(femur.tree, middle, limit, at_leaf, start).place
 
 
 def signed_depth(femur: PressedSurface, p: Vec3, place: Array) -> tuple[Scalar, Array]:
@@ -180,7 +165,3 @@ def signed_depth(femur: PressedSurface, p: Vec3, place: Array) -> tuple[Scalar, 
 
 def _corners_at(femur: PressedSurface, place: Array) -> Triangle:
     return Triangle.of_rows(femur.corners[place])
-
-
-def _as_lanes(p: Vec3, femur: PressedSurface) -> Vec3:
-    return jax.tree.map(lambda a: jnp.broadcast_to(a, (femur.width,)), p)

@@ -25,7 +25,7 @@ from pftwin.geometry.bvh.features import features_of
 from pftwin.geometry.bvh.loops import member_by_member
 from pftwin.geometry.bvh.tree import check_searchable
 from pftwin.geometry.bvh.triangle import Triangle, closest_on_triangle
-from pftwin.geometry.bvh.walk import Fans, fans_of, rows_of
+from pftwin.geometry.bvh.walk import Fans, SearchTree, fans_of, rows_of
 from pftwin.geometry.contact.depth_search import TouchingLeaves, touching_leaves
 from pftwin.geometry.mesh.mesh import SurfaceMesh
 
@@ -38,9 +38,7 @@ ON_SURFACE = 1e-10  # [m] so near, the direction to the nearest point is the sur
 class PressedSurface(eqx.Module):
     """The surface that is pressed into. Arrays are leaves: another mesh of the same size re-uses the program."""
 
-    bounds: Array  # (nodes, 8, 16) float32 discs, see `Fans`
-    rows: Array  # (16 nodes, 8) the same, child after child
-    first: Array  # (nodes,) int32
+    tree: SearchTree  # of discs
     lanes: Array  # (leaves, 9, lanes) corners a, b, c [m], for searches
     corners: Array  # (leaves * lanes, 9) the same, one row for each place
     triangle: Array  # (leaves * lanes,) int32: which triangle of the mesh is in a place
@@ -157,9 +155,7 @@ def pressed_surface(mesh: SurfaceMesh, labels: ArrayLike | None = None) -> Press
     corners = mesh.vertices[mesh.faces][source].reshape(*source.shape, 9)
     own = canonicalize_dtype(float)
     parts = {
-        "bounds": fans.bounds,
-        "rows": rows_of(fans),
-        "first": fans.first,
+        "tree": (fans.bounds, rows_of(fans), fans.first),
         "lanes": np.ascontiguousarray(corners.swapaxes(1, 2)).astype(own),
         "corners": corners.reshape(-1, 9).astype(own),
         "triangle": source.ravel(),

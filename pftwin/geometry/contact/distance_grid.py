@@ -143,15 +143,13 @@ def distance_grid(mesh: SurfaceMesh, spacing: float, labels: ArrayLike | None = 
         raise InputError(found, where="distance_grid", expected=f"at least {least:.2f} mm")
     shape = cubes.astype(int) + 1
     facets = np.zeros(len(mesh.faces), np.int32) if labels is None else np.asarray(labels, np.int32)
-    made = cached(_tables, mesh.vertices, mesh.faces, facets, low, spacing, tuple(shape.tolist()), files=())
-    cells, codes, off = made
+    nx, ny, nz = shape.tolist()
+    cells, codes, off = cached(_tables, mesh.vertices, mesh.faces, facets, low, spacing, (nx, ny, nz), files=())
     if off > _ALLOWED:
         found = f"{1e3 * spacing:.3g} mm: depths are off by {1e3 * off:.2g} mm (rms) on {mesh.source}"
-        raise InputError(
-            found, where="distance_grid", expected=f"at most {1e3 * _ALLOWED:.2g} mm", remedy="a finer one"
-        )
+        most = f"at most {1e3 * _ALLOWED:.2g} mm"
+        raise InputError(found, where="distance_grid", expected=most, remedy="a finer one")
     own = canonicalize_dtype(float)
-    nx, ny, nz = shape.tolist()
     numbers = jnp.asarray(low, own), jnp.asarray(spacing, own)
     return DistanceGrid(exact, jax.device_put(cells), jax.device_put(codes), *numbers, (nx, ny, nz))
 

@@ -166,15 +166,15 @@ def scan_facets(surface: Surface, c: Vec3, radius: Scalar, u: Scalar) -> tuple[t
     step of u. The fan stays on the surface's domain; contacts beyond it are reached from its edge.
     """
     _, middle = surface.chart.foot(c)
-    profile, half_square = surface.profile(u), surface.chart.half_square(c, u)
-    height, slope = profile.height_and_slope(middle)
+    (height_and_slope, curvature), half_square = surface.profile(u), surface.chart.half_square(c, u)
+    height, slope = height_and_slope(middle)
     zero = jnp.zeros_like(height)
-    s = surface.chart.separation(c, u, middle, Jet(height, slope, zero, profile.curvature(middle), zero, zero))
+    s = surface.chart.separation(c, u, middle, Jet(height, slope, zero, curvature(middle), zero, zero))
     compliance = 0.5 / jnp.maximum(s.hessian[0], 0.2 * s.gram[0])  # along the groove much the same across the fan
     places = [surface.clipped(middle + k * radius) for k in FAN]
     phi = []
     for v in places:
-        value, gradient = half_square(v, *profile.height_and_slope(v))
+        value, gradient = half_square(v, *height_and_slope(v))
         phi.append(value - compliance * gradient * gradient)
     first, last = jnp.full_like(c.x, FAN[-1]), jnp.full_like(c.x, FAN[0])
     # Samples that coincide at an edge neither rise nor fall.
@@ -195,7 +195,7 @@ def medial_of_groove(surface: Surface, p: ClosestPoint) -> Scalar:
     """
     (u, v, lean), surface = stop_gradient((p.u, p.v, p.normal.y)), _without_derivatives(surface)
     places = jnp.linspace(surface.clipped(-jnp.ones_like(v)), surface.clipped(jnp.ones_like(v)), SECTION)
-    height, _ = surface.profile(u).height_and_slope(places)
+    height, _ = surface.profile(u)[0](places)
     # Filled with water, the groove is where it would stand deepest: below the lower of the highest walls on both sides.
     # Number by number: XLA aborts the process on running maxima of arrays in a loop over several devices of a CPU, and
     # on a GPU it would compute all of them anew for each number of an array.

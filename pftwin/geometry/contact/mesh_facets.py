@@ -7,7 +7,7 @@ beyond it is outside, whichever way the last triangle looks.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import equinox as eqx
 import jax
@@ -22,9 +22,7 @@ from pftwin.geometry.bvh.triangle import Triangle, closest_on_triangle
 from pftwin.geometry.bvh.wide import NearestTriangle, WideTree, nearest_wide, wide_tree
 from pftwin.geometry.contact.contact_mesh import facet_tree
 from pftwin.geometry.mesh.mesh import SurfaceMesh
-
-if TYPE_CHECKING:
-    from pftwin.geometry.patch.region import TrochlearRegion
+from pftwin.geometry.patch.region import TrochlearRegion
 
 _RIM, _SEAM = 1, 2
 

@@ -6,7 +6,7 @@ See `pftwin.model.effects.mesh_volume_contact` for the law that this serves.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -20,9 +20,7 @@ from pftwin.geometry.contact.ball_cut import BallCut
 from pftwin.geometry.contact.patch_mesh import PatchMesh, SeamDepth
 from pftwin.geometry.contact.sphere_patch import Patch, sphere_patch
 from pftwin.geometry.mesh.mesh import SurfaceMesh
-
-if TYPE_CHECKING:
-    from pftwin.geometry.patch.region import TrochlearRegion
+from pftwin.geometry.patch.region import TrochlearRegion
 
 ONE_CONTACT = 3.0  # of depth^2 pi r (1 / V_m + 1 / V_l): from here on two facets bear one contact
 MICRO = 1e6  # per metre: squares of quotients' denominators stay within single precision down to 0.001 nm

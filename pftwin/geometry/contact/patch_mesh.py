@@ -36,9 +36,8 @@ class PatchMesh(eqx.Module):
     def prepared(self) -> PatchMesh:
         """With what the tree's nodes sum up to, from the triangles: once, before many looks."""
         values = jnp.where(self.facets.empty[:, None], 0.0, _sums_of(self.facets.triangles))
-        wide = self.facets.wide
-        lateral = wide.lateral() if self.facets.count > 1 else np.zeros(len(wide.lateral()))
-        sums = jnp.concatenate([wide.node_sums(values), jnp.asarray(lateral, values.dtype)[:, None]], axis=1)
+        lateral = jnp.asarray(self.facets.wide.lateral() * (self.facets.count > 1), values.dtype)
+        sums = jnp.concatenate([self.facets.wide.node_sums(values), lateral[:, None]], axis=1)
         return eqx.tree_at(lambda m: m.sums, self, sums, is_leaf=lambda x: x is None)
 
     def depth_by_distance(self, center: Vec3, radius: Scalar) -> tuple[Scalar, Scalar]:

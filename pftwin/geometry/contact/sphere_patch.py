@@ -18,6 +18,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from pftwin.base.leaves import all_changes
 from pftwin.base.spatial import Scalar, Vec3
 from pftwin.geometry.bvh.loops import member_by_member
 from pftwin.geometry.bvh.triangle import Triangle
@@ -60,7 +61,7 @@ def _patch_jvp(primals: Any, tangents: Any) -> tuple[Patch, Patch]:
     parts = []
     if jax.tree.leaves(of_sphere):
         arcs = _outline_arcs(mesh, center, radius)
-        dc, dr = (jax.tree.map(_or_zero, a, b) for a, b in zip((center, radius), of_sphere, strict=True))
+        dc, dr = all_changes((center, radius), of_sphere)
         cuts = [_moved(cut, arc, radius, dc, dr) for cut, arc in zip(patch.sums.facets, arcs, strict=True)]
         seam = eqx.filter_jvp(lambda c, r: seam_depth(mesh.seam, c, r), (center, radius), (dc, dr))[1]
         parts.append(PatchSums((cuts[0], cuts[1]), seam))
@@ -68,10 +69,6 @@ def _patch_jvp(primals: Any, tangents: Any) -> tuple[Patch, Patch]:
         found = in_ball(mesh.facets.wide, center, radius, mesh.room)
         parts.append(eqx.filter_jvp(lambda m: _sums_by_lists(m, center, radius, found), (mesh,), (of_mesh,))[1])
     return patch, Patch(jax.tree.map(lambda *x: sum(x[1:], start=x[0]), *parts), None)  # pyright: ignore
-
-
-def _or_zero(value: Scalar, tangent: Scalar | None) -> Scalar:
-    return jnp.zeros_like(value) if tangent is None else tangent
 
 
 def _moved(cut: BallCut, arcs: BallArcs, radius: Scalar, dc: Vec3, dr: Scalar) -> BallCut:

@@ -104,14 +104,12 @@ class PlaneChart(FramedChart):
         """Derivatives of phi = |S(u, v) - c|^2 / 2 for a point c of the chart's frame."""
         gap = jet.f - c.z
         gram = 1 + jet.u * jet.u, jet.u * jet.v, 1 + jet.v * jet.v
+        one, zero = jnp.ones_like(jet.u), jnp.zeros_like(jet.u)
         return Separation(
             ((u - c.x) + gap * jet.u, (v - c.y) + gap * jet.v),
             (gram[0] + gap * jet.uu, gram[1] + gap * jet.uv, gram[2] + gap * jet.vv),
             gram,
-            (
-                Vec3(jnp.ones_like(jet.u), jnp.zeros_like(jet.u), jet.u),
-                Vec3(jnp.zeros_like(jet.v), jnp.ones_like(jet.v), jet.v),
-            ),
+            (Vec3(one, zero, jet.u), Vec3(zero, one, jet.v)),
         )
 
 

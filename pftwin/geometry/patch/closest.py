@@ -11,14 +11,13 @@ from jax.lax import stop_gradient
 from pftwin.base.spatial import Scalar, Vec3
 from pftwin.geometry.patch.charts import Chart, Jet
 
+Pair = tuple[Scalar, Scalar]
+Triple = tuple[Scalar, Scalar, Scalar]
 SHORT = 0.5  # share of the longest step below which a point counts as converged
 
 
-class SurfaceProfile(NamedTuple):
-    """A surface along v at one u: functions of v for v on the surface's domain."""
-
-    height_and_slope: Callable[[Scalar], tuple[Scalar, Scalar]]  # the slope is that along u
-    curvature: Callable[[Scalar], Scalar]  # second derivative along u
+# A surface along v at one u, for v on its domain: height and slope along u; and second derivative along u.
+SurfaceProfile = tuple[Callable[[Scalar], tuple[Scalar, Scalar]], Callable[[Scalar], Scalar]]
 
 
 class Surface(Protocol):
@@ -62,9 +61,7 @@ class ClosestPoint(NamedTuple):
     distance: Scalar  # from the surface to the point along the outward normal, negative inside the bone [m]
     normal: Vec3  # outward unit normal of the surface
     step: Scalar  # length of the step taken in (u, v): the start's distance from convergence [m]
-    settled: (
-        Scalar  # 1 if the step was short and its start in the basin of a minimum (positive definite Hessian), else 0
-    )
+    settled: Scalar  # 1 if the step was short, from the basin of a minimum (positive definite Hessian), else 0
     drift_u: Vec3  # the closest point's velocity is (drift_u . dc/dt, drift_v . dc/dt)
     drift_v: Vec3
 
@@ -88,7 +85,7 @@ def newton_step(surface: Surface, c: Vec3, u: Scalar, v: Scalar, longest: Scalar
     s = surface.chart.separation(c, u, v, jet)
     tu, tv = s.tangents
     along = surface.chart.longest_along(longest)
-    step = descend(Slope(s.gradient, s.hessian, (s.gram[0], s.gram[2]), (along, longest)), push)
+    step = descend(s.gradient, s.hessian, (s.gram[0], s.gram[2]), (along, longest), push)
     du, dv = step.du, step.dv
     length = stop_gradient(jnp.maximum(jnp.abs(du), jnp.abs(dv)))
     slope_u, slope_v = jet.slopes_beside(du, dv)
@@ -113,15 +110,6 @@ PUSH = 0.04  # of the longest step: what moves a point off a saddle
 FLATTEST = 0.01  # curvatures of the distance below this share of the tangents' own are raised to it
 
 
-class Slope(NamedTuple):
-    """The slope and curvature of the distance, and the longest allowed steps."""
-
-    gradient: tuple[Scalar, Scalar]
-    hessian: tuple[Scalar, Scalar, Scalar]  # uu, uv, vv
-    gram: tuple[Scalar, Scalar]  # squares of the tangents along u and v
-    longest: tuple[Scalar, Scalar]  # the longest step along u and v
-
-
 class DescentStep(NamedTuple):
     """A step, and the solution of its equations."""
 
@@ -138,17 +126,19 @@ def _limited(x: Scalar, most: Scalar) -> Scalar:
     return jnp.where(x > most, most, jnp.where(x < -most, -most, x))
 
 
-def descend(slope: Slope, side: float) -> DescentStep:
-    """The step from the point of a given slope.
+def descend(gradient: Pair, hessian: Triple, gram: Pair, longest: Pair, side: float) -> DescentStep:
+    """The step from a point of the surface.
 
     Where the Hessian is positive definite it is Newton's, with pivots raised to `FLATTEST`; elsewhere curvatures are
     taken by their size, each coordinate for itself, with a small push along v to that side.
 
     Args:
-        slope: gradient, Hessian, and how far the step may go.
+        gradient, hessian: of the distance; by u and v, and by uu, uv and vv.
+        gram: squares of the tangents along u and v.
+        longest: step along u and v.
         side: +1 or -1.
     """
-    (gu, gv), (huu, huv, hvv), gram, (along, across) = slope
+    (gu, gv), (huu, huv, hvv), (along, across) = gradient, hessian, longest
     convex = (huu > 0) & (huu * hvv > huv * huv)
     # Raising the second pivot alone keeps a flat valley's direction.
     over_u = 1 / jnp.maximum(jnp.where(convex, huu, jnp.abs(huu)), FLATTEST * gram[0])

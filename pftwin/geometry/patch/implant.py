@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import TYPE_CHECKING
 
 import equinox as eqx
 import jax
@@ -19,13 +18,11 @@ import numpy as np
 
 from pftwin.base.errors import InputError
 from pftwin.base.spatial import Rotation, Scalar, Vec3
+from pftwin.geometry.mesh.mesh import SurfaceMesh
 from pftwin.geometry.patch.charts import CylindricalChart, Jet
 from pftwin.geometry.patch.closest import SurfaceProfile
 from pftwin.geometry.patch.emphasis import WeightedPart
-
-if TYPE_CHECKING:
-    from pftwin.geometry.mesh.mesh import SurfaceMesh
-    from pftwin.geometry.patch.region import TrochlearRegion
+from pftwin.geometry.patch.region import TrochlearRegion, region_about
 
 _DEG = math.pi / 180
 _LENGTHS = ("trochlear_radius", "flange_radius", "distal_radius", "groove_radius", "facet_width", "ridge_blend")
@@ -118,7 +115,7 @@ class FemoralComponent(eqx.Module):
         def height_and_slope(v: Scalar) -> tuple[Scalar, Scalar]:
             return jax.jvp(lambda a: self.height(a, v), (u,), (jnp.ones_like(u),))
 
-        return SurfaceProfile(height_and_slope, lambda v: self.jet(u, v).uu)
+        return height_and_slope, lambda v: self.jet(u, v).uu
 
     def outside(self, u: Scalar, v: Scalar) -> Scalar:
         """How far beyond the component's edge a point lies [m]; zero inside."""
@@ -184,13 +181,10 @@ class FemoralComponent(eqx.Module):
     def _groove(self, angle: Scalar) -> Scalar:
         """Bottom of the groove: three arcs with common tangents."""
         r, w = self.trochlear_radius, self.sagittal_blend
-        flange = w * jax.nn.softplus((angle - self.flange_angle) / w)
-        distal = w * jax.nn.softplus((self.distal_angle - angle) / w)
-        return (
-            _circle_polar_distance(flange, r, self.flange_radius)
-            + _circle_polar_distance(distal, r, self.distal_radius)
-            - r
-        )
+        to_flange = w * jax.nn.softplus((angle - self.flange_angle) / w)
+        to_distal = w * jax.nn.softplus((self.distal_angle - angle) / w)
+        flange = _circle_polar_distance(to_flange, r, self.flange_radius)
+        return flange + _circle_polar_distance(to_distal, r, self.distal_radius) - r
 
     def _across(self, y: Scalar, proximal: Scalar) -> Scalar:
         """Height over the groove's bottom at a distance y from it; `proximal` is 0 distally and 1 on the flange."""
@@ -232,6 +226,4 @@ def rig_region(mesh: SurfaceMesh, *, half_width: float = RIG_HALF_WIDTH) -> Troc
     From 42 deg proximal to 75 deg distal of the most anterior direction: the button touches the true surface from 35
     deg, in full extension, to 64 deg, at 88 deg of knee flexion. `half_width` [m]: see `RIG_HALF_WIDTH`, `RIG_RIM`.
     """
-    from pftwin.geometry.patch.region import region_about
-
     return region_about(mesh, rig_implant().chart, angles=RIG_ANGLES, half_width=half_width)

@@ -158,7 +158,7 @@ class PolynomialPatch(RectanglePatch):
             bends = [bend for *_, bend in rows if bend is not None]
             return inside * _value(bends, across(v)) if bends else jnp.zeros_like(v)
 
-        return SurfaceProfile(height_and_slope, curvature)
+        return height_and_slope, curvature
 
 
 def _value(c: Sequence[Scalar], x: Scalar) -> Scalar:

@@ -16,7 +16,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
-from typing import Any, ClassVar, NamedTuple, Self
+from typing import ClassVar, NamedTuple, Self
 
 import equinox as eqx
 import jax
@@ -26,6 +26,7 @@ from jax.custom_batching import custom_vmap
 from jaxtyping import Array
 from numpy.typing import NDArray
 
+from pftwin.base.arrays import Floats
 from pftwin.base.quantities import quantity
 from pftwin.base.spatial import Scalar
 from pftwin.geometry.patch.charts import Jet
@@ -98,7 +99,6 @@ class SplinePatch(RectanglePatch):
         return self._loop().fan.profile(u)
 
     def _inside(self, a: Scalar, b: Scalar) -> tuple[Jet, Scalar, Scalar]:
-        """Height and derivatives by a and b, both within +-1; the mixed third ones, aab and abb."""
         n_u, n_v = self.cells
         (i, x), (k, y) = _cell(a, n_u), _cell(b, n_v)
         cell = _row(self._loop().table, self.coefficients, i, k)
@@ -166,18 +166,11 @@ def _cubic(c: Sequence[Scalar], x: Scalar) -> tuple[Scalar, Scalar, Scalar]:
     return c[0] + x * (c[1] + x * steep), c[1] + x * (2 * steep + c[3] * x), 2 * steep + 4 * (c[3] * x)
 
 
-class Basis(NamedTuple):
-    """The four basis functions of a cell, with their derivatives by its own coordinate x, 0 to 1; scalars or arrays."""
-
-    values: tuple[Any, Any, Any, Any]
-    slopes: tuple[Any, Any, Any, Any]
-
-
-def cubic_basis(x: Any) -> Basis:
-    """The basis functions at x of a cell."""
+def cubic_basis(x: Floats) -> tuple[tuple[Floats, ...], tuple[Floats, ...]]:
+    """The four basis functions of a cell and their derivatives by its own coordinate x, 0 to 1; on the host."""
     y = 1 - x
     x2, y2 = x * x, y * y
-    return Basis(
+    return (
         (y2 * y * (1 / 6), 2 / 3 - x2 + 0.5 * (x2 * x), 2 / 3 - y2 + 0.5 * (y2 * y), x2 * x * (1 / 6)),
         (-0.5 * y2, 1.5 * x2 - 2 * x, 2 * y - 1.5 * y2, 0.5 * x2),
     )
@@ -199,7 +192,7 @@ def polynomial_projection(n: int, degree: int) -> NDArray[np.float64]:
     k, x = cell_of(a, n)
     series = np.polynomial.legendre.legvander(a, degree) * weight[:, None] * (np.arange(degree + 1) + 0.5)
     out = np.zeros((degree + 1, n + 3))
-    for j, values in enumerate(cubic_basis(x).values):
+    for j, values in enumerate(cubic_basis(x)[0]):
         np.add.at(out.T, k + j, values[:, None] * series)
     out.flags.writeable = False
     return out
@@ -212,7 +205,7 @@ def interpolation(n: int, degree: int) -> NDArray[np.float64]:
     a = 2 * (np.arange(n + 3) - 1) / n - 1
     k, x = cell_of(a, n)
     basis = np.zeros((n + 3, n + 3))
-    for j, values in enumerate(cubic_basis(x).values):
+    for j, values in enumerate(cubic_basis(x)[0]):
         np.add.at(basis, (np.arange(n + 3), k + j), values)
     out = np.asarray(np.linalg.solve(basis, np.polynomial.legendre.legvander(a, degree)), dtype=np.float64)
     out.flags.writeable = False

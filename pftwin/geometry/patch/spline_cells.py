@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
-from pftwin.geometry.patch.fit_vertices import Points, Vertices
+from pftwin.geometry.patch.fit_vertices import Vertices
 from pftwin.geometry.patch.spline import cell_of, cubic_basis
 
 if TYPE_CHECKING:
@@ -29,13 +30,13 @@ class FittedSpline:
     vertices: Vertices
     center: Pair  # of the rectangle [m]
     half: Pair
-    a: Points  # the vertices' places in it, -1 to 1, (n,)
-    b: Points
+    a: Floats  # the vertices' places in it, -1 to 1, (n,)
+    b: Floats
     cells: tuple[int, int]
-    coefficients: Points  # (n_u + 3, n_v + 3) [m]
+    coefficients: Floats  # (n_u + 3, n_v + 3) [m]
     rms: float  # of the heights' residuals [m]
 
-    def values(self) -> tuple[Points, Points, Points]:
+    def values(self) -> tuple[Floats, Floats, Floats]:
         """Heights at the vertices [m] and slopes along u and v [-], (n,) each."""
         (n_u, n_v), c = self.cells, self.coefficients.ravel()
         height, slope_a, slope_b = (
@@ -86,7 +87,7 @@ def _rectangle(v: Vertices) -> tuple[Pair, Pair]:
     return (0.5 * (high_u + low_u), 0.5 * (high_v + low_v)), (0.5 * (high_u - low_u), 0.5 * (high_v - low_v))
 
 
-def _basis(a: Points, b: Points, cells: tuple[int, int], along: int = 0, across: int = 0) -> csr_matrix:
+def _basis(a: Floats, b: Floats, cells: tuple[int, int], along: int = 0, across: int = 0) -> csr_matrix:
     """(vertices, coefficients): the tensor-product basis, or a derivative of it by the cells' own coordinates."""
     from scipy.sparse import csr_matrix
 
@@ -99,7 +100,7 @@ def _basis(a: Points, b: Points, cells: tuple[int, int], along: int = 0, across:
     return csr_matrix((values.ravel(), columns.ravel(), starts), shape=(len(a), (cells[0] + 3) * width))
 
 
-def _solved(basis: csr_matrix, v: Vertices, cells: tuple[int, int], half: Pair, smoothing: float) -> Points:
+def _solved(basis: csr_matrix, v: Vertices, cells: tuple[int, int], half: Pair, smoothing: float) -> Floats:
     """The coefficients (n,) that make mean weighted squared error + smoothing^4 * mean squared curvature least."""
     from scipy.sparse import csc_array, diags_array, kron
     from scipy.sparse.linalg import spsolve

@@ -33,6 +33,7 @@ from pftwin.geometry.mesh.mesh import (
     SurfaceMesh,
     check_mesh,
     check_size,
+    check_units,
     compacted,
     plausible_units,
     weld,
@@ -99,8 +100,8 @@ def examine_file(path: str | os.PathLike[str], *, units: str | None = None) -> D
     Raises:
         InputError: unknown units, or a file that cannot be read at all (see `files.read_triangles`).
     """
-    if units is not None and units not in UNITS:
-        raise InputError(f"unknown length unit {units!r}", where="units", expected=f"one of {', '.join(UNITS)}")
+    if units is not None:
+        check_units(units)
     return examine(*read_triangles(Path(path)), source=str(path), units=units)
 
 
@@ -123,8 +124,8 @@ def examine(vertices: ArrayLike, faces: ArrayLike, *, source: str = "mesh", unit
     points, joined = weld(p, f)
     flat = zero_area(points, joined)
     copies, opposed = repeated(joined, ~flat)
-    kept = np.flatnonzero(~(flat | copies))
     drop = flat | copies
+    kept = np.flatnonzero(~drop)
     findings = superfluous_triangles(points, joined, flat, copies, opposed)
     if not kept.size:
         nothing = MeshFinding("no_surface", "fatal", n, f"all {n} triangles have no area: export the mesh again")

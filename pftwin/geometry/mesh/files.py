@@ -107,8 +107,5 @@ def _check_whole_text_ply(data: bytes, path: Path) -> None:
     lines = sum(1 for line in body.splitlines() if line.strip())
     if lines != sum(int(count) for _, count in announced):
         promised = " and ".join(f"{count} of {name}" for name, count in announced)
-        raise InputError(
-            f"a truncated or damaged text PLY: its header promises {promised}, {lines} lines follow",
-            where=path,
-            remedy="copy or export the file again",
-        )
+        found = f"a truncated or damaged text PLY: its header promises {promised}, {lines} lines follow"
+        raise InputError(found, where=path, remedy="copy or export the file again")

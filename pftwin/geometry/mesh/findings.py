@@ -60,8 +60,7 @@ def wrongly_turned(mesh: SurfaceMesh, parts: list[MeshPart]) -> tuple[NDArray[np
     turned, one_sided, _ = agreement(mesh.faces)
     centers = mesh.vertices[mesh.faces].mean(axis=1)
     mixed = turned.copy()  # against their neighbours
-    counts = {"one_sided": int(one_sided.sum()), "ambiguous_winding": 0, "flipped": 0, "cavity": 0, "inward": 0}
-    places: dict[str, list[list[float]]] = {"one_sided": centers[one_sided][:5].tolist()}
+    counts, places = dict.fromkeys(_SIDES, 0), {kind: [] for kind in _SIDES}
     for part in parts:
         own, outward = part.faces, np.where(turned[part.faces], -1.0, 1.0)[:, None] * mesh.area_vectors[part.faces]
         arms = centers[own] - part.center
@@ -79,11 +78,11 @@ def wrongly_turned(mesh: SurfaceMesh, parts: list[MeshPart]) -> tuple[NDArray[np
                 kind = "inward"
         if kind is not None:
             counts[kind] += len(own)
-            places.setdefault(kind, []).append(part.center.tolist())
+            places[kind].append(part.center.tolist())
         if kind == "flipped":
             turned[own] = ~turned[own]
-    counts["mixed_winding"] = int(mixed.sum())
-    places["mixed_winding"] = centers[mixed][:5].tolist()
+    for kind, which in (("one_sided", one_sided), ("mixed_winding", mixed)):
+        counts[kind], places[kind] = int(which.sum()), centers[which][:5].tolist()
     said = [
         MeshFinding(k, s, counts[k], w.format(counts[k]), places[k][:5]) for k, (s, w) in _SIDES.items() if counts[k]
     ]

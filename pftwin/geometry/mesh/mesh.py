@@ -65,10 +65,9 @@ class SurfaceMesh:
     @cached_property
     def is_closed(self) -> bool:
         """Whether every edge borders two triangles."""
-        from pftwin.geometry.mesh.topology import directed_edges
+        from pftwin.geometry.mesh.topology import edges_of
 
-        edges = np.sort(directed_edges(self.faces), axis=1)
-        return bool(np.all(np.unique(edges, axis=0, return_counts=True)[1] == 2))
+        return bool(np.all(edges_of(self.faces).count == 2))
 
     @property
     def volume(self) -> float:

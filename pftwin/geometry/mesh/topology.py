@@ -11,14 +11,6 @@ from pftwin.base.errors import InputError
 from pftwin.geometry.mesh.mesh import COINCIDENT, SurfaceMesh
 
 
-class Agreement(NamedTuple):
-    """The changes that make neighbouring triangles agree on their outside."""
-
-    turned: NDArray[np.bool_]  # (m,) the fewest triangles whose turning makes them agree
-    one_sided: NDArray[np.bool_]  # (m,) triangles of parts where no choice does
-    clashes: int  # pairs of neighbours that face opposite sides
-
-
 def directed_edges(faces: NDArray[np.int64]) -> NDArray[np.int64]:
     """(3 m, 2), in the triangles' own sense."""
     return np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
@@ -68,28 +60,33 @@ def adjacent(faces: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.in
     return e % n, o % n, directed[e, 0] == directed[o, 0]
 
 
-def agreement(faces: NDArray[np.int64]) -> Agreement:
-    """Which triangles to turn so that neighbours agree.
+def agreement(faces: NDArray[np.int64]) -> tuple[NDArray[np.bool_], NDArray[np.bool_], int]:
+    """The fewest triangles whose turning makes neighbours agree on their outside (m,); those of parts where none does
+    (m,); and how many pairs of neighbours face opposite sides.
 
     Two-colouring by the graph's double cover: every triangle is there twice, kept and turned, and each common edge ties
     the choices that agree; a triangle tied to its own opposite belongs to a surface without two sides.
     """
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     n = len(faces)
     a, b, clash = adjacent(faces)
     none = np.zeros(n, dtype=bool)
     if not clash.any():
-        return Agreement(none, none, 0)
+        return none, none, 0
     rows, columns = np.r_[a, a + n], np.where(np.r_[clash, clash], np.r_[b + n, b], np.r_[b, b + n])
-    graph = coo_array((np.ones(len(rows)), (rows, columns)), shape=(2 * n, 2 * n))
-    kept, turned = connected_components(graph, directed=False)[1].reshape(2, n)
+    kept, turned = _components(rows, columns, 2 * n).reshape(2, n)
     # a body's two copies are two components; keep the copy in which fewer of its triangles are turned
     sizes = np.bincount(kept, minlength=2 * n)
     fewer = (sizes[kept] < sizes[turned]) | ((sizes[kept] == sizes[turned]) & (kept > turned))
     one_sided = kept == turned
-    return Agreement(fewer & ~one_sided, one_sided, int(clash.sum()))
+    return fewer & ~one_sided, one_sided, int(clash.sum())
+
+
+def _components(a: NDArray[np.int64], b: NDArray[np.int64], n: int) -> NDArray[np.int32]:
+    """Labels (n,) of what pairs (k,) connect."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    return connected_components(coo_array((np.ones(len(a)), (a, b)), shape=(n, n)), directed=False)[1]
 
 
 HOLE = 0.5  # of a part's size: a loop whose length is below that is a hole, a longer one a rim of an open surface
@@ -132,12 +129,8 @@ def edges_of(faces: NDArray[np.int64]) -> Edges:
 
 def parts_of(mesh: SurfaceMesh) -> list[MeshPart]:
     """The connected parts, largest area first."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    n = len(mesh.faces)
     a, b, _ = adjacent(mesh.faces)
-    label = connected_components(coo_array((np.ones(len(a)), (a, b)), shape=(n, n)), directed=False)[1]
+    label = _components(a, b, len(mesh.faces))
     order = np.argsort(label, kind="stable")
     groups = np.split(order, np.flatnonzero(np.diff(label[order])) + 1)
     edges = edges_of(mesh.faces)
@@ -158,19 +151,15 @@ def _part_properties(mesh: SurfaceMesh, edges: Edges, group: NDArray[np.int64]) 
 
 def _loops(mesh: SurfaceMesh, boundary: NDArray[np.int64], size: float) -> tuple[BoundaryLoop, ...]:
     """Boundary edges (k, 2) by connection; loops that touch in a vertex count as one."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     if not len(boundary):
         return ()
     names, ends = np.unique(boundary, return_inverse=True)
     ends = ends.reshape(-1, 2)
-    shape = (len(names), len(names))
-    n_loops, label = connected_components(coo_array((np.ones(len(ends)), ends.T), shape=shape), directed=False)
+    label = _components(ends[:, 0], ends[:, 1], len(names))
     p = mesh.vertices[boundary]
     lengths, centers = np.linalg.norm(p[:, 1] - p[:, 0], axis=1), p.mean(axis=1)
     loops = []
-    for k in range(n_loops):
+    for k in range(label.max() + 1):
         own = label[ends[:, 0]] == k
         length = float(lengths[own].sum())
         loops.append(BoundaryLoop(int(own.sum()), length, centers[own].mean(axis=0), length < HOLE * size))

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pftwin.geometry.patch.fit_vertices import Points, chart_coordinates
+from pftwin.base.arrays import Floats
+from pftwin.geometry.patch.fit_vertices import chart_coordinates
 from pftwin.geometry.patch.region import TrochlearRegion
 
 
@@ -24,13 +25,13 @@ class WeightedPart:
     across: tuple[float, float] = (-np.inf, np.inf)  # from the region's middle, positive laterally [m]
 
 
-def emphasis(region: TrochlearRegion, parts: Sequence[WeightedPart]) -> Callable[[Points], Points]:
+def emphasis(region: TrochlearRegion, parts: Sequence[WeightedPart]) -> Callable[[Floats], Floats]:
     """Weights (n,) of points (n, 3) of the mesh's frame [m], for `fit_patch(..., emphasis=)`.
 
     Of parts that overlap the last one counts; where there is none the weight is 1.
     """
 
-    def weights(points: Points) -> Points:
+    def weights(points: Floats) -> Floats:
         u, v, _ = chart_coordinates(region.cylinder, points)
         angle, found = u / float(region.cylinder.radius), np.ones(len(points))
         for part in parts:

@@ -11,7 +11,7 @@ import re
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,13 +21,11 @@ from pftwin.base.leaves import number
 from pftwin.base.spatial import Scalar
 from pftwin.geometry.mesh.mesh import SurfaceMesh
 from pftwin.geometry.patch.charts import Chart
-from pftwin.geometry.patch.fit_vertices import Emphasis, PatchFit, Points, Vertices, quality, selected_vertices
+from pftwin.geometry.patch.fit_vertices import Emphasis, PatchFit, Vertices, quality, selected_vertices
 from pftwin.geometry.patch.polynomial import PolynomialPatch, exponents
+from pftwin.geometry.patch.region import TrochlearRegion
 from pftwin.geometry.patch.spline import SplinePatch
 from pftwin.geometry.patch.spline_cells import FittedSpline, refined_spline
-
-if TYPE_CHECKING:
-    from pftwin.geometry.patch.region import TrochlearRegion
 
 Pair = tuple[float, float]
 ChartChoice = Literal["plane", "cylinder"] | Chart
@@ -112,15 +110,12 @@ def fit_patch(
     need = len(exponents(n))
     v = selected_vertices(surface, chart, region, weights, emphasis)
     if len(v.h) < need:
-        raise InputError(
-            f"{len(v.h)} vertices for the {need} coefficients of P{n}",
-            where=v.source,
-            remedy="a finer mesh, a larger region or a lower degree",
-        )
+        found = f"{len(v.h)} vertices for the {need} coefficients of P{n}"
+        raise InputError(found, where=v.source, remedy="a finer mesh, a larger region or a lower degree")
     v.check_folds()
     center, half = _domain(v)
     a, b = (v.u - center[0]) / half[0], (v.v - center[1]) / half[1]
-    basis = _monomials(a, b, n)
+    basis = np.stack([a**i * b**j for i, j in exponents(n)], axis=1)
     root = np.sqrt(v.weight)
     c, _, rank, _ = np.linalg.lstsq(basis * root[:, None], v.h * root, rcond=1e-10)
     if rank < need:
@@ -226,8 +221,3 @@ def _domain(v: Vertices) -> tuple[Pair, Pair]:
     if not min(half) > 0:
         raise InputError("all vertices lie on a line of the chart", where=v.source, remedy="a larger region")
     return (0.5 * (u_high + u_low), 0.5 * (high + low)), half
-
-
-def _monomials(a: Points, b: Points, degree: int) -> Points:
-    """a^i b^j by columns, in the order of the patch's coefficients."""
-    return np.stack([a**i * b**j for i, j in exponents(degree)], axis=1)

@@ -5,23 +5,20 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError, PftwinWarning
 from pftwin.base.leaves import host_array
 from pftwin.geometry.mesh.mesh import SurfaceMesh
 from pftwin.geometry.patch.charts import Chart, CylindricalChart, PlaneChart
 from pftwin.geometry.patch.polynomial import PolynomialPatch
+from pftwin.geometry.patch.region import TrochlearRegion
 from pftwin.geometry.patch.spline import SplinePatch
 
-if TYPE_CHECKING:
-    from pftwin.geometry.patch.region import TrochlearRegion
-
-Points = NDArray[np.float64]
-Emphasis = ArrayLike | Callable[[Points], ArrayLike]
+Emphasis = ArrayLike | Callable[[Floats], ArrayLike]
 ENOUGH = 0.75  # coverage below which a fit warns
 
 
@@ -30,12 +27,12 @@ class Vertices:
     """The vertices that take part in a fit, in double precision, (n,) each."""
 
     chart: Chart
-    points: Points  # (n, 3) [m]
-    normals: Points | None  # (n, 3), where the surface is a mesh
-    u: Points  # chart coordinates [m]
-    v: Points
-    h: Points
-    weight: Points  # mean 1
+    points: Floats  # (n, 3) [m]
+    normals: Floats | None  # (n, 3), where the surface is a mesh
+    u: Floats  # chart coordinates [m]
+    v: Floats
+    h: Floats
+    weight: Floats  # mean 1
     source: str  # a name for messages
 
     def folded(self) -> float:
@@ -56,11 +53,8 @@ class Vertices:
         if folded == 0:
             return
         if folded > 0.9:
-            raise InputError(
-                f"the normals of {100 * folded:.0f} % of the vertices point into the bone",
-                where=self.source,
-                remedy="mesh.flipped(), or a chart that looks the other way",
-            )
+            found = f"the normals of {100 * folded:.0f} % of the vertices point into the bone"
+            raise InputError(found, where=self.source, remedy="mesh.flipped(), or a chart that looks the other way")
         text = f"{100 * folded:.1f} % of the vertices face away from the chart: the surface folds over in it"
         remedy = 'a chart="cylinder", a chart tilted to the middle of the arc, or a region of fewer degrees'
         if folded > 0.01:
@@ -76,8 +70,6 @@ def selected_vertices(
     emphasis: Emphasis | None,
 ) -> Vertices:
     """The vertices of a fit; arguments and errors as in `fit_patch`."""
-    from pftwin.geometry.patch.region import TrochlearRegion
-
     points, normals, areas, source = _of_surface(surface)
     n = len(points)
     if isinstance(chart, str):
@@ -92,11 +84,8 @@ def selected_vertices(
         chart = region.plane if chart == "plane" else region.cylinder
     mask = np.ones(n, dtype=bool) if region is None else np.asarray(getattr(region, "mask", region))
     if mask.shape != (n,) or mask.dtype != bool:
-        raise InputError(
-            f"a mask of {mask.dtype} and shape {mask.shape} for {n} vertices",
-            where="region",
-            expected=f"bool, ({n},), made from this very mesh",
-        )
+        found = f"a mask of {mask.dtype} and shape {mask.shape} for {n} vertices"
+        raise InputError(found, where="region", expected=f"bool, ({n},), made from this very mesh")
     weight = _weights(points, areas, mask, weights, emphasis, source)
     used = points[mask]
     return Vertices(
@@ -104,7 +93,7 @@ def selected_vertices(
     )
 
 
-def _of_surface(surface: SurfaceMesh | ArrayLike) -> tuple[Points, Points | None, Points | None, str]:
+def _of_surface(surface: SurfaceMesh | ArrayLike) -> tuple[Floats, Floats | None, Floats | None, str]:
     """Vertices, normals, areas and a name for messages; normals and areas where the surface is a mesh."""
     if isinstance(surface, SurfaceMesh):
         return surface.vertices, surface.vertex_normals, surface.vertex_areas, surface.source
@@ -118,13 +107,13 @@ def _of_surface(surface: SurfaceMesh | ArrayLike) -> tuple[Points, Points | None
 
 
 def _weights(
-    points: Points,
-    areas: Points | None,
+    points: Floats,
+    areas: Floats | None,
     mask: NDArray[np.bool_],
     weights: str,
     emphasis: Emphasis | None,
     where: str,
-) -> Points:
+) -> Floats:
     """One non-negative weight for each selected vertex, with mean 1."""
     if weights not in ("vertex", "area"):
         raise InputError(f"no weights {weights!r}", where="weights", expected='"vertex" or "area"')
@@ -136,23 +125,20 @@ def _weights(
         if extra.shape == mask.shape and not callable(emphasis):
             extra = extra[mask]
         if extra.shape != w.shape or not np.isfinite(extra).all() or (extra < 0).any():
-            raise InputError(
-                f"weights of shape {extra.shape}, smallest {np.min(extra, initial=np.inf):g}",
-                where="emphasis",
-                expected=f"{len(w)} finite values, none negative",
-            )
+            found = f"weights of shape {extra.shape}, smallest {np.min(extra, initial=np.inf):g}"
+            raise InputError(found, where="emphasis", expected=f"{len(w)} finite values, none negative")
         w = w * extra
     if w.size and not w.sum() > 0:
         raise InputError("all weights are zero", where=where)
     return w / w.mean() if w.size else w
 
 
-def _in_frame(chart: Chart, points: Points) -> Points:
+def _in_frame(chart: Chart, points: Floats) -> Floats:
     """Coordinates in the chart's frame, in double precision."""
     return (points - host_array(chart.origin)) @ host_array(chart.axes)
 
 
-def chart_coordinates(chart: Chart, points: Points) -> tuple[Points, Points, Points]:
+def chart_coordinates(chart: Chart, points: Floats) -> tuple[Floats, Floats, Floats]:
     """u, v and height of points of the femur frame."""
     x, y, z = _in_frame(chart, points).T
     if isinstance(chart, PlaneChart):
@@ -192,7 +178,7 @@ class PatchFit:
 
 
 def quality(
-    patch: PolynomialPatch | SplinePatch, v: Vertices, fitted: tuple[Points, Points, Points], a: Points, b: Points
+    patch: PolynomialPatch | SplinePatch, v: Vertices, fitted: tuple[Floats, Floats, Floats], a: Floats, b: Floats
 ) -> PatchFit:
     """How well a patch fits, in double precision.
 
@@ -221,7 +207,7 @@ def quality(
     )
 
 
-def _covered(a: Points, b: Points, where: str, kind: str, cells: int = 8) -> float:
+def _covered(a: Floats, b: Floats, where: str, kind: str, cells: int = 8) -> float:
     """Share of the rectangle's cells that hold a vertex, relative to as many cells as there are vertices.
 
     Warns where that is little. `kind` is what the message calls the patch.

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -18,12 +17,11 @@ from numpy.typing import ArrayLike, NDArray
 from pftwin.base.errors import InputError
 from pftwin.base.leaves import host_array, number, vector
 from pftwin.base.spatial import Rotation
+from pftwin.geometry.mesh.mesh import SurfaceMesh
 from pftwin.geometry.patch.charts import CylindricalChart, PlaneChart
 from pftwin.geometry.patch.groove import CHECK_DIRECTIONS, deepest_points, fit_axis_direction, fit_circle
 
-if TYPE_CHECKING:
-    from pftwin.geometry.mesh.mesh import SurfaceMesh
-
+Pair = tuple[float, float]
 FACING = 0.4  # least cosine between a vertex's normal and the direction away from the axis
 
 
@@ -77,24 +75,17 @@ def trochlear_region(
     center, _ = _seed(points, normals, mesh.source)
     turn = fit_axis_direction(points, normals, mesh.vertex_areas, center, mesh.source)
     if turn[1, 1] < math.cos(math.radians(25)):
-        raise InputError(
-            f"the surface's axis lies {math.degrees(math.acos(turn[1, 1])):.0f} deg from the medial-lateral direction"
-            " of the hints",
-            where=mesh.source,
-            remedy=CHECK_DIRECTIONS,
-        )
+        tilt = math.degrees(math.acos(turn[1, 1]))
+        found = f"the surface's axis lies {tilt:.0f} deg from the medial-lateral direction of the hints"
+        raise InputError(found, where=mesh.source, remedy=CHECK_DIRECTIONS)
     axes = hint @ turn
     points, normals = mesh.vertices @ axes, mesh.vertex_normals @ axes
     center, middle = _seed(points, normals, mesh.source)
-    line = np.empty((0, 3))
+    line, depth = _groove(points, normals, center, middle, half_width, angles, mesh.source)
     for _ in range(4):  # the deepest point depends on the axis, the axis on the deepest points
-        line, depth = deepest_points(points, normals, center, middle, half_width, angles)
-        _check_groove(line, depth, mesh.source)
         x, y, z = _cartesian(line, center)
-        center, _ = fit_circle(np.stack([x, z], axis=1))
-        middle = float(np.median(y))
-    line, depth = deepest_points(points, normals, center, middle, half_width, angles)
-    _check_groove(line, depth, mesh.source)
+        center, middle = fit_circle(np.stack([x, z], axis=1))[0], float(np.median(y))
+        line, depth = _groove(points, normals, center, middle, half_width, angles, mesh.source)
     step = float(np.median(np.diff(line[:, 0])))
     domain = max(angles[0], line[0, 0] - step / 2), min(angles[1], line[-1, 0] + step / 2)
     mask = _rectangle(points, normals, center, middle, domain, half_width)
@@ -112,8 +103,7 @@ def region_about(
     points, normals = (mesh.vertices - origin) @ axes, mesh.vertex_normals @ axes
     center = np.zeros(2)
     mask = _rectangle(points, normals, center, 0.0, angles, half_width)
-    line, depth = deepest_points(points, normals, center, 0.0, half_width, angles)
-    _check_groove(line, depth, mesh.source)
+    line, depth = _groove(points, normals, center, 0.0, half_width, angles, mesh.source)
     plane, _ = _charts(origin, axes, angles, float(np.median(line[:, 2])))
     groove = np.stack(_cartesian(line, center), axis=1) @ axes.T + origin
     return TrochlearRegion(mask, groove, depth, angles, half_width, plane, cylinder, mesh.source)
@@ -128,11 +118,8 @@ def _hinted_axes(anterior: ArrayLike, proximal: ArrayLike) -> NDArray[np.float64
     a, p = a / np.linalg.norm(a), p / np.linalg.norm(p)
     lateral = np.cross(a, p)
     if np.linalg.norm(lateral) < 0.5:
-        raise InputError(
-            f"anterior and proximal are {math.degrees(math.acos(np.clip(a @ p, -1, 1))):.0f} deg apart",
-            where="anterior, proximal",
-            expected="about 90 deg",
-        )
+        found = f"anterior and proximal are {math.degrees(math.acos(np.clip(a @ p, -1, 1))):.0f} deg apart"
+        raise InputError(found, where="anterior, proximal", expected="about 90 deg")
     lateral /= np.linalg.norm(lateral)
     return np.stack([np.cross(lateral, a), lateral, a], axis=1)
 
@@ -157,15 +144,16 @@ def _seed(points: NDArray, normals: NDArray, source: str) -> tuple[NDArray, floa
     faces = (normals[:, 2] > -0.2) & (normals[:, 0] < 0.6) & (np.abs(normals[:, 1]) < 0.8)
     strip = outward & faces & (np.abs(points[:, 1] - middle) < 6e-3)
     if strip.sum() < 20:
-        raise InputError(
-            f"only {strip.sum()} vertices in the middle of the part look forward or distally",
-            where=source,
-            remedy=f"{CHECK_DIRECTIONS}, or use a finer mesh",
-        )
+        found = f"only {strip.sum()} vertices in the middle of the part look forward or distally"
+        raise InputError(found, where=source, remedy=f"{CHECK_DIRECTIONS}, or use a finer mesh")
     return fit_circle(points[strip][:, [0, 2]])[0], middle
 
 
-def _check_groove(line: NDArray, depth: NDArray, source: str) -> None:
+def _groove(
+    points: NDArray, normals: NDArray, center: NDArray, middle: float, half_width: float, angles: Pair, source: str
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """See `deepest_points`; refused where there is no groove."""
+    line, depth = deepest_points(points, normals, center, middle, half_width, angles)
     if len(line) < 5 or np.median(depth) < 0.3e-3:
         found = f"{1e3 * np.median(depth):.2f} mm deep over {len(line)} sections" if len(line) else "none at all"
         raise InputError(
@@ -174,6 +162,7 @@ def _check_groove(line: NDArray, depth: NDArray, source: str) -> None:
             expected="a groove at least 0.3 mm deep in five sections or more",
             remedy=f"{CHECK_DIRECTIONS}, and its units; in Python fit_patch takes a mask of your own as region=",
         )
+    return line, depth
 
 
 def _cartesian(line: NDArray, center: NDArray) -> tuple[NDArray, NDArray, NDArray]:

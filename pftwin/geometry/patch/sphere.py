@@ -90,11 +90,8 @@ def fit_sphere(mesh: SurfaceMesh, *, tolerance: float = 0.02e-3, axis: ArrayLike
 def _check_dome(mesh: SurfaceMesh, cap: NDArray, center: NDArray, radius: float) -> None:
     """A sphere of a sensible size, seen from outside."""
     if radius > _FLAT * mesh.extent:
-        raise InputError(
-            f"the apex's side is flat (a sphere of radius {radius:.2g} m)",
-            where=mesh.source,
-            remedy="axis= if the apex is on another side",
-        )
+        found = f"the apex's side is flat (a sphere of radius {radius:.2g} m)"
+        raise InputError(found, where=mesh.source, remedy="axis= if the apex is on another side")
     if not np.einsum("ij,ij->", mesh.vertices[cap] - center, mesh.vertex_normals[cap]) > 0:
         raise InputError(
             "the cap is hollow, or its normals point inward", where=mesh.source, remedy="mesh.flipped(), or axis="

@@ -8,7 +8,7 @@ the deviation holds.
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -17,9 +17,7 @@ from numpy.typing import NDArray
 
 from pftwin.base.errors import InputError
 from pftwin.geometry.mesh.mesh import SurfaceMesh
-
-if TYPE_CHECKING:
-    from pftwin.geometry.patch.implant import FemoralComponent
+from pftwin.geometry.patch.implant import FemoralComponent
 
 _LONGEST = 5e-3  # of any grid spacing [m]
 _SAMPLES = 241  # along u and v, where the curvature is looked at
@@ -110,16 +108,14 @@ def _mesh(surface: FemoralComponent, u: NDArray, v: NDArray) -> tuple[SurfaceMes
     a, b, c, d = (q.ravel() for q in (k[:-1, :-1], k[1:, :-1], k[1:, 1:], k[:-1, 1:]))
     odd = (np.add.outer(np.arange(len(u) - 1), np.arange(len(v) - 1)).ravel() % 2 == 1)[:, None, None]
     first = np.stack([np.stack([a, b, c], 1), np.stack([a, c, d], 1)], 1)
-    second = np.stack(
-        [np.stack([a, b, d], 1), np.stack([b, c, d], 1)], 1
-    )  # diagonals alternate: no preferred direction
-    faces = np.where(odd, second, first).reshape(-1, 3)
+    second = np.stack([np.stack([a, b, d], 1), np.stack([b, c, d], 1)], 1)
+    faces = np.where(odd, second, first).reshape(-1, 3)  # diagonals alternate: no preferred direction
     worst = 0.0
     for s, t in _INSIDE:
-        inside = (1 - s - t) * points[faces[:, 0]] + s * points[faces[:, 1]] + t * points[faces[:, 2]]
-        uv = [
-            ((1 - s - t) * g[faces[:, 0]] + s * g[faces[:, 1]] + t * g[faces[:, 2]]) for g in (x.ravel() for x in grid)
-        ]
+        inside, *uv = (
+            (1 - s - t) * x[faces[:, 0]] + s * x[faces[:, 1]] + t * x[faces[:, 2]]
+            for x in (points, grid[0].ravel(), grid[1].ravel())
+        )
         on, normal = points_and_normals(surface, *uv)
         gap = np.einsum("ij,ij->i", inside - on, normal)
         worst = max(worst, float(np.abs(gap).max()))

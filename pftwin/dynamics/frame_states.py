@@ -14,15 +14,13 @@ from jaxtyping import Array
 from pftwin.base.errors import InputError
 from pftwin.base.spatial import Pose, Scalar
 from pftwin.dynamics.equilibrium import Solution, initial_solution, solve_equilibrium
-from pftwin.dynamics.integrator import Integrator
+from pftwin.dynamics.integrator import Carry, Integrator
 from pftwin.dynamics.integrators import LinearImplicit
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.packing import Layout
 from pftwin.dynamics.relaxation import relax
 from pftwin.dynamics.state import Guide, State, System
 from pftwin.model.scene import Scene
-
-Carry = tuple[State, Ledger | None]
 
 
 class FrameStates(eqx.Module):
@@ -48,7 +46,8 @@ def substeps_for(interval: float, dt: float) -> int:
 
 def starting_equilibrium(scene: Scene, guess: Pose | None = None) -> Solution:
     """The equilibrium at the first frame, from the scene's own start pose or another pose of the patella's frame."""
-    pose = scene.center_of_mass_pose() if guess is None else _of_center(scene, guess)
+    start = scene.start if guess is None else guess
+    pose = Pose(start.apply(scene.patella.center_of_mass), start.orientation)
     return solve_equilibrium(System.of(scene), first_guide(scene), pose)
 
 
@@ -61,10 +60,6 @@ def relaxed_start(scene: Scene) -> Pose:
     """Where damped motion from the scene's start comes to rest, a pose of the patella's frame to search from."""
     rested = relax(System.of(scene), first_guide(scene), scene.center_of_mass_pose())
     return Pose(rested.apply(-scene.patella.center_of_mass), rested.orientation)
-
-
-def _of_center(scene: Scene, pose: Pose) -> Pose:
-    return Pose(pose.apply(scene.patella.center_of_mass), pose.orientation)
 
 
 def first_guide(scene: Scene) -> Guide:
@@ -86,11 +81,6 @@ def _parts(now: Carry) -> tuple[Any, Any]:
     """What is stored of a frame, in two parts: the second is never computed where only poses are used."""
     state, books = now
     return (state.position, state.orientation), (state.velocity, state.spin, state.memories, state.carried, books)
-
-
-def _whole(pose: Any, rest: Any) -> Carry:
-    """The inverse of `_parts`."""
-    return State(*pose, *rest[:4]), rest[4]
 
 
 def frame_states(
@@ -139,10 +129,8 @@ def scan_observations(
 ) -> tuple[Any, Solution, Scalar]:
     """Evaluates look(state, ledger, frame) at every recorded frame during the motion; no states are kept.
 
-    A batch then stores a tenth as much and takes half the time where `look` is cheap. Options as in `frame_states`.
-
-    Args:
-        look: a pure function of the state, the ledger and the frame's number, to a tree of arrays.
+    `look` is pure and gives a tree of arrays. A batch then stores a tenth as much and takes half the time where it is
+    cheap. Options as in `frame_states`.
 
     Returns:
         The values of `look` (n_frames, ...), the equilibrium at the start, and the step [s].
@@ -204,7 +192,8 @@ def _run(scene: Scene, chosen: Integrator, substeps: int | Scalar, start: Soluti
         return poses.row(pose), others.row(rest)
 
     def whole(rows: tuple[Array, Array]) -> Carry:
-        return _whole(poses.unpacked(rows[0]), others.unpacked(rows[1]))
+        pose, rest = poses.unpacked(rows[0]), others.unpacked(rows[1])
+        return State(*pose, *rest[:4]), rest[4]
 
     poses, others = (Layout.of(lambda i=i: _parts(carry)[i]) for i in (0, 1))
     return _Run(carry, start, step, next_frame, rows_of, whole)

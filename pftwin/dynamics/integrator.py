@@ -15,6 +15,9 @@ from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.state import Guide, GuideAt, State, System
 from pftwin.model.effects.base import Effect
 
+Books = Ledger | None  # None where no account is kept
+Carry = tuple[State, Books]
+
 
 class Diagnostics(NamedTuple):
     """What an integrator tells of its steps so far; None where it tells nothing."""
@@ -42,9 +45,7 @@ class Integrator(ABC):
         """Of the error in the step."""
 
     @abstractmethod
-    def advance(
-        self, system: System, state: State, guide_at: GuideAt, step: Scalar, ledger: Ledger | None
-    ) -> tuple[State, Ledger | None]:
+    def advance(self, system: System, state: State, guide_at: GuideAt, step: Scalar, ledger: Books) -> Carry:
         """The state one step later, and the energy ledger where one is kept.
 
         Args:

@@ -18,7 +18,6 @@ STEP = 2e-3  # [s]
 RATE = 20.0  # [1/s]: overdamped against the tendons' slow modes, settled well within the time given
 THROWN = 0.07  # [m] a patella that ends farther from its start was thrown off by too deep a contact
 
-
 BURST_STEP, BURST_STEPS = 5e-3, 4000  # of a burst [s], and how many at most
 AWAY = 100  # fewest steps of a burst: motion starts slowly where an equilibrium has just ceased to exist
 QUIET = 1e-5  # [m/s] the patella rests when it has become as slow as that
@@ -52,11 +51,7 @@ def ended_far_away(before: Pose, after: Pose) -> np.ndarray:
 def come_to_rest(system: System, state: State, guide: Guide, moves: Scalar) -> State:
     """Where the patella rests if it is let go where it is, on guided bodies that stand still.
 
-    Args:
-        system: what moves.
-        state: at whose pose it is let go; whatever an integrator carries stays.
-        guide: standing still.
-        moves: whether it moves at all; else the state stays as it is.
+    Whatever an integrator carries stays. Where it does not move at all, by `moves`, the state stays as it is.
     """
     damped = _damped(system)
     step = jnp.asarray(BURST_STEP, dtype=state.position.x.dtype)

@@ -119,7 +119,7 @@ def inverse_with_pivots(matrix: Array) -> tuple[Array, Scalar]:
     return inverse, positive
 
 
-Six = list[Scalar]
+Six = list[Scalar]  # of a force and a moment, or of a displacement and a turn
 
 
 def six(a: Vec3, b: Vec3) -> Six:

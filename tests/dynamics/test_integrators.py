@@ -26,7 +26,8 @@ from scenes import (
 
 from pftwin.base.errors import InputError
 from pftwin.dynamics.frame_states import first_guide, frame_states, starting_state
-from pftwin.dynamics.integrators import Diagnostics, Newmark, integrator_from_text, newmark
+from pftwin.dynamics.integrator import Diagnostics
+from pftwin.dynamics.integrators import Newmark, integrator_from_text, newmark
 from pftwin.dynamics.observe import observe
 from pftwin.dynamics.state import System
 from pftwin.dynamics.status import Status

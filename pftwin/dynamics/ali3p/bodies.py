@@ -23,6 +23,7 @@ from pftwin.dynamics.ali3p.natural_coordinates import (
     twist_of,
     wrench_map,
 )
+from pftwin.dynamics.solve import six
 from pftwin.dynamics.state import Guide, GuideAt, State, System
 from pftwin.model.effects.base import Instant, Load, Patella, StiffTerm
 from pftwin.model.motion import Frame
@@ -97,7 +98,7 @@ class Bodies(eqx.Module):
         (pulled,) = react([-jnp.broadcast_to(e, f.shape) for e, f in zip(efforts, flows, strict=True)])
         total = sum((load.total() for load in loads), start=Wrench.zero())
         wrenches = [total, *(Wrench(p.linear, p.angular) for p in pulled)]
-        rows = [jnp.stack([*_parts(w.force), *_parts(w.moment)]) for w in wrenches]
+        rows = [jnp.stack(six(w.force, w.moment)) for w in wrenches]
         return jnp.stack([wrench_map(a) @ row for a, row in zip(q, rows, strict=True)]), loads, memories
 
     def metric(self, q: Array, loads: list[Load], by_velocity: Scalar, by_place: Scalar) -> Array:
@@ -122,13 +123,9 @@ class Bodies(eqx.Module):
         return own.at[0].add(to_natural @ slope @ to_natural.T)
 
 
-def _parts(v: Vec3) -> tuple[Scalar, Scalar, Scalar]:
-    return v.x, v.y, v.z
-
-
 def _columns(term: StiffTerm) -> Array:
     """(6, k) wrench directions of a group of k terms."""
-    return jnp.stack([jnp.atleast_1d(x) for x in (*_parts(term.direction), *_parts(term.moment))])
+    return jnp.stack([jnp.atleast_1d(x) for x in six(term.direction, term.moment)])
 
 
 def _rates_of_parts(load: Load) -> list[Array]:

@@ -6,7 +6,7 @@ At a step's end, with Newmark's average acceleration, dq/dt and d2q/dt2 follow f
 
 by Newton's iteration with the tangent M + gamma h C + beta h^2 (J^T alpha J + K); J = dPhi/dq. Rigid bodies and guided
 ones are constraints Phi(q, t) = 0 alike (`natural_coordinates`). Then velocities and accelerations are projected on
-dPhi/dt = 0 and d2Phi/dt2 = 0 with the same matrix (`ali3p_projection`). Source: Michaud et al. 2024, section 2.3.1;
+dPhi/dt = 0 and d2Phi/dt2 = 0 with the same matrix (`newton`). Source: Michaud et al. 2024, section 2.3.1;
 Bayo & Ledesma 1996, Nonlinear Dyn 9:113; Cuadrado et al. 2004, Multibody Syst Dyn 12:1; Dopico et al. 2014, J Comput
 Nonlinear Dyn 9:041006.
 """
@@ -33,10 +33,8 @@ from pftwin.dynamics.ali3p.natural_coordinates import (
     rates_wanted,
     second_rates_wanted,
 )
-from pftwin.dynamics.ali3p.newton import BETA, GAMMA, Predicted, penalty_of, solved_step
-from pftwin.dynamics.ali3p.projection import constrained
-from pftwin.dynamics.integrator import Integrator, with_carried
-from pftwin.dynamics.ledger import Ledger
+from pftwin.dynamics.ali3p.newton import BETA, GAMMA, PENALTY, Predicted, constrained, solved_step
+from pftwin.dynamics.integrator import Books, Carry, Integrator, with_carried
 from pftwin.dynamics.state import Guide, GuideAt, State, System
 
 
@@ -86,18 +84,16 @@ class ALI3P(Integrator):
         to = Driven(place, rate, jnp.zeros_like(rate))
         forces, _, _ = Bodies(system, state.memories, guide.time, jnp.zeros_like(step)).forces(place, rate)
         metric = jnp.broadcast_to(jnp.diag(masses(system)), (len(place), 12, 12))
-        scale, wanted = penalty_of(step.dtype) * system.mass, second_rates_wanted(place, rate, to)
+        scale, wanted = PENALTY[str(step.dtype)] * system.mass, second_rates_wanted(place, rate, to)
         second_rate, multipliers = constrained(metric, jacobian(place, to), scale, forces, wanted)
         nothing = jnp.zeros_like(state.position.x)
         return with_carried(state, ALI3PStep(place, rate, second_rate, multipliers, nothing, nothing))
 
-    def advance(
-        self, system: System, state: State, guide_at: GuideAt, step: Scalar, ledger: Ledger | None = None
-    ) -> tuple[State, Ledger | None]:
+    def advance(self, system: System, state: State, guide_at: GuideAt, step: Scalar, ledger: Books = None) -> Carry:
         """See `Integrator`."""
         last: ALI3PStep = state.carried
         to = driven_targets(guide_at, step)
-        factor = self.penalty or penalty_of(step.dtype)
+        factor = self.penalty or PENALTY[str(step.dtype)]
         given = Predicted(
             Bodies(system, state.memories, guide_at(1.0).time, step),
             last.place + step * last.rate + (0.5 - BETA) * step * step * last.second_rate,

@@ -24,9 +24,8 @@ import jax
 import jax.numpy as jnp
 
 from pftwin.base.spatial import Scalar, Twist, Vec3, Wrench
-from pftwin.dynamics.integrator import Integrator, with_carried
+from pftwin.dynamics.integrator import Books, Carry, Integrator, with_carried
 from pftwin.dynamics.integrators.implicit_solve import Span, change_of_velocity, load_at_end
-from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.state import Guide, GuideAt, State, System, displaced_state, gyroscopic
 from pftwin.dynamics.static_load import LEVER
 
@@ -54,9 +53,7 @@ class BDF2(Integrator):
         nothing = Twist(Vec3(zero, zero, zero), Vec3(zero, zero, zero))
         return with_carried(state, LastStep(nothing, nothing, zero))
 
-    def advance(
-        self, system: System, state: State, guide_at: GuideAt, step: Scalar, ledger: Ledger | None = None
-    ) -> tuple[State, Ledger | None]:
+    def advance(self, system: System, state: State, guide_at: GuideAt, step: Scalar, ledger: Books = None) -> Carry:
         """See `Integrator`."""
         last = state.carried
         span = (1 - last.share) * step

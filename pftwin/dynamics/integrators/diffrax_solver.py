@@ -17,8 +17,8 @@ from jaxtyping import Array
 
 from pftwin.base.errors import InputError
 from pftwin.base.spatial import Quaternion, Scalar, Twist, Vec3
-from pftwin.dynamics.integrator import Integrator, with_carried
-from pftwin.dynamics.ledger import Ledger, Powers
+from pftwin.dynamics.integrator import Books, Carry, Integrator, with_carried
+from pftwin.dynamics.ledger import Powers
 from pftwin.dynamics.state import Guide, GuideAt, State, System, acceleration
 
 if TYPE_CHECKING:
@@ -105,9 +105,7 @@ class Diffrax(Integrator):
         """The state with a first guess of the solver's own step."""
         return with_carried(state, DiffraxStep(FIRST * step, jnp.zeros_like(step)))
 
-    def advance(
-        self, system: System, state: State, guide_at: GuideAt, step: Scalar, ledger: Ledger | None = None
-    ) -> tuple[State, Ledger | None]:
+    def advance(self, system: System, state: State, guide_at: GuideAt, step: Scalar, ledger: Books = None) -> Carry:
         """See `Integrator`."""
         import diffrax
 
@@ -115,7 +113,8 @@ class Diffrax(Integrator):
             now = _state(y, state)
             loads, _memories = system.loads(guide_at(t / step).instant(now.patella(), 0.0), state.memories)
             a = acceleration(system, now.spin, loads)
-            turning = Quaternion.from_array(y[3:7]) * _half_spin(now.spin)
+            half = Quaternion(jnp.zeros_like(now.spin.x), 0.5 * now.spin.x, 0.5 * now.spin.y, 0.5 * now.spin.z)
+            turning = Quaternion.from_array(y[3:7]) * half
             rates = [now.velocity.array(), turning.array(), a.linear.array(), a.angular.array()]
             if ledger is not None:
                 twist = Twist(now.velocity, now.spin)
@@ -159,11 +158,6 @@ class Diffrax(Integrator):
             sums = (y[13], y[14], y[15], approach)
             ledger = eqx.tree_at(lambda a: (a.work, a.heat, a.done, a.approach), ledger, sums)
         return after, ledger
-
-
-def _half_spin(spin: Vec3) -> Quaternion:
-    """What a quaternion's rate has on its right."""
-    return Quaternion(jnp.zeros_like(spin.x), 0.5 * spin.x, 0.5 * spin.y, 0.5 * spin.z)
 
 
 def _state(y: Array, like: State) -> State:

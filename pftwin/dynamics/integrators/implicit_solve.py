@@ -1,16 +1,9 @@
 """The change of velocity over an implicit step under forces that are linearised in it.
 
-Each stiff term, a force f(s, s') along the wrench direction g, is
-
-    f_end = f - (r k + c) g . dv
-
-with r the displacement at the step's end per change of velocity. With forces acting for a time h this gives one
-symmetric positive definite 6 x 6 system
-
-    (M + sum_i w_i g_i g_i^T) dv = h (f_rest + sum_i g_i f_i),      w_i = h (r k_i + c_i),
-
-which is solved for the end forces first (`pftwin.dynamics.integrators.end_of_step`), leaving out contacts that would
-end up pulling.
+Each stiff term is f_end = f - (r k + c) g . dv along its wrench direction g, with r the displacement at the step's end
+per change of velocity. With forces acting for a time h this gives one symmetric positive definite 6 x 6 system, which
+is solved for the end forces first (`pftwin.dynamics.integrators.end_of_step`), leaving out contacts that would end up
+pulling. See docs/physics.md.
 """
 
 from __future__ import annotations
@@ -22,7 +15,7 @@ import jax.numpy as jnp
 
 from pftwin.base.spatial import Scalar, Vec3, Wrench
 from pftwin.dynamics.integrators.end_of_step import ConstraintRow, end_of_step
-from pftwin.dynamics.solve import Lower, add_outer
+from pftwin.dynamics.solve import Lower, add_outer, six
 from pftwin.dynamics.state import System
 from pftwin.model.effects.base import Load, StiffTerm
 
@@ -39,20 +32,13 @@ class Span(NamedTuple):
 
 
 def change_of_velocity(system: System, inertial: Wrench, loads: list[Load], span: Span) -> list[Scalar]:
-    """Six components: world axes, then patella axes.
-
-    Args:
-        system: what moves.
-        inertial: forces of the motion itself: force in world axes, moment in patella axes.
-        loads: of the effects, at unchanged velocity.
-        span: of the step.
-    """
+    """Six components, world axes, then patella axes, under inertial forces and the loads at unchanged velocity."""
     step = span.impulse
-    right = _components(inertial)
+    right = six(inertial.force, inertial.moment)
     for load in loads:
         for wrench in (load.wrench, None if load.drag is None else load.drag.wrench()):
             if wrench is not None:
-                right = [a + b for a, b in zip(right, _components(wrench), strict=True)]
+                right = [a + b for a, b in zip(right, six(wrench.force, wrench.moment), strict=True)]
     right = [step * a for a in right]
     diagonal = _diagonal(system, loads, span)
     terms = [term for load in loads for term in load.stiff]
@@ -70,14 +56,10 @@ def change_of_velocity(system: System, inertial: Wrench, loads: list[Load], span
     else:
         mass = diagonal  # type: ignore[assignment]
     pushes = [
-        ConstraintRow(_components(Wrench(t.direction, t.moment)), step * t.force, _weight(t, span), t.unilateral)
+        ConstraintRow(six(t.direction, t.moment), step * t.force, _weight(t, span), t.unilateral)
         for t in (*two_sided, *(t for t in terms if t.unilateral))
     ]
     return end_of_step(mass, pushes, right)[0]
-
-
-def _components(w: Wrench) -> list[Scalar]:
-    return [w.force.x, w.force.y, w.force.z, w.moment.x, w.moment.y, w.moment.z]
 
 
 def _weight(term: StiffTerm, span: Span) -> Scalar:
@@ -128,7 +110,7 @@ def _diagonal(system: System, loads: list[Load], span: Span) -> list[Scalar]:
 
 def _with_term(mass: Lower, right: list[Scalar], term: StiffTerm, span: Span) -> tuple[Lower, list[Scalar]]:
     """Adds w g g^T and the impulse along g; a group is summed over its leading axis."""
-    g = _components(Wrench(term.direction, term.moment))
+    g = six(term.direction, term.moment)
     impulse = span.impulse * term.force
     add = [jnp.sum(impulse * a) if jnp.ndim(impulse) else impulse * a for a in g]
     return add_outer(mass, g, _weight(term, span)), [a + b for a, b in zip(right, add, strict=True)]

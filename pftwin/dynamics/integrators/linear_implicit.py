@@ -1,9 +1,8 @@
 r"""The linearly implicit step: one force evaluation, every stiff direction of every effect treated implicitly.
 
-Forces are evaluated where the step would end at the present velocity, with the guided bodies at the step's end; so the
-lag of a slow, guided motion is of second order. From there every stiff term is linearised in the change of velocity
-(`pftwin.dynamics.integrators.implicit_solve`): one Newton iteration of backward Euler, and none beyond that. Any number
-of terms, unconditionally stable along their directions; order one.
+Forces are evaluated where the step would end at the present velocity. From there every stiff term is linearised in the
+change of velocity (`pftwin.dynamics.integrators.implicit_solve`): one Newton iteration of backward Euler. See
+docs/physics.md.
 """
 
 from __future__ import annotations
@@ -14,9 +13,8 @@ from typing import ClassVar
 import jax
 
 from pftwin.base.spatial import Scalar, Twist, Vec3, Wrench
-from pftwin.dynamics.integrator import Integrator
+from pftwin.dynamics.integrator import Books, Carry, Integrator
 from pftwin.dynamics.integrators.implicit_solve import Span, change_of_velocity, load_at_end
-from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.state import GuideAt, State, System, advance, gyroscopic
 
 
@@ -27,9 +25,7 @@ class LinearImplicit(Integrator):
     name: ClassVar[str] = "linear_implicit"
     order: ClassVar[int] = 1
 
-    def advance(
-        self, system: System, state: State, guide_at: GuideAt, step: Scalar, ledger: Ledger | None = None
-    ) -> tuple[State, Ledger | None]:
+    def advance(self, system: System, state: State, guide_at: GuideAt, step: Scalar, ledger: Books = None) -> Carry:
         """See `Integrator`."""
         with jax.named_scope("loads"):
             ahead = advance(state, state.velocity, state.spin, step, state.memories).patella()

@@ -24,9 +24,8 @@ import jax.numpy as jnp
 
 from pftwin.base.errors import InputError
 from pftwin.base.spatial import Scalar, Twist, Vec3, Wrench
-from pftwin.dynamics.integrator import Integrator, with_carried
+from pftwin.dynamics.integrator import Books, Carry, Integrator, with_carried
 from pftwin.dynamics.integrators.implicit_solve import Span, change_of_velocity
-from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.solve import changed_by, six, solution_changes, tangent_of
 from pftwin.dynamics.state import Guide, GuideAt, State, System, acceleration, displaced_state, gyroscopic
 from pftwin.dynamics.static_load import LEVER
@@ -53,13 +52,6 @@ class Weights(NamedTuple):
     beta: float
     alpha_m: float
     alpha_f: float
-
-    @staticmethod
-    def damped(rho: float) -> Weights:
-        """The generalised-alpha method whose highest frequencies shrink to rho in each step: 1 none, 0 all at once."""
-        alpha_m, alpha_f = (2 * rho - 1) / (rho + 1), rho / (rho + 1)
-        gamma = 0.5 - alpha_m + alpha_f
-        return Weights(gamma, 0.25 * (gamma + 0.5) ** 2, alpha_m, alpha_f)
 
 
 class _Step(NamedTuple):
@@ -128,7 +120,9 @@ class Newmark(Integrator):
     def weights(self) -> Weights:
         """The method's weights."""
         if self.rho is not None:
-            return Weights.damped(self.rho)
+            alpha_m, alpha_f = (2 * self.rho - 1) / (self.rho + 1), self.rho / (self.rho + 1)
+            gamma = 0.5 - alpha_m + alpha_f
+            return Weights(gamma, 0.25 * (gamma + 0.5) ** 2, alpha_m, alpha_f)
         gamma = 0.5 if self.gamma is None else self.gamma
         return Weights(gamma, 0.25 * (gamma + 0.5) ** 2 if self.beta is None else self.beta, 0.0, 0.0)
 
@@ -143,9 +137,7 @@ class Newmark(Integrator):
         now = acceleration(system, state.spin, loads)
         return with_carried(state, NewmarkStep(now, now, jnp.zeros_like(now.linear.x)))
 
-    def advance(
-        self, system: System, state: State, guide_at: GuideAt, step: Scalar, ledger: Ledger | None = None
-    ) -> tuple[State, Ledger | None]:
+    def advance(self, system: System, state: State, guide_at: GuideAt, step: Scalar, ledger: Books = None) -> Carry:
         """See `Integrator`."""
         w = self.weights
         given = _Step(system, state, guide_at(1.0), step)
@@ -161,15 +153,11 @@ class Newmark(Integrator):
         return after, ledger
 
 
-def _span(w: Weights, step: Scalar) -> Span:
-    impulse = w.gamma * (1 - w.alpha_f) / (1 - w.alpha_m)
-    return Span(impulse * step, (w.beta / w.gamma) * step)
-
-
 @eqx.filter_custom_jvp
 def _solved(given: _Step, w: Weights) -> tuple[Twist, Scalar]:
     """The velocity at the step's end, and its last change where that has not become small."""
-    span, settled = _span(w, given.length), SETTLED[str(given.length.dtype)]
+    impulse, settled = w.gamma * (1 - w.alpha_f) / (1 - w.alpha_m), SETTLED[str(given.length.dtype)]
+    span = Span(impulse * given.length, (w.beta / w.gamma) * given.length)
     carried = given.state.carried
     guess = Twist(given.state.velocity, given.state.spin).plus(given.length, carried.algorithmic)
 

@@ -16,8 +16,7 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 
 from pftwin.base.spatial import Scalar, Vec3
-from pftwin.dynamics.integrator import Integrator, with_carried
-from pftwin.dynamics.ledger import Ledger
+from pftwin.dynamics.integrator import Books, Carry, Integrator, with_carried
 from pftwin.dynamics.state import Guide, GuideAt, State, System, advance, gyroscopic
 from pftwin.model.effects.base import Load
 
@@ -41,9 +40,7 @@ class SymplecticEuler(Integrator):
         """The state with what the integrator tells: nothing yet."""
         return with_carried(state, EulerStep(jnp.zeros_like(state.position.x)))
 
-    def advance(
-        self, system: System, state: State, guide_at: GuideAt, step: Scalar, ledger: Ledger | None = None
-    ) -> tuple[State, Ledger | None]:
+    def advance(self, system: System, state: State, guide_at: GuideAt, step: Scalar, ledger: Books = None) -> Carry:
         """See `Integrator`."""
         with jax.named_scope("loads"):
             loads, memories = system.loads(guide_at(0.0).instant(state.patella(), step), state.memories)

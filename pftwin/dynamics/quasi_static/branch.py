@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import equinox as eqx
 import jax.numpy as jnp
 
 from pftwin.base.spatial import Scalar, Twist, Vec3, Wrench
+from pftwin.dynamics.solve import Six, six
 from pftwin.dynamics.state import Guide, State, System, displaced_state
 from pftwin.dynamics.static_load import LEVER, Surroundings, components, look_around
 from pftwin.model.effects.base import Instant
-
-Six = list[Scalar]  # displacements in metres and angles * lever, or forces and moments / lever
 
 
 class Branch(NamedTuple):
@@ -52,11 +50,6 @@ class Branch(NamedTuple):
         guide = self.guide.slowed(self.rates)
         return guide.instant(patella, 0.0, held * self.step, displacement_gain=self.step, twist=twist)
 
-    def recalling(self, trial: tuple[Any, ...]) -> Branch:
-        """The same with memories that a look has refined."""
-        memories = self.system.refined(self.origin.memories, trial)
-        return self._replace(origin=eqx.tree_at(lambda s: s.memories, self.origin, memories))
-
     def residual(self, d: Six) -> Six:
         """Unbalanced force, and moment / lever [N]."""
         loads, _ = self.system.loads(self.instant(d), self.origin.memories)
@@ -78,8 +71,7 @@ def displacement_of(d: Six) -> Twist:
 
 def components_of(displacement: Twist) -> Six:
     """The inverse of `displacement_of`."""
-    turn = LEVER * displacement.angular
-    return [displacement.linear.x, displacement.linear.y, displacement.linear.z, turn.x, turn.y, turn.z]
+    return six(displacement.linear, LEVER * displacement.angular)
 
 
 def norm(a: Six) -> Scalar:

@@ -5,6 +5,10 @@ remainder, the rest of the last exact tangent, which changes little from step to
 met, one evaluation of the pose and its twelve neighbours gives the exact tangent: it tells whether the equilibrium is
 stable, removes the rest of the residual, and provides the remainder for the next step. Where the residual is not halved
 in every iteration, Newton's iteration starts again from the guess with the exact tangent at every iterate.
+
+Stable is an equilibrium where a disturbance dies out in a viscous medium without inertia, d' = -K d / c: where every
+eigenvalue of K has a positive real part. Where forces have a potential that is the same as definite. Those of meshes'
+contours have none: the symmetric part of their K is often indefinite, and says nothing of a fold.
 """
 
 from __future__ import annotations
@@ -17,8 +21,8 @@ from jaxtyping import Array
 
 from pftwin.base.spatial import Scalar
 from pftwin.dynamics.equilibrium import REACH, entries, step_of, tolerance_of
-from pftwin.dynamics.quasi_static.branch import Branch, Six, norm
-from pftwin.dynamics.quasi_static.stability import is_stable
+from pftwin.dynamics.quasi_static.branch import Branch, norm
+from pftwin.dynamics.solve import Six, inverse_with_pivots
 from pftwin.dynamics.static_load import Surroundings
 
 MOST_ITERATIONS = 20  # iterations with the exact tangent
@@ -27,6 +31,8 @@ SLOW = 0.5  # share of the residual that such an iteration may leave; beyond it 
 FARTHEST = 5e-3  # an equilibrium farther than this from the predicted pose counts as another one [m]
 NEAR = 1e-5  # residual below which one more step with the remainder suffices before the exact evaluation [N]
 POLISH = 1e-6  # longest last step that is taken without another evaluation [m]
+NEUTRAL = 1e-6  # of the tangent's trace: a stiffness down to minus that counts as none, neutral and not unstable
+SQUARINGS = 16  # from a factor that is 0.2 % off 1, as the slack's and the trace's own are, to one of 1e-57
 
 
 class Iterate(NamedTuple):
@@ -43,14 +49,7 @@ class Iterate(NamedTuple):
 
 
 def newton(branch: Branch, guess: Six, remainder: Array, allowed: Scalar) -> Iterate:
-    """The equilibrium near a guess, if there is one.
-
-    Args:
-        branch: where it is looked for.
-        guess: a displacement.
-        remainder: of a tangent nearby.
-        allowed: whether it is to be tried.
-    """
+    """The equilibrium near a guess, if there is one; `remainder` is that of a tangent nearby, tried where `allowed`."""
     there, met = _one_by_one(branch, guess, remainder, allowed)
     d = [jnp.where(met, a, b) for a, b in zip(there, guess, strict=True)]
     infinite, no = jnp.full_like(branch.step, jnp.inf), jnp.array(False)
@@ -125,3 +124,27 @@ def _downhill(branch: Branch, there: Surroundings, tangent: Array, size: Scalar)
     matrices = jnp.stack([tangent + shift, _matrix(there.convex()) + shift])
     steps, definite = jax.vmap(lambda matrix: step_of(entries(matrix), r))(matrices)
     return [jnp.where(definite[0], a[0], a[1]) for a in steps], is_stable(at_rest)
+
+
+def is_stable(tangent: Array) -> Scalar:
+    """Whether a (6, 6) tangent at rest [N/m] is that of a stable or a neutral equilibrium.
+
+    A definite symmetric part is enough. Where it is not definite, C = (K - s) (K + s)^-1 turns eigenvalues of positive
+    real part into some below 1 in size, whose powers vanish, and the others into some above, whose powers grow.
+    """
+    one = jnp.eye(6, dtype=tangent.dtype)
+    trace = jnp.trace(tangent)
+    slack = trace * jnp.asarray(NEUTRAL, tangent.dtype)
+    shifted = tangent + slack * one
+    definite = inverse_with_pivots(0.5 * (shifted + shifted.T))[1]
+    scale = jnp.asarray(NEUTRAL**0.5, tangent.dtype) * trace  # geometric mean of the slack and the trace
+
+    def squared(now: tuple[Array, Scalar]) -> tuple[Array, Scalar]:
+        power, count = now
+        first = one - 2 * scale * inverse_with_pivots(power + scale * one)[0]
+        return jnp.where(count == 0, first, power @ power), count + 1
+
+    # Not one round where the symmetric part is definite, as it is wherever forces have a potential.
+    most = jnp.where(definite, 0, SQUARINGS + 1)
+    power, _ = jax.lax.while_loop(lambda now: now[1] < most, squared, (shifted, jnp.zeros_like(most)))
+    return definite | ((trace > 0) & (jnp.max(jnp.abs(power)) < 1))

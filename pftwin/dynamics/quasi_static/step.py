@@ -5,21 +5,15 @@ With d the displacement over a step, d_last that over the one before it and h th
     F(q exp(d), v, t_end) = 0,      v = (d - s d_last) / ((1 - s) h)
 
 is solved for d by Newton's iteration, started from d_last (continuation). s = 1/3 makes v the backward difference of
-second order (BDF2); the first step, and the first after a snap, has s = 0. Guided bodies move with their own
-velocities: dashpots, friction and viscoelastic tendons act as they do in the dynamics; only mass and moments of inertia
-are left out. In a scene without forces that go by speed this is one static equilibrium per step, exact at any step.
-
-An equilibrium can end: in a fold its tangent loses positive definiteness, and the patella snaps over a facet, out of
-its groove or back into it. Where no equilibrium is found nearby, or one that is not stable at rest, the patella goes on
-from where the motion has led it in a damped dynamic burst (`pftwin.dynamics.relaxation`), under guided bodies that
-stand still, until it comes to rest; and the state counts one snap more. So inertia decides nothing: it lands where it
-lands without swing.
+second order (BDF2); the first step, and the first after a snap, has s = 0. Where no equilibrium is found nearby, or one
+that is not stable at rest, the patella snaps: it goes on from where the motion has led it in a damped dynamic burst
+(`pftwin.dynamics.relaxation`), under guided bodies that stand still, until it comes to rest. See docs/physics.md.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -27,11 +21,16 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from pftwin.base.spatial import Scalar, Twist
-from pftwin.dynamics.integrator import Integrator, with_carried
+from pftwin.dynamics.equilibrium import RIDGE
+from pftwin.dynamics.integrator import Books, Carry, Integrator, with_carried
 from pftwin.dynamics.ledger import Ledger
-from pftwin.dynamics.quasi_static.branch import Branch, displacement_of
-from pftwin.dynamics.quasi_static.solution import carried_along, over_a_snap, solved
-from pftwin.dynamics.state import Guide, GuideAt, State, System
+from pftwin.dynamics.quasi_static.branch import Branch, components_of, displacement_of
+from pftwin.dynamics.quasi_static.newton import newton
+from pftwin.dynamics.relaxation import come_to_rest
+from pftwin.dynamics.solve import Six, changed_by, solution_changes, tangent_of
+from pftwin.dynamics.state import Guide, GuideAt, State, System, displaced_state
+
+LEAST_HELD = 1e-9  # stiffness of every direction, for derivatives alone [N/m]
 
 
 class QuasiStaticStep(NamedTuple):
@@ -39,9 +38,85 @@ class QuasiStaticStep(NamedTuple):
 
     displacement: Twist  # d_last
     share: Scalar  # s of the next step
-    remainder: Array  # (6, 6) of the last tangent [N/m]: see `quasi_static_newton`
+    remainder: Array  # (6, 6) of the last tangent [N/m]: see `newton`
     snaps: Scalar  # since the start
     residual: Scalar  # what is left of the balance where it is not met [N]
+
+
+class NextEquilibrium(NamedTuple):
+    """A solution."""
+
+    d: Six  # from the state's pose, or after a snap from the place where the burst ended
+    place: State  # where that was
+    snapped: Scalar  # 1 after a snap
+    residual: Scalar
+    remainder: Array  # (6, 6) of the tangent there [N/m]
+    trial: tuple[Any, ...]  # memories of the last look
+
+    def landed(self, branch: Branch) -> Branch:
+        """The branch that it lies on."""
+        origin = jax.tree.map(lambda a, b: jnp.where(self.snapped > 0, a, b), self.place, branch.origin)
+        memories = branch.system.refined(origin.memories, self.trial)
+        origin = eqx.tree_at(lambda s: s.memories, origin, memories)
+        return branch._replace(origin=origin, rates=branch.rates - self.snapped)
+
+
+@eqx.filter_custom_jvp
+def solved(branch: Branch) -> NextEquilibrium:
+    """The next equilibrium: the same one further on, or where a snap from the present pose comes to rest."""
+    last = branch.origin.carried.displacement
+    ahead = components_of(last)
+    none = [jnp.zeros_like(a) for a in ahead]
+    led = displaced_state(branch.origin, last, last)
+
+    def attempt(now: tuple[NextEquilibrium, Scalar, Scalar]) -> tuple[NextEquilibrium, Scalar, Scalar]:
+        _, tries, _ = now
+        snapped = jnp.where(tries > 0, 1.0, 0.0).astype(branch.step.dtype)
+        place = jax.tree.map(lambda a, b: jnp.where(tries > 0, a, b), led, branch.origin)
+        place = come_to_rest(branch.system, place, branch.guide.slowed(0.0), tries > 0)
+        there = branch._replace(origin=place, rates=branch.rates - snapped)
+        guess = [jnp.where(tries > 0, b, a) for a, b in zip(ahead, none, strict=True)]
+        at = newton(there, guess, branch.origin.carried.remainder, tries == 0)
+        residual = jnp.where(at.settled, 0.0, at.size)
+        again = ~(at.settled & at.stable) & (tries == 0)
+        return NextEquilibrium(at.d, place, snapped, residual, at.remainder, at.trial), tries + 1, again
+
+    zero = jnp.zeros_like(branch.step)
+    start = NextEquilibrium(ahead, branch.origin, zero, zero, branch.origin.carried.remainder, branch.origin.memories)
+    return jax.lax.while_loop(lambda now: now[2], attempt, (start, jnp.zeros((), int), jnp.array(True)))[0]
+
+
+@solved.def_jvp
+def _solved_jvp(primals: Any, tangents: Any) -> tuple[Any, Any]:
+    """With r(d, p) = 0: dd = -(dr/dd)^-1 (dr/dp) dp, on the branch where the solution lies."""
+    (branch,) = primals
+    found = solved(branch)
+    tangent = tangent_of(lambda d: found.landed(branch).residual(d), found.d)
+    # A direction in which nothing holds the patella does not change, even where none is held.
+    ridge = (RIDGE * jnp.trace(tangent) - LEAST_HELD) * jnp.eye(6, dtype=tangent.dtype)
+    right = changed_by(lambda b: found.landed(b).residual(found.d), branch, tangents[0])
+    none = jax.tree.map(lambda a: jnp.zeros_like(a) if eqx.is_inexact_array(a) else None, found)
+    return found, none._replace(d=solution_changes(tangent + ridge, right))
+
+
+def carried_along(branch: Branch, state: State) -> Twist:
+    """The displacement over a step of a patella at rest on the moving femur."""
+    femur = branch.guide.femur
+    if femur is None:
+        return Twist(state.velocity, state.spin).times(0.0)
+    turning = state.orientation.unrotate(femur.angular_velocity)
+    return Twist(femur.velocity_at(state.position), turning).times(branch.step)
+
+
+def over_a_snap(ledger: Ledger, branch: Branch, landed: list[Any]) -> Ledger:
+    """Guided bodies move first, then the patella; the stored energy that it loses becomes heat."""
+    held = branch._replace(rates=jnp.zeros_like(branch.rates))
+    standing = held.after([jnp.zeros_like(branch.step)] * 6)
+    loads, _ = branch.system.loads(branch.guide.instant(standing.patella(), 0.0), branch.origin.memories)
+    entered = ledger.entered(branch.origin, standing, loads, branch.step)
+    stored = [sum((x.energy for x in own if x.energy is not None), jnp.zeros(())) for own in (loads, landed)]
+    heat, unknown = entered.heat + stored[0] - stored[1], jnp.zeros_like(entered.begun)
+    return eqx.tree_at(lambda a: (a.heat, a.begun), entered, (heat, unknown))
 
 
 @dataclass(frozen=True)
@@ -58,9 +133,7 @@ class QuasiStatic(Integrator):
         displacement = Twist(state.velocity, state.spin).times(step)
         return with_carried(state, QuasiStaticStep(displacement, zero, jnp.zeros((6, 6), zero.dtype), zero, zero))
 
-    def advance(
-        self, system: System, state: State, guide_at: GuideAt, step: Scalar, ledger: Ledger | None = None
-    ) -> tuple[State, Ledger | None]:
+    def advance(self, system: System, state: State, guide_at: GuideAt, step: Scalar, ledger: Books = None) -> Carry:
         """See `Integrator`."""
         branch = Branch(system, state, guide_at(1.0), step, jnp.ones_like(step))
         found = solved(branch)

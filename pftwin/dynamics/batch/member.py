@@ -67,12 +67,13 @@ def member_motion(task: Task, row: Any, start: Solution) -> dict[str, Any]:
         whole = observe(scene, frame_states(scene, substeps=substeps, **options))  # an outcome may look at anything
         return _Kept.of(scene, whole), whole.status, whole
 
-    error = None
+    largest: dict[str, Array] = {}
     if task.estimate:
         (seen, status, whole), error = run_with_error(
             run, lambda found: found[0].course(), task.substeps, task.integrator.order
         )
         status = status | error.flags.astype(status.dtype)
+        largest = {f"estimated_error_{name}": value for name, value in error.largest.items()}
     else:
         seen, status, whole = run(task.substeps)
     own = {} if task.outcome is None or whole is None else task.outcome(scene, whole)
@@ -83,7 +84,7 @@ def member_motion(task: Task, row: Any, start: Solution) -> dict[str, Any]:
         "sensible": scene_is_valid(scene),
         "status_frames": frames_with_flags(status),
         "equilibrium_residual": start.residual,
-        "summary": {**seen.summary(), **_largest(error)},
+        "summary": {**seen.summary(), **largest},
         "own": own,
         "courses": seen.courses(status) if task.courses else {},
     }
@@ -94,11 +95,7 @@ def run_with_error(
 ) -> tuple[Found, ErrorEstimate]:
     """A run and the error of its steps, told from a second run in twice the step, or half where it has but one.
 
-    Args:
-        run: computes, by steps between two frames. It is compiled once.
-        course: what the estimate compares.
-        substeps: steps between two frames, ().
-        order: of the integrator.
+    `run` computes by steps between two frames and is compiled once; `course` is what the estimate compares.
     """
     others = jnp.where(substeps > 1, substeps // 2, 2)
     both = jax.lax.map(run, jnp.stack([substeps, others]))
@@ -110,10 +107,6 @@ def run_with_error(
 def frames_with_flags(status: Array) -> Array:
     """How many frames have each of `pftwin.dynamics.status.FLAGS`, (flags,), from the status of each (n,)."""
     return jnp.stack([jnp.sum((status & int(flag)) != 0) for flag in FLAGS])
-
-
-def _largest(error: ErrorEstimate | None) -> dict[str, Array]:
-    return {} if error is None else {f"estimated_error_{name}": value for name, value in error.largest.items()}
 
 
 class _Kept(NamedTuple):

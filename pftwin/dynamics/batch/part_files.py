@@ -9,16 +9,18 @@ Every file appears whole or not at all (`pftwin.base.output.written_whole`), and
 
 from __future__ import annotations
 
+import hashlib
 import json
 import re
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
 
 from pftwin.base.errors import InputError
 from pftwin.base.output import make_folder, remove_unfinished
 from pftwin.base.text_files import read_json, write_text
-from pftwin.dynamics.batch.part_numbers import MARKS, checksum, numbers_like
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -29,6 +31,7 @@ _EXPECTED = f"a file of {FORMAT!r}, as pftwin.simulate_batch writes it"
 _UNFINISHED = re.compile(r"^\.(?:batch\.[a-z0-9_]{8}\.json|part_\d+\.[a-z0-9_]{8}\.nc)$")
 _LEFT = 3600.0  # [s] since the last write, after which an unfinished file counts as abandoned
 SHOWN = 60.0  # [s] that a network file system may take to show one machine what another has written
+MARKS = ("part_key", "part", "part_sha256")  # attributes that a part's file has and a batch has not
 _ANEW = "the same call again recomputes this part; delete it first if it comes from elsewhere"
 
 
@@ -38,11 +41,6 @@ class BatchIndex(NamedTuple):
     key: str
     features: dict[str, str]
     units: list[int]  # members of each
-
-    @property
-    def members(self) -> int:
-        """Of the whole batch."""
-        return sum(self.units)
 
 
 def part_file(folder: Path, unit: int) -> Path:
@@ -126,14 +124,9 @@ def write_part(folder: Path, unit: int, key: str, members: Dataset) -> None:
 
 
 def read_part(folder: Path, unit: int, index: BatchIndex, wait: float = 0.0, like: Dataset | None = None) -> Dataset:
-    """A unit's members.
+    """A unit's members; its file may take the time `wait` to appear [s].
 
-    Args:
-        folder: of the batch.
-        unit: its number.
-        index: of the batch.
-        wait: how long the file may take to appear [s].
-        like: another part, most likely with the same variables: what need not be looked up makes reading fast.
+    `like` is another part, most likely with the same variables: what need not be looked up makes reading fast.
 
     Raises:
         InputError: it is not there, damaged, or of another batch.
@@ -171,3 +164,50 @@ def _await(path: Path, wait: float) -> None:
         time.sleep(0.1)
         if path.parent.is_dir():
             list(path.parent.iterdir())  # has a network file system look again
+
+
+def checksum(data: Dataset) -> str:
+    """A hash of all names, shapes and numbers, however a file packs them."""
+    total = hashlib.sha256()
+    for name in sorted(map(str, data.variables)):
+        variable = data[name].variable
+        values = np.asarray(variable.values)
+        total.update(repr((name, variable.dims, values.shape)).encode())
+        if values.dtype.kind in "OU":
+            total.update(json.dumps(values.ravel().tolist()).encode())
+        else:
+            total.update(values.dtype.str.encode() + np.ascontiguousarray(values).tobytes())
+    return total.hexdigest()
+
+
+def numbers_like(like: Dataset, path: Path) -> Dataset | None:
+    """A file's members, as a dataset with the variables, units and attributes of another one.
+
+    xarray takes a fifth of a second to learn what a file holds, ten times what the numbers take. Whether it was right
+    to expect the same again, the checksum says: None, or another checksum, and it has to be read in full.
+
+    Raises:
+        InputError: a file that is too large, or damaged where `check_netcdf` looks.
+    """
+    import h5py
+    from xarray import Dataset
+
+    from pftwin.files.netcdf_check import check_netcdf
+
+    check_netcdf(path)
+    try:
+        with h5py.File(path, "r") as file:
+            own = {n: v for n, v in like.variables.items() if v.dims[:1] == ("variant",)}
+            read = {n: v.copy(data=_values(file[str(n)], v.dtype)) for n, v in own.items()}
+            marks = {name: np.asarray(file.attrs[name]).item() for name in MARKS}
+    except (KeyError, ValueError, TypeError, OSError, RuntimeError):  # other variables, or a damaged file
+        return None
+    whole = {n: read.get(n, v) for n, v in like.variables.items()}
+    data = {n: v for n, v in whole.items() if n not in like.coords}
+    return Dataset(data, {n: whole[n] for n in like.coords}, {**like.attrs, **marks})
+
+
+def _values(variable: Any, kind: np.dtype[Any]) -> np.ndarray[Any, Any]:
+    if kind.kind == "U":
+        return np.array(variable.asstr()[()].tolist(), dtype=str)
+    return variable[()].astype(kind, copy=False)

@@ -15,11 +15,10 @@ from typing import TYPE_CHECKING, Any
 
 import jax
 import numpy as np
-from numpy.typing import NDArray
 
 from pftwin.base.errors import InputError, OutputError, PftwinError, PftwinWarning
 from pftwin.dynamics.batch.batch_dataset import dataset
-from pftwin.dynamics.batch.batch_key import batch_features, key_of
+from pftwin.dynamics.batch.devices import Processes
 from pftwin.dynamics.batch.part_files import (
     SHOWN,
     BatchIndex,
@@ -30,8 +29,7 @@ from pftwin.dynamics.batch.part_files import (
     write_part,
 )
 from pftwin.dynamics.batch.parts import concatenated_parts
-from pftwin.dynamics.batch.plan import BatchPlan, some_of
-from pftwin.dynamics.batch.processes import Processes
+from pftwin.dynamics.batch.plan import BatchPlan, batch_features, key_of, some_of
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -41,19 +39,17 @@ Tell = Callable[[int, int], None]
 
 
 class InParts:
-    """One call's work on a batch's folder.
+    """One call's work on a batch's folder, in units of so many members.
 
-    Args:
-        plan: the batch.
-        folder: of its parts.
-        unit: members of a unit.
-        share: which of how many shares is computed; None: what is missing, over all processes.
-        tell: called with the members done and of all that this process has to do.
+    Without a share it computes what is missing, over all processes. `tell` is called with the members done and of all
+    that this process has to do.
     """
 
     def __init__(self, plan: BatchPlan, folder: Path, unit: int, share: Share | None, tell: Tell | None) -> None:
         self.plan, self.folder, self.share, self.tell = plan, folder, share, tell
-        self.units = _units(plan, unit)
+        numbers = [np.arange(len(g.places)) for g in plan.groups]
+        # Group and members of each unit, by their numbers within the group.
+        self.units = [(k, n[i : i + unit]) for k, n in enumerate(numbers) for i in range(0, len(n), unit)]
         found = batch_features(plan, unit)
         self.index = BatchIndex(key_of(found), found, [len(which) for _, which in self.units])
         self.processes = Processes()
@@ -152,12 +148,9 @@ class InParts:
         for k in range(len(self.plan.groups)):
             waiting = [u for u in units if self.units[u][0] == k]
             while waiting:
-                some = waiting[: self._at_once(waiting[0])]
-                waiting = waiting[len(some) :]
-                self._written(k, some)
-
-    def _at_once(self, unit: int) -> int:
-        return max(1, self.plan.spread.most * self.plan.threads // self.index.units[unit])
+                at_once = max(1, self.plan.spread.most * self.plan.threads // self.index.units[waiting[0]])
+                self._written(k, waiting[:at_once])
+                waiting = waiting[at_once:]
 
     def _written(self, k: int, units: list[int]) -> None:
         plan, tell = self.plan, self.tell
@@ -173,9 +166,3 @@ class InParts:
             write_part(self.folder, unit, self.index.key, members)
             self.done[unit] = members
         self.counted += last
-
-
-def _units(plan: BatchPlan, size: int) -> list[tuple[int, NDArray[np.int64]]]:
-    """Group and members of each unit, by their numbers within the group."""
-    numbers = [np.arange(len(g.places)) for g in plan.groups]
-    return [(k, n[i : i + size]) for k, n in enumerate(numbers) for i in range(0, len(n), size)]

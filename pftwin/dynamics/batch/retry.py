@@ -28,14 +28,9 @@ Found = dict[str, Any]
 def all_members(
     spread: Sharding, task: Task, rows: Any, relaxed: bool = False, threads: int = 1, progress: Any = None
 ) -> Found:
-    """Equilibria and motions of all rows (n, ...), on the host.
+    """Equilibria and motions of all rows, a tree of (n, ...), on the host.
 
-    Args:
-        spread: the devices.
-        task: what members share.
-        rows: tree of (n, ...).
-        relaxed: whether damped motion comes before the search for equilibrium.
-        threads, progress: as `Sharding.over` has them.
+    Where `relaxed`, damped motion comes before the search for equilibrium; `threads`, `progress`: see `Sharding.over`.
     """
     shared = spread.shared(task)
 
@@ -50,14 +45,7 @@ def all_members(
 def with_care(
     spread: Sharding, task: Task, rows: Any, found: Found, bad_ones: tuple[Status, ...] = BAD
 ) -> NDArray[np.int8]:
-    """Recomputes, in `found`, the members that are bad: from another start, by smaller steps, by another integrator.
-
-    Args:
-        spread: the devices.
-        task: what members share.
-        rows: tree of (n, ...).
-        found: what came out of them.
-        bad_ones: flags that make a member bad.
+    """Recomputes, in `found`, the members with bad flags: from another start, by smaller steps, by another integrator.
 
     Returns:
         What was done, (n,), an index into `WAYS`. A member that stays bad keeps its first result.

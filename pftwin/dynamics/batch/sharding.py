@@ -5,8 +5,6 @@ Every device loops over its pieces, and their number is not part of the program.
 last bit whatever the chunk size and its place in the batch. For several devices XLA partitions the program with passes
 that a single-device program does not need, so results on one device and on several differ by rounding. Incomplete
 pieces are padded with copies of the last member; unused pieces are not run.
-
-A function of shared values and of per-member rows, with the rows distributed over devices.
 """
 
 from __future__ import annotations
@@ -107,7 +105,7 @@ class Sharding:
     def shared(self, tree: Any) -> Any:
         """Copies what all members share to every device."""
         place = NamedSharding(self._mesh, SHARED)
-        return jax.tree.map(lambda a: jax.device_put(a, place) if _is_array(a) else a, tree)
+        return jax.tree.map(lambda a: jax.device_put(a, place) if is_array(a) else a, tree)
 
     def placed(self, each: Any, chunk: Chunk) -> Any:
         """A chunk's rows of arrays (n, ...), each on its device."""
@@ -115,13 +113,9 @@ class Sharding:
         return jax.tree.map(lambda a: jax.device_put(np.asarray(a)[chunk.rows], place), each)
 
     def run(self, function: Callable[..., Any], shared: Any, chunk: Chunk, each: Any) -> Any:
-        """function(shared, *row) of a chunk, left on the devices.
+        """function(shared, *row) of a chunk, left on the devices, for trees from `placed` or of `run`'s answers.
 
-        Args:
-            function: pure; defined at module level, since its identity is the key of the compiled program.
-            shared: from `shared`.
-            chunk: from `chunks`.
-            each: a tuple of trees, from `placed` or of `run`'s answers.
+        The function is pure, and defined at module level: its identity is the key of the compiled program.
         """
         counts = jax.device_put(chunk.counts, NamedSharding(self._mesh, SPLIT))
         return _on_devices(function, self._mesh, shared, counts, each)
@@ -138,13 +132,10 @@ class Sharding:
     def over(
         self, work: Callable[[Chunk], Any], n: int, threads: int = 1, progress: Callable[[int, int], None] | None = None
     ) -> Any:
-        """The results of `work` for all chunks, concatenated.
+        """The results of `work`, from a chunk to a tree of arrays on the host, for all chunks of n members, in one.
 
-        Args:
-            work: from a chunk to a tree of arrays on the host.
-            n: members.
-            threads: chunks computed at once; they use all cores even where JAX counts the CPU as one device.
-            progress: called with the number of members done and of all.
+        So many threads use all cores even where JAX counts the CPU as one device. `progress` is told the number of
+        members done and of all.
         """
         done = 0
 
@@ -166,7 +157,8 @@ class Sharding:
         return parts[0] if len(parts) == 1 else jax.tree.map(lambda *a: np.concatenate(a), *parts)
 
 
-def _is_array(a: Any) -> bool:
+def is_array(a: Any) -> bool:
+    """Whether something is an array of JAX or NumPy."""
     return isinstance(a, jax.Array | np.ndarray | np.generic)
 
 
@@ -175,14 +167,10 @@ SHARED, SPLIT = PartitionSpec(), PartitionSpec(AXIS)
 
 
 def shard_over(mesh: Mesh, function: Callable[..., Any], shared: Any, each: tuple[Any, ...], out: Any = SPLIT) -> Any:
-    """function(shared, *each) on every device of a mesh with its own rows. For use within a compiled program.
+    """function(shared, *each) on every device of a mesh over `AXIS` with its own rows, within a compiled program.
 
-    Args:
-        mesh: one-dimensional, over `AXIS`.
-        function: pure; it is given its device's rows.
-        shared: a tree; its leaves that are not arrays stay static.
-        each: trees of arrays whose leading axis is distributed over the devices.
-        out: how the result's axes are distributed.
+    Leaves of `shared` that are not arrays stay static. The leading axis of arrays in `each` is distributed over the
+    devices; `out` says how the result's axes are.
     """
     arrays, fixed = eqx.partition(shared, eqx.is_array)
     # Loop carries differ between devices; the check that would have to prove this is off.

@@ -22,7 +22,7 @@ from small_scene import small_scene
 
 import pftwin
 from pftwin.base.errors import OutputError, PftwinError
-from pftwin.dynamics.batch import batch_key, resumable
+from pftwin.dynamics.batch import plan, resumable
 from pftwin.dynamics.batch.member import FLAGS
 from pftwin.dynamics.batch.part_files import write_part
 from pftwin.dynamics.batch.plan import BatchPlan
@@ -63,7 +63,7 @@ def made_cheap(put: Any = setattr) -> Cheap:
     """Puts it in the place of the physics, by setattr or pytest's `monkeypatch.setattr`."""
     cheap = Cheap()
     put(BatchPlan, "found", lambda plan, k, rows, progress=None: cheap.found(plan, k, rows, progress))
-    put(batch_key, "_program", lambda task, row: "cheap")
+    put(plan, "_program", lambda task, row: "cheap")
     return cheap
 
 

@@ -14,7 +14,7 @@ from small_scene import small_scene
 
 from pftwin import simulate_batch
 from pftwin.base.errors import InputError, OutputError, PftwinWarning
-from pftwin.dynamics.batch import batch_key
+from pftwin.dynamics.batch import plan
 from pftwin.dynamics.batch.member import Task
 from pftwin.dynamics.batch.parts import missing_parts, read_parts
 from pftwin.dynamics.batch.simulate_batch import unit_for
@@ -208,9 +208,9 @@ def test_another_function_is_another_batch():
         return scene.with_effect(type(tendon)(**{**vars(tendon), "stiffness": row[0] * factor[0]}))
 
     def program():
-        batch_key._text.cache_clear()
+        plan._text.cache_clear()
         task = Task(scene, change, jnp.asarray(2), "symplectic_euler", False, False, None)
-        return batch_key._traced(_changed, (task, row))[0]
+        return plan._traced(_changed, (task, row))[0]
 
     first = program()
     assert program() == first

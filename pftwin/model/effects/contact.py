@@ -134,8 +134,7 @@ def force_along(
     """A law's force along a direction.
 
     Args:
-        law: the normal contact law.
-        now: the instant; its `lookahead` says how far ahead of a step's start it is.
+        law, now: the normal contact law, and the instant.
         indentation, rate: [m], [m/s].
         direction, moment: of a unit force on the patella: world axes, and patella axes about the centre of mass [m].
         approach_speed: `ContactPush.approach_speed` of the last load.
@@ -200,10 +199,34 @@ class Touch(NamedTuple, Generic[P]):
     push: ContactPush
 
 
-class ButtonSphere(Contact):
+class FixedButton(Contact):
+    """A contact whose button is fixed in the patella, at the field that `tracked_point` returns.
+
+    Subclasses declare a `surface`, that of the femur or a smooth stand-in that tells where the groove is.
+    """
+
+    if TYPE_CHECKING:  # fields of the subclasses, in their own order
+
+        @property
+        def surface(self) -> Surface | None: ...  # noqa: D102
+
+    def groove_surface(self) -> Surface | None:
+        """The surface, or its stand-in."""
+        return self.surface
+
+    def with_button_moved(self, by: Vec3) -> Self:
+        """See `Contact`."""
+        return eqx.tree_at(lambda e: e.tracked_point(), self, self.tracked_point() + by)
+
+    def recentred(self, center_of_mass: Vec3) -> Self:
+        """The button's place counted from the centre of mass."""
+        return self.with_button_moved(-center_of_mass)
+
+
+class ButtonSphere(FixedButton):
     """A contact whose button is a sphere fixed in the patella: `center` in its frame and `radius` [m].
 
-    Subclasses declare these and a `law` and `surface`, that of the femur or a stand-in that tells where the groove is.
+    Subclasses declare these and a `law`.
     """
 
     if TYPE_CHECKING:  # fields of the subclasses, in their own order
@@ -214,8 +237,6 @@ class ButtonSphere(Contact):
         def center(self) -> Vec3: ...  # noqa: D102
         @property
         def radius(self) -> Scalar: ...  # noqa: D102
-        @property
-        def surface(self) -> Surface | None: ...  # noqa: D102
 
     def centre_in_femur(self, now: Instant) -> tuple[Vec3, Vec3]:
         """The sphere's centre in the femur's frame and its velocity relative to it, femur axes [m], [m/s]."""
@@ -267,24 +288,9 @@ class ButtonSphere(Contact):
         """The sphere's."""
         return self.radius
 
-    def groove_surface(self) -> Surface | None:
-        """The surface, or its stand-in."""
-        return self.surface
 
-    def with_button_moved(self, by: Vec3) -> Self:
-        """See `Contact`."""
-        return eqx.tree_at(lambda e: e.center, self, self.center + by)
-
-    def recentred(self, center_of_mass: Vec3) -> Self:
-        """The sphere's centre counted from the centre of mass."""
-        return self.with_button_moved(-center_of_mass)
-
-
-class ButtonMesh(Contact):
-    """A contact whose button is a mesh fixed in the patella: its `origin` there [m], axes parallel to the patella's.
-
-    Subclasses declare this and `surface`, a smooth stand-in that tells where the groove is.
-    """
+class ButtonMesh(FixedButton):
+    """A contact whose button is a mesh fixed in the patella: its `origin` there [m], axes parallel to the patella's."""
 
     in_turns: ClassVar[bool] = True
 
@@ -292,21 +298,7 @@ class ButtonMesh(Contact):
 
         @property
         def origin(self) -> Vec3: ...  # noqa: D102
-        @property
-        def surface(self) -> Surface | None: ...  # noqa: D102
 
     def tracked_point(self) -> Vec3:
         """The origin of the button's mesh: the middle of a sphere."""
         return self.origin
-
-    def groove_surface(self) -> Surface | None:
-        """The stand-in."""
-        return self.surface
-
-    def with_button_moved(self, by: Vec3) -> Self:
-        """See `Contact`."""
-        return eqx.tree_at(lambda e: e.origin, self, self.origin + by)
-
-    def recentred(self, center_of_mass: Vec3) -> Self:
-        """The mesh's origin counted from the centre of mass."""
-        return self.with_button_moved(-center_of_mass)

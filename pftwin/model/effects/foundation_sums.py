@@ -124,14 +124,16 @@ def _sums_over_leaves(at: Bedded, found: TouchingLeaves, start: Array) -> Sums:
     number = first + jnp.arange(leaf.shape[0], dtype=jnp.int32)
     there = (number >= start) & (number < found.total)
     d = depths_in(at.button, at.femur, at.position, at.rotation, leaf, place, there)
-    rows = _unit_wrenches(at, d)
+    rows = _wrenches(at, d, d.normal)
     # Per triangle; all zero where it is not in contact.
     pressure, slope, stored = at.law.press(jnp.where(d.listed, d.depth, -1.0))
     elastic, stiffness = d.area * pressure, d.area * slope
     force = elastic - at.damping_time * stiffness * (at.twist @ rows)
     kept = jnp.where(force > 0, stored, 0.0)
     force, elastic, stiffness = (jnp.where(force > 0, a, 0.0) for a in (force, elastic, stiffness))
-    turning = _area_wrench(at, d, kept)
+    # What changes of the projected areas add, so that forces and moments are the energy's slopes.
+    moved = _wrenches(at, d, d.sliding) @ kept
+    turning = moved + jnp.concatenate([jnp.zeros(3, kept.dtype), kept @ d.tilting.array()])
     forces = Forces(
         force=rows @ force + turning,
         elastic=rows @ elastic + turning,
@@ -154,24 +156,9 @@ def _sums_over_leaves(at: Bedded, found: TouchingLeaves, start: Array) -> Sums:
     return forces, pressures
 
 
-def _unit_wrenches(at: Bedded, d: Depths) -> Array:
-    """(6, triangles): force along the normal in world axes and its moment about the centre of mass, patella axes."""
-    return _wrenches(at, d, d.normal)
-
-
-def _area_wrench(at: Bedded, d: Depths, energy: Scalar) -> Array:
-    """(6,): what changes of the projected areas add, so that forces and moments are the energy's slopes.
-
-    Args:
-        at, d: the triangles.
-        energy: per area of each [J/m^2].
-    """
-    moved = _wrenches(at, d, d.sliding) @ energy
-    return moved + jnp.concatenate([jnp.zeros(3, energy.dtype), energy @ d.tilting.array()])
-
-
 def _wrenches(at: Bedded, d: Depths, forces: Vec3) -> Array:
-    """(6, triangles) of forces at the centroids, in femur axes: as of `_unit_wrenches`."""
+    """(6, triangles) of forces at the centroids, femur axes: world axes, and moments about the centre of mass, patella
+    axes."""
     arm = d.local + Vec3(*(jnp.broadcast_to(a, d.depth.shape) for a in (at.origin.x, at.origin.y, at.origin.z)))
     moment = arm.cross(at.rotation.unapply(forces))
     direction = forces if at.world is None else at.world.apply(forces)

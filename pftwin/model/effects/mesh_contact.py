@@ -68,17 +68,16 @@ class MeshContact(ButtonMesh):
         center = femur.to_local(patella.position + patella.arm(self.origin))
         return Pose(center, Quaternion.from_rotation(now.turn_in_femur()))
 
-    def _swallowed(self, now: Instant, found: Contacts) -> Behind:
-        """Whether the patella's mesh is wholly behind the femur's: no triangles meet, and one corner is behind."""
-        corner = self._pose(now).apply(Vec3.from_array(self.patella.tree.triangles[0, :3]))
-        femur = self.femur
-        return behind(femur.tree.triangles, femur.source, femur.rim, corner, found.pairs == 0)
-
-    def _engulfed(self, now: Instant, found: Contacts) -> Behind:
-        """Whether the femur's mesh is wholly inside the patella's: an open one of a part of the femur can be."""
-        corner = self._pose(now).unapply(Vec3.from_array(self.femur.tree.triangles[0, :3]))
-        patella = self.patella
-        return behind(patella.tree.triangles, patella.source, patella.rim, corner, found.pairs == 0)
+    def _swallowed(self, now: Instant, found: Contacts) -> list[Behind]:
+        """Whether the patella's mesh is wholly behind the femur's, or the femur's inside the patella's, as an open one
+        of a part of the femur can be: no triangles meet, and one corner is behind."""
+        pose = self._pose(now)
+        pairs = (self.patella, pose.apply, self.femur), (self.femur, pose.unapply, self.patella)
+        corners = [place(Vec3.from_array(inner.tree.triangles[0, :3])) for inner, place, _ in pairs]
+        return [
+            behind(outer.tree.triangles, outer.source, outer.rim, corner, found.pairs == 0)
+            for corner, (_, _, outer) in zip(corners, pairs, strict=True)
+        ]
 
     def _hollow(self, found: Contacts) -> Array:
         """Whether a contour is so wide that it must enclose a corner, and yet none was found within reach."""
@@ -121,12 +120,11 @@ class MeshContact(ButtonMesh):
         points = [jnp.where(c.area > 0, c.point.array(), jnp.nan) for c in found.each]
         report = facet_report(total, forces, indentations, points)
         report["contour_area"] = sum((c.area for c in found.each[1:]), start=found.each[0].area)
-        inside = self._swallowed(now, found)
+        inside, engulfed = self._swallowed(now, found)
         for k, facet in enumerate(FACETS[: self.femur.facets]):
             # Without force, yet deep in contact: the corner's distance to the surface is the indentation.
             here = inside.there & (self.femur.facet(inside.place) == k)
             report[f"indentation_{facet}"] = jnp.where(here, inside.depth, report[f"indentation_{facet}"])
-        engulfed = self._engulfed(now, found)
         medial = report["indentation_medial"]
         report["indentation_medial"] = jnp.where(engulfed.there & ~inside.there, engulfed.depth, medial)
         too_deep = found.too_deep | inside.there | engulfed.there | self._hollow(found)

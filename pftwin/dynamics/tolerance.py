@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Generic, NamedTuple, TypeVar
 
 import numpy as np
@@ -58,36 +58,7 @@ class Choice(Generic[Run]):
     run: Run  # what was computed with it
     substeps: int
     error: ErrorEstimate
-
-    @property
-    def settings(self) -> dict[str, Any]:
-        """What a result should say of it, beside the steps."""
-        return {}
-
-
-@dataclass(frozen=True)
-class Held(Choice[Run]):
-    """The choice for a tolerance."""
-
-    tolerance: Tolerance
-    tried: dict[int, float]  # estimates of all that was tried [m or N]
-
-    @property
-    def estimate(self) -> float:
-        """What of the error is to stay within the tolerance [m or N]."""
-        return self.tried[self.substeps]
-
-    @property
-    def held(self) -> bool:
-        """Whether it is."""
-        return self.estimate <= self.tolerance.value
-
-    @property
-    def settings(self) -> dict[str, Any]:
-        """The tolerance, the estimate, and whether it is held."""
-        unit = self.tolerance.unit
-        found = {f"tolerance_{unit}": self.tolerance.value, f"estimated_error_{unit}": self.estimate}
-        return {**found, "tolerance_held": self.held}
+    settings: dict[str, Any] = field(default_factory=dict)  # what a result should say of it, beside the steps
 
 
 def parse_tolerance(given: str | float) -> Tolerance:
@@ -141,33 +112,31 @@ def accurate_enough(run: Callable[[int], Tried[Run]], n: int, order: float) -> C
     return Choice(here.run, n, error)
 
 
-def coarsest(run: Callable[[int], Tried[Run]], order: float, tolerance: Tolerance) -> Held[Run]:
+def coarsest(run: Callable[[int], Tried[Run]], order: float, tolerance: Tolerance) -> Choice[Run]:
     """The fewest steps between two frames, of 1, 2, 4, ..., that hold the tolerance.
 
-    Args:
-        run: from a number of steps to what is to be kept.
-        order: of the integrator.
-        tolerance: of path or force.
+    Its settings tell the tolerance, the estimate of what is to stay within it, and whether it does.
 
     Warns where none holds it: the finest that an error is known of is then the choice.
     """
-    tried: dict[int, float] = {}
     n, here = 1, run(1)
     while True:
         finer = run(2 * n)
         error = _error_of(here, finer, order, 0.5)
-        tried[n] = found = tolerance.measure(error)
-        if found <= tolerance.value or 2 * n >= MOST_SUBSTEPS:
+        found = tolerance.measure(error)
+        held = found <= tolerance.value
+        if held or 2 * n >= MOST_SUBSTEPS:
             break
         n, here = 2 * n, finer
-    if found > tolerance.value:
+    if not held:
         warnings.warn(
             f"a tolerance of {tolerance.text(tolerance.value)} is not met with {n} steps between two frames:"
             f" the estimated error is {tolerance.text(found)}",
             PftwinWarning,
             stacklevel=4,
         )
-    return Held(here.run, n, error, tolerance, tried)
+    told = {f"tolerance_{tolerance.unit}": tolerance.value, f"estimated_error_{tolerance.unit}": found}
+    return Choice(here.run, n, error, {**told, "tolerance_held": held})
 
 
 def _error_of(run: Tried[Any], other: Tried[Any], order: float, ratio: float) -> ErrorEstimate:

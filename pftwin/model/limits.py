@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 _PROXIMAL = np.array([1.0, 0.0, 0.0])
 _UPWARD = 0.5  # share of a pull that is proximal: a retinaculum's is less, a quadriceps' more
+_UNITS = {"rad_per_s": "rad/s", "m_per_s": "m/s", "m_per_s2": "m/s^2", "share": "times the distance", "lines": ""}
 _ROUNDED = 0.02  # by how much, as a share, rounded moments of inertia may break the triangle inequality
 
 
@@ -139,16 +140,7 @@ def upward_lines(scene: Scene) -> int:
 
 def _unit(name: str) -> str:
     """The unit at the end of a limit's name, as it is written."""
-    for ending, unit in (
-        ("rad_per_s", "rad/s"),
-        ("m_per_s", "m/s"),
-        ("m_per_s2", "m/s^2"),
-        ("share", "times the distance"),
-        ("lines", ""),
-    ):
-        if name.endswith(ending):
-            return unit
-    return name.rpartition("_")[2]
+    return next((unit for ending, unit in _UNITS.items() if name.endswith(ending)), name.rpartition("_")[2])
 
 
 def _of_body(scene: Scene) -> Iterator[Found]:
@@ -231,10 +223,9 @@ def _of_motion(scene: Scene) -> Iterator[Found]:
         ("adduction", np.abs(adduction), "", "most_adduction_deg"),
         ("internal or external rotation", np.abs(rotation), "", "most_rotation_deg"),
     ):
-        for i, limit in ((int(np.argmin(values)), least), (int(np.argmax(values)), most)):
-            kind = {"least": limit} if limit == least else {"most": limit}
+        for kind, limit, i in (("least", least, np.argmin(values)), ("most", most, np.argmax(values))):
             when = f"{scene.motion.times[i]:.3f} s (axes, side, or clusters of the other side?)"
-            yield Found(f"the knee's {what} at {when}", float(values[i]), **kind)
+            yield Found(f"the knee's {what} at {when}", float(values[i]), **{kind: limit})
 
 
 def _turned(rotation: Rotation, points: Floats) -> Floats:

@@ -95,31 +95,11 @@ class Measured:
 
     @staticmethod
     def from_angles(
-        times: ArrayLike,
-        center: ArrayLike,
-        *,
-        flexion: ArrayLike,
-        rotation: ArrayLike,
-        tilt: ArrayLike,
-        contact_force: NDArray[np.float64] | None = None,
-        tibial_spring_force: NDArray[np.float64] | None = None,
-        femoral_spring_force: NDArray[np.float64] | None = None,
-        synthetic: bool = False,
-        source: str = "measurements",
+        times: ArrayLike, center: ArrayLike, *, flexion: ArrayLike, rotation: ArrayLike, tilt: ArrayLike, **others: Any
     ) -> Measured:
-        """From the patella's angles (n,) [rad], by the conventions of `pftwin.base.rotations`."""
-        turns = (np.asarray(a, dtype=np.float64) for a in (flexion, rotation, tilt))
-        q = patellar_orientation(*turns)
-        return Measured(
-            np.asarray(times),
-            np.asarray(center),
-            host_array(q),
-            contact_force,
-            tibial_spring_force,
-            femoral_spring_force,
-            synthetic=synthetic,
-            source=source,
-        )
+        """From the patella's angles (n,) [rad], by the conventions of `pftwin.base.rotations`, and any other fields."""
+        q = patellar_orientation(*(np.asarray(a, dtype=np.float64) for a in (flexion, rotation, tilt)))
+        return Measured(np.asarray(times), np.asarray(center), host_array(q), **others)
 
     def __eq__(self, other: object) -> bool:
         """By content, so that scenes which carry the same measurements have one structure."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import equinox as eqx
 import jax
@@ -23,8 +23,6 @@ if TYPE_CHECKING:
     from pftwin.model.drawn_bones import DrawnBones
     from pftwin.model.effects.contact import Contact
     from pftwin.model.measured import Measured
-
-E = TypeVar("E", bound=Effect)
 
 
 class PatellaBody(eqx.Module):
@@ -117,7 +115,7 @@ class Scene(eqx.Module):
         return Vec3.zero() if self.contact is None else self.contact.tracked_point()
 
     def get(self, name: str) -> Any:
-        """A number, an array or a vector of the scene by its name: "K1", "quadriceps.stiffness", "patella.mass".
+        """A number, an array or a vector (`Vec3`) of the scene by its name: "K1", "quadriceps.origin", "patella.mass".
 
         Raises:
             InputError: no such number, with the nearest name that there is.
@@ -125,7 +123,8 @@ class Scene(eqx.Module):
         return get_value(self, name)
 
     def set(self, name: str, value: Any) -> Scene:
-        """The scene with another value under a name, in SI units. Pure: jit, vmap and derivatives apply.
+        """The scene with another value under a name, in SI units: of the field's shape; of a vector such as
+        "quadriceps.origin" a `Vec3` or an array (..., 3). Pure: jit, vmap and derivatives apply.
 
         Raises:
             InputError: no such number; a value of another shape.

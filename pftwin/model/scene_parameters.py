@@ -104,27 +104,14 @@ def _expected(full: str, shape: tuple[int, ...]) -> str:
 
 
 def get_value(scene: Scene, name: str) -> Any:
-    """The value under a name in a scene: an array, or a `Vec3` of arrays.
-
-    Raises:
-        InputError: no such number.
-    """
+    """See `Scene.get`."""
     if (vector := _vector(scene, name)) is not None:
         return follow(owner_of(scene, vector[0]), vector[1])
     return _one_place(scene, name).read(scene)
 
 
 def with_value(scene: Scene, name: str, value: Any) -> Scene:
-    """The scene with another value under a name. Pure: the value, and any leaf of the scene, may be traced.
-
-    Args:
-        scene: that has such a number.
-        name: as `find` knows it, or that of a vector ("quadriceps.origin").
-        value: of the field's shape; of a vector a `Vec3` or an array (..., 3); SI units.
-
-    Raises:
-        InputError: no such number; a value of another shape.
-    """
+    """See `Scene.set`."""
     if (vector := _vector(scene, name)) is not None:
         owner, path = vector
         old = follow(owner_of(scene, owner), path)

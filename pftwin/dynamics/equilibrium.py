@@ -1,15 +1,9 @@
 """Static equilibrium of the patella on guided bodies that stand still.
 
-Newton-Raphson with a trust region (Michaud et al. 2024, section 2.3.3 solve the same problem by Newton-Raphson): the
-tangent of the whole static load, contacts included, is shifted by |r| / reach, which bounds a step by `reach` and
-vanishes at the solution, so the last iterations converge quadratically. The tangent is not made symmetric: forces from
-contours of meshes have no potential, and with a symmetric tangent the search can cycle between facets. Where it is
-indefinite (between two equilibria) the positive semidefinite part of the stiff terms replaces it. If the search stalls,
+Newton-Raphson (Michaud et al. 2024, section 2.3.3) with a trust region: see docs/physics.md. If the search stalls,
 as on a coarse mesh whose forces jump across edges, the shift grows with every step that increases the residual and
-shrinks with every step that lowers it. `pftwin.dynamics.relaxation` is the fallback.
-
-The tangent is taken by central differences: as good as automatic differentiation here (relative error 1e-8 in float64)
-and much quicker to compile.
+shrinks with every step that lowers it. `pftwin.dynamics.relaxation` is the fallback. The tangent is taken by central
+differences: as good as automatic differentiation here (relative error 1e-8 in float64) and much quicker to compile.
 """
 
 from __future__ import annotations
@@ -157,7 +151,8 @@ def _improved(system: System, guide: Guide, at: _Iterate) -> _Iterate:
     there = look_around(system, lambda d: patella_at_rest(guide, displaced_pose(at.pose, d)), at.memories, at.residual)
     r, stiffness = there.residual(), there.tangent()
     size = _size(r)
-    caution = _caution(at, size)
+    changed = jnp.clip(at.caution * jnp.where(size > at.residual, 4.0, 0.5), 1.0, MOST_CAUTION)
+    caution = jnp.where(at.count < PATIENCE, 1.0, changed)  # above 1 where the search has stalled
     d = downhill(there, caution * size / REACH)
     length = _size(d)
     shorter = jnp.minimum(1.0, 2 * REACH / jnp.maximum(length, 1e-12))
@@ -168,12 +163,6 @@ def _improved(system: System, guide: Guide, at: _Iterate) -> _Iterate:
     scale = jnp.where(done | searching | ~jnp.isfinite(length), 0.0, shorter)
     d = [jnp.where(scale == 0, 0.0, scale * a) for a in d]
     return _Iterate(displaced_pose(at.pose, d), there.memories, size, stiffness, rounding, at.count + 1, done, caution)
-
-
-def _caution(at: _Iterate, size: Scalar) -> Scalar:
-    """The factor on the shift: above 1 where the search has stalled."""
-    changed = jnp.clip(at.caution * jnp.where(size > at.residual, 4.0, 0.5), 1.0, MOST_CAUTION)
-    return jnp.where(at.count < PATIENCE, 1.0, changed)
 
 
 def _start(system: System, guide: Guide, guess: Pose) -> _Iterate:

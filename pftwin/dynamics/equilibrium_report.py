@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 
 from pftwin.base.leaves import host_array
 from pftwin.base.program_cache import Program
-from pftwin.base.spatial import Pose, Quaternion
+from pftwin.base.spatial import Pose
 from pftwin.dynamics.equilibrium import Solution, tolerance_on_host
 from pftwin.dynamics.frame_states import first_guide
+from pftwin.dynamics.observe import instant_and_frame
 from pftwin.dynamics.state import System
-from pftwin.dynamics.static_load import LEVER
+from pftwin.dynamics.static_load import LEVER, patella_at_rest
 from pftwin.dynamics.status import RESERVATIONS, Status, status_facts
-from pftwin.model.effects.base import Patella
 from pftwin.model.scene import Scene
 
 _NEUTRAL = 1e-6  # of the largest stiffness: below, a direction counts as neutral
@@ -51,13 +51,8 @@ class EquilibriumReport:
     ) -> EquilibriumReport:
         """The report on a solution.
 
-        It does not raise: a solution that did not converge says so in `converged` and `description`.
-
-        Args:
-            scene: whose equilibrium it is.
-            solution: of the search.
-            relaxed: whether damped relaxation had to help.
-            there: pose of the patella in the femur and observables; by default they are looked up.
+        It does not raise: a solution that did not converge says so in `converged` and `description`. `there` are the
+        patella's pose in the femur and observables; by default they are looked up.
         """
         pose, seen = on_host(_observe_at(scene.unnamed(), solution.pose) if there is None else there)
         # Plain numpy from here on: fetched first, no little programs are compiled for a handful of numbers.
@@ -147,14 +142,10 @@ class EquilibriumReport:
 def _observe_at(scene: Scene, pose: Pose) -> tuple[Pose, dict[str, dict[str, Any]]]:
     """Pose of the patella in the femur and observables, with the patella at rest at a pose of its centre of mass."""
     system, guide = System.of(scene), first_guide(scene)
-    now = guide.instant(Patella.at_rest(pose.position, pose.orientation), 0.0)
+    now = patella_at_rest(guide, pose)
     memories = system.remember(now)
     seen = {e.name: e.observe(now, m) for e, m in zip(system.effects, memories, strict=True)}
-    turn = pose.orientation
-    origin = now.femur.to_local(pose.position - turn.rotate(scene.patella.center_of_mass))
-    if guide.femur is not None:
-        turn = Quaternion.from_rotation(guide.femur.rotation).conjugate() * turn
-    return Pose(origin, turn), seen
+    return instant_and_frame(scene, system.at_rest(pose, memories), guide)[1], seen
 
 
 def on_host(tree: Any) -> Any:
@@ -174,8 +165,7 @@ def _turned(q: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float6
 def _eigenvalues(stiffness: NDArray[np.float64]) -> NDArray[np.float64]:
     if not np.isfinite(stiffness).all():
         return np.full(6, np.nan)
-    found = np.linalg.eigvals(stiffness).real  # complex only where forces have no potential
-    return np.sort(np.asarray(found, dtype=np.float64))
+    return np.sort(np.linalg.eigvals(stiffness).real)  # complex only where forces have no potential
 
 
 def _loaded_facets(seen: Seen) -> tuple[str, ...]:

@@ -114,14 +114,9 @@ class ErrorEstimate:
 
 
 def error_of(run: Course, other: Course, order: float, ratio: Any, xp: Any = np) -> ErrorEstimate:
-    """Of a run, from another one of the same scene.
+    """Of a run, from another one of the same scene, by an integrator of this order.
 
-    Args:
-        run: whose error it is.
-        other: to compare it with.
-        order: of the integrator.
-        ratio: of the other's step to the run's: 2 where the other has half as many steps, 1/2 where twice as many.
-        xp: numpy, or `jax.numpy` in a program.
+    `ratio` is that of the other's step to the run's: 2 where the other has half as many steps, 1/2 where twice as many.
     """
     found = apart(run, other, xp)
     return found.times(1 / abs(ratio ** path_power(order) - 1), 1 / abs(ratio**FORCE_POWER - 1))

@@ -7,9 +7,9 @@ and V stored energy,
     numerical dissipation = work done on the patella - (T - T at the start),
     remainder = (T + V) - (T + V at the start) - work + heat + numerical dissipation.
 
-The laws of motion make the first zero: it is what the step's own formula takes, or creates where it is negative, of the
-integrator's order. The second is the trapezoids' own error, of second order. Heat is the power of dashpots alone, both
-of whose forces, damped and elastic, are of one instant: of two, heat would contain what springs store in between.
+The first is what the step's own formula takes, the second the trapezoids' own error: see docs/physics.md. Heat is the
+power of dashpots alone, both of whose forces, damped and elastic, are of one instant: of two, heat would contain what
+springs store in between.
 """
 
 from __future__ import annotations
@@ -38,13 +38,7 @@ class Powers(NamedTuple):
 
     @staticmethod
     def of(loads: Sequence[Load], looked: Twist, velocity: Twist) -> Powers:
-        """The powers of loads on a patella with a velocity.
-
-        Args:
-            loads: with their forces at that velocity.
-            looked: the patella's velocities that the loads were told.
-            velocity: its velocities.
-        """
+        """The powers of loads with their forces at the patella's velocity; `looked` is the one that they were told."""
         zero = jnp.zeros_like(velocity.linear.x)
         work, heat, lossy, inner, potential = zero, zero, zero, zero, _no_load(zero)
         for load in loads:
@@ -97,14 +91,9 @@ class Ledger(eqx.Module):
     def entered(
         self, before: State, after: State, loads: Sequence[Load], step: Scalar, looked: Twist | None = None
     ) -> Ledger:
-        """The ledger after one more step.
+        """The ledger after one more step [s], from the loads at its end, with the forces that they have there.
 
-        Args:
-            before: state at the step's start.
-            after: at its end.
-            loads: at its end, with the forces that they have there.
-            step: its length [s].
-            looked: the patella's velocities that the loads were told; by default those of `after`.
+        `looked` are the patella's velocities that the loads were told; by default those of `after`.
         """
         end = Twist(after.velocity, after.spin)
         looked = end if looked is None else looked
@@ -120,22 +109,20 @@ class Ledger(eqx.Module):
         return Ledger(*sums, now, jnp.ones_like(known), self.approach_until(before, loads, looked))
 
     def approach_until(self, before: State, loads: Sequence[Load], looked: Twist) -> Scalar:
-        """`approach` after one more step; its arguments are those of `entered`."""
+        """`approach` after one more step; its arguments are those of `entered`.
+
+        Of one-sided forces that push, with the velocities at the step's start.
+        """
         lost = looked.plus(-1.0, Twist(before.velocity, before.spin))
-        return jnp.maximum(self.approach, _fastest_approach(loads, lost))
+        fastest = jnp.zeros_like(lost.linear.x)
+        for term in (term for load in loads for term in load.stiff if term.unilateral):
+            rate = term.rate + term.direction.dot(lost.linear) + term.moment.dot(lost.angular)
+            fastest = jnp.maximum(fastest, jnp.max(jnp.where(term.force > 0, rate, 0.0)))
+        return jnp.maximum(self.approach, fastest)
 
     def numerical_dissipation(self, kinetic: Scalar) -> Scalar:
         """Of a ledger over the frames, by the patella's kinetic energy there, (n,) each [J]."""
         return self.done - (kinetic - kinetic[0])
-
-
-def _fastest_approach(loads: Sequence[Load], lost: Twist) -> Scalar:
-    """Of one-sided forces that push, with the velocities at the step's start: `lost` since less than was looked at."""
-    fastest = jnp.zeros_like(lost.linear.x)
-    for term in (term for load in loads for term in load.stiff if term.unilateral):
-        rate = term.rate + term.direction.dot(lost.linear) + term.moment.dot(lost.angular)
-        fastest = jnp.maximum(fastest, jnp.max(jnp.where(term.force > 0, rate, 0.0)))
-    return fastest
 
 
 def _no_load(zero: Scalar) -> Wrench:

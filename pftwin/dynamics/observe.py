@@ -38,15 +38,15 @@ class Observation(eqx.Module):
 
 def observe(scene: Scene, path: FrameStates) -> Observation:
     """The observables of every recorded frame. Pure: jit and vmap apply."""
-    chosen = path.integrator
     look, guides = _frame_observer(scene, path.integrator)
+    told = path.integrator.diagnostics(path.states)
     # A loop compiles as quickly as a single frame.
     seen = map_rows(lambda at: look(at[0], at[1], path.step), (path.states, guides))
     energies = None
     if path.ledger is not None:
         energies = seen.kinetic_energy, seen.potential_energy, path.ledger.work
-    flags = status_of_all(seen.status, path.start, energies, path.step, chosen.diagnostics(path.states).snaps)
-    return replace(seen, status=flags, drift=chosen.diagnostics(path.states).drift)
+    flags = status_of_all(seen.status, path.start, energies, path.step, told.snaps)
+    return replace(seen, status=flags, drift=told.drift)
 
 
 def observe_on_the_way(
@@ -58,23 +58,20 @@ def observe_on_the_way(
     start: Solution | None = None,
     ledger: bool = False,
 ) -> tuple[Any, Array, Solution]:
-    """Simulates and keeps part of what `observe` would return. Pure; it halves the time of a batch.
+    """Simulates and keeps what `kept` selects of a frame's observation. Pure; it halves the time of a batch.
 
-    Args:
-        scene: as in `frame_states`, and so the options.
-        kept: selects what is wanted of a frame, a tree of arrays.
+    Options as in `frame_states`.
 
     Returns:
         What is kept (n_frames, ...), the status (n_frames,), and the equilibrium at the start.
     """
-    chosen = integrator
     look, guides = _frame_observer(scene, integrator)
     step = scene.motion.frame_interval / jnp.maximum(substeps, 1).astype(float)
 
     def at(state: State, books: Ledger | None, index: Scalar) -> tuple[Any, Array, Any, Any]:
         seen = look(state, jax.tree.map(lambda a: a[index], guides), step)
         energies = None if books is None else (seen.kinetic_energy, seen.potential_energy, books.work)
-        return kept(seen), seen.status, energies, chosen.diagnostics(state).snaps
+        return kept(seen), seen.status, energies, integrator.diagnostics(state).snaps
 
     (found, status, energies, snaps), start, step = scan_observations(
         scene, at, integrator=integrator, substeps=substeps, start=start, ledger=ledger

@@ -72,14 +72,9 @@ def impact_time(law: ContactLaw, mass: float, speed: float) -> float:
 
 
 def rebound_in_steps(law: ContactLaw, mass: float, speed: float, step: float, integrator: Integrator) -> np.ndarray:
-    """The share of an approach's speed that is left after the impact, (PHASES,), by where the plate lies in a step.
+    """The share of an approach's speed [m/s] that an integrator's steps [s] leave to a mass [kg] after the impact.
 
-    Args:
-        law: of the contact.
-        mass: [kg].
-        speed: of the approach [m/s].
-        step: [s].
-        integrator: that makes the steps.
+    (PHASES,), by where the plate lies in a step.
     """
     count = int(np.ceil(LASTS * impact_time(law, mass, speed) / step)) + 2 * PHASES
     law = jax.tree.map(lambda a: jnp.asarray(a, dtype=float) if eqx.is_array(a) else a, law)
@@ -136,16 +131,9 @@ class Impact:
 
 
 def impact_of(scene: Scene, integrator: Integrator, step: float, approach: float) -> Impact | None:
-    """What steps make of the hardest approach of a run.
+    """What an integrator's steps [s] make of the hardest approach of a run [m/s]: see `Ledger.approach`.
 
-    Args:
-        scene: what was run.
-        integrator: that ran it.
-        step: [s].
-        approach: the fastest at which its contact pushed: `pftwin.dynamics.ledger.Ledger.approach` [m/s].
-
-    Returns:
-        None where a scene has no contact with a law, where nothing approached, and without inertia.
+    None where a scene has no contact with a law, where nothing approached, and without inertia.
     """
     contact = scene.contact
     law = None if contact is None else contact.normal_law()

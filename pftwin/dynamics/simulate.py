@@ -18,7 +18,6 @@ from pftwin.base.errors import InputError
 from pftwin.base.program_cache import Program, Timed
 from pftwin.base.program_cache import settings as jax_settings
 from pftwin.base.runtime import warn_of_accelerator
-from pftwin.base.spatial import Pose
 from pftwin.dynamics.equilibrium import Solution, converged_on_host, place_unknown
 from pftwin.dynamics.error_estimate import Course
 from pftwin.dynamics.frame_states import (
@@ -51,14 +50,7 @@ if TYPE_CHECKING:
     from pftwin.results.result import Result
 
 
-@Program
-def _solve(scene: Scene) -> Solution:
-    return starting_equilibrium(scene)
-
-
-@Program
-def _relaxed(scene: Scene) -> Pose:
-    return relaxed_start(scene)
+_solve, _relaxed = Program(starting_equilibrium), Program(relaxed_start)
 
 
 @Program
@@ -140,7 +132,7 @@ def simulate(
     Warns:
         PftwinWarning: JAX's default is an accelerator, which is slow at this; once.
     """
-    refuse_traced(scene, "simulate", "trajectory")
+    _refuse_traced(scene, "simulate")
     warn_of_accelerator(jax.default_backend())
     check(scene)
     if tolerance is not None and dt is not None:
@@ -159,18 +151,14 @@ def simulate(
     return runs.result(choice)
 
 
-def refuse_traced(scene: Scene, verb: str, pure: str) -> None:
-    """Refuses a scene within a transformation, before anything is compiled.
-
-    Raises:
-        InputError: some number of the scene is traced.
-    """
+def _refuse_traced(scene: Scene, verb: str) -> None:
+    """Refuses a scene within a transformation, before anything is compiled."""
     if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(scene)):
         raise InputError(
             "a scene inside jit, grad, vmap or another transformation of JAX",
             where=verb,
             expected="a scene of plain numbers",
-            remedy=f"pftwin.{pure}(scene), which is pure",
+            remedy="pftwin.trajectory(scene), which is pure",
         )
 
 
@@ -244,7 +232,7 @@ def equilibrium(scene: Scene) -> EquilibriumReport:
     """
     from pftwin.dynamics.equilibrium_report import EquilibriumReport
 
-    refuse_traced(scene, "equilibrium", "trajectory")
+    _refuse_traced(scene, "equilibrium")
     check(scene)
     solution, relaxed = settle_first_frame(scene.unnamed())
     return EquilibriumReport.build(scene, solution.answer, relaxed)

@@ -99,14 +99,13 @@ def look_around(
     """Loads at a pose and at its twelve neighbours, all at once, so that effects are compiled once.
 
     The evaluation is the body of a loop that runs once: XLA stores what a loop returns and does not recompute it at
-    every use.
+    every use. Without neighbours there is no tangent.
 
     Args:
-        system: whose loads.
+        system, memories: whose loads.
         instant_at: the instant that effects see, as a function of the displacement of the pose [m, angles * lever].
-        memories: of the effects.
         like: a traced number of the numbers' type, whatever its value.
-        neighbours: whether to evaluate them too; without them there is no tangent.
+        neighbours: whether to evaluate them too.
     """
     dtype = like.dtype
     small = difference(dtype) * jnp.eye(6, dtype=dtype)

@@ -110,9 +110,8 @@ def status_of_all(
 
     Args:
         status: of each frame by itself (n,).
-        start: the equilibrium it started from.
+        start, step: the equilibrium it started from; [s].
         energies: kinetic, stored by each effect, and the work done (n,), where they are accounted for [J].
-        step: [s].
         snaps: since the start (n,), of integrators that count them.
     """
     badly_started = jnp.where(start.converged(), 0, int(Status.START_NOT_IN_EQUILIBRIUM))
@@ -123,12 +122,9 @@ def status_of_all(
     if energies is not None:
         created = _created(*energies, step) & ~lost
         flags = flags | jnp.where(created, int(Status.ENERGY_FROM_NOWHERE), 0)
-    return flags | _snapped(snaps)
-
-
-def _snapped(snaps: Array | None) -> Array | int:
-    """Flags the frames before which a motion without inertia snapped to another equilibrium."""
-    return 0 if snaps is None else jnp.where(jnp.diff(snaps, prepend=0) > 0, int(Status.SNAPPED), 0)
+    if snaps is not None:
+        flags = flags | jnp.where(jnp.diff(snaps, prepend=0) > 0, int(Status.SNAPPED), 0)
+    return flags
 
 
 def _created(kinetic: Scalar, stored: dict[str, Scalar], work: Scalar, step: Scalar) -> Array:
@@ -152,14 +148,9 @@ def _created(kinetic: Scalar, stored: dict[str, Scalar], work: Scalar, step: Sca
 def status_of_frame(
     scene: Scene, seen: dict[str, dict[str, Array]], state: State, step: Scalar, residual: Scalar | None
 ) -> Array:
-    """The flags that follow from one frame alone: () int, bits of `Status`.
+    """The flags that follow from one frame alone, () int, bits of `Status`: from reports by the effects' names.
 
-    Args:
-        scene: whose effects report.
-        seen: their reports, by name.
-        state: of the patella.
-        step: [s].
-        residual: of the step's equations, where the integrator reports it.
+    `residual` is that of the step's equations, where the integrator reports it.
     """
     too_long = step * state.spin.norm() > MOST_TURN
     if residual is not None:

@@ -51,21 +51,10 @@ class Trajectory(eqx.Module):
     start_residual: Scalar  # () of the equilibrium at the start
     units: ClassVar[dict[str, str]] = {
         "times": "s",
-        "center": "m",
-        "position": "m",
-        "angles": "rad",
-        "knee": "rad",
-        "shift": "m",
-        "contact_force": "N",
-        "contact_force_medial": "N",
-        "contact_force_lateral": "N",
-        "tensions": "N",
-        "lengths": "m",
-        "kinetic_energy": "J",
-        "stored_energy": "J",
-        "work": "J",
-        "heat": "J",
-        "numerical_dissipation": "J",
+        **dict.fromkeys(("center", "position", "shift", "lengths"), "m"),
+        **dict.fromkeys(("angles", "knee"), "rad"),
+        **dict.fromkeys(("contact_force", "contact_force_medial", "contact_force_lateral", "tensions"), "N"),
+        **dict.fromkeys(("kinetic_energy", "stored_energy", "work", "heat", "numerical_dissipation"), "J"),
         "start_residual": "N",
     }
 
@@ -153,7 +142,11 @@ def _computed(
         contact_force=Vec3(*(report.get(f"force_{axis}", nothing) for axis in "xyz")),
         contact_force_medial=report.get("force_medial", nothing),
         contact_force_lateral=report.get("force_lateral", nothing),
-        tensions={n: _sum_over_lines(seen.effects[n]["tension"]) for n in lines if "tension" in seen.effects[n]},
+        tensions={  # (n,) from (n,) or (n, lines)
+            n: seen.effects[n]["tension"].reshape(len(times), -1).sum(axis=1)
+            for n in lines
+            if "tension" in seen.effects[n]
+        },
         lengths={n: seen.effects[n]["length"] for n in lines if "length" in seen.effects[n]},
         kinetic_energy=seen.kinetic_energy,
         stored_energy=seen.potential_energy,
@@ -163,11 +156,6 @@ def _computed(
         flags=seen.status,
         start_residual=start.residual,
     )
-
-
-def _sum_over_lines(tension: Array) -> Array:
-    """(n,) from (n,) or (n, lines)."""
-    return tension.reshape(len(tension), -1).sum(axis=1)
 
 
 def knee_angles(scene: Scene) -> TibiofemoralAngles:

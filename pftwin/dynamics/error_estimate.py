@@ -13,7 +13,6 @@ Arrays are numpy's on the host and JAX's in a compiled program: `xp` is the modu
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -63,9 +62,6 @@ class ErrorEstimate:
     def _all(self) -> tuple[Any, ...]:
         return self.path, self.contact_force, self.medial_facet, self.lateral_facet
 
-    def _each(self, function: Callable[..., Any], *others: ErrorEstimate) -> ErrorEstimate:
-        return ErrorEstimate(*map(function, *(e._all for e in (self, *others))), most_force=self.most_force)
-
     def times(self, path: Any, force: Any) -> ErrorEstimate:
         """With factors on lengths and on forces."""
         length, *forces = self._all
@@ -78,11 +74,11 @@ class ErrorEstimate:
     @property
     def unknown(self) -> ErrorEstimate:
         """The same, but infinite at every frame."""
-        return self._each(lambda x: np.full_like(x, np.inf))
+        return ErrorEstimate(*(np.full_like(x, np.inf) for x in self._all), most_force=self.most_force)
 
     def or_larger(self, other: ErrorEstimate) -> ErrorEstimate:
         """At each frame the larger of two."""
-        return self._each(np.maximum, other)
+        return ErrorEstimate(*map(np.maximum, self._all, other._all), most_force=self.most_force)
 
     @property
     def flags(self) -> Any:

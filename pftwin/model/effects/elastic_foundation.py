@@ -1,10 +1,9 @@
 r"""The button's mesh on the femur's mesh, each with an elastic layer: pressure on every triangle that is in contact.
 
-A triangle whose centroid is d deep pushes with A p(d) along the femur's normal there, n, which is minus the depth's
-gradient. A is its area projected along n: pressure acts on what lies across it, and a ball's cap has more. The forces
-have the potential sum_i A_i w(d_i), with w the law's energy per area, to which a moment w dA/dangle belongs: it keeps
-the energy where a triangle turns, and its sum over a fine mesh is nothing. (Where the nearest place is an edge, n turns
-with the point, too; that is not counted.) Friction there is none. Source: Bei and Fregly 2004, Med Eng Phys 26:777; see
+A triangle whose centroid is d deep pushes with A p(d) along the femur's normal there, n; A is its area projected along
+n. The forces have the potential sum_i A_i w(d_i), with w the law's energy per area, to which a moment w dA/dangle
+belongs: see docs/mesh_contact.md. (Where the nearest place is an edge, n turns with the point, too; that is not
+counted.) Friction there is none. Source: Bei and Fregly 2004, Med Eng Phys 26:777; see
 `pftwin.model.effects.foundation_law`. How triangles and depths are found: `pftwin.geometry.contact.depths`.
 """
 

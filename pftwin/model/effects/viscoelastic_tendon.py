@@ -1,12 +1,8 @@
 r"""Tendons that are standard linear solids: they stiffen with the rate of stretch, and relax when held.
 
-A spring beside a spring and a dashpot in series, that cannot be pushed. With x the stretch beyond slack length, e the
-dashpot's and K0 = K + K1 the stiffness when pulled at once,
-
-    F = K x + K1 (x - e),      de/dt = (x - e) / tau,      never negative.
-
+A spring beside a spring and a dashpot in series, that cannot be pushed: see `ViscoelasticTendon`, with x for s here.
 Where F would be negative the strand hangs loose: its material is longer than the way between its ends, so that it
-pulls nothing, x = K1 e / K0, and shortens as the dashpot recovers. It stores (K x^2 + K1 (x - e)^2) / 2 and loses
+pulls nothing, x = K1 e / (K + K1), and shortens as the dashpot recovers. It stores (K x^2 + K1 (x - e)^2) / 2 and loses
 K1 (x - e)^2 / tau as heat.
 
 Over a step de/dt is integrated exactly for a stretch that changes linearly with time (exponential integrator: Simo &

@@ -165,7 +165,8 @@ def _turned(q: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float6
 def _eigenvalues(stiffness: NDArray[np.float64]) -> NDArray[np.float64]:
     if not np.isfinite(stiffness).all():
         return np.full(6, np.nan)
-    return np.sort(np.linalg.eigvals(stiffness).real)  # complex only where forces have no potential
+    found = np.linalg.eigvals(stiffness).real  # complex only where forces have no potential
+    return np.sort(np.asarray(found, dtype=np.float64))
 
 
 def _loaded_facets(seen: Seen) -> tuple[str, ...]:

@@ -77,11 +77,8 @@ class Reading(NamedTuple):
 
 
 def limits_of(given: Mapping[str, tuple[float, float]] | None) -> dict[str, tuple[float, float]]:
-    """`LIMITS` with those given by name in their places.
-
-    Raises:
-        InputError: a name that is no limit; a pair that is not positive and in order.
-    """
+    """`LIMITS` with those given by name in their places. Raises InputError: a name that is no limit; a pair that is not
+    positive and in order."""
     for name, pair in (given or {}).items():
         if name not in LIMITS:
             raise InputError(f"no limit {name!r}", where="limits", expected=f"one of: {', '.join(LIMITS)}")
@@ -99,10 +96,7 @@ def raised(name: str, limits: Limits, value: float) -> str:
 
 def misread(objective: Objective, trials: Floats, limits: Limits) -> list[str]:
     """What the channels look like, in words, where another reading lies nearer to one of the trial motions (N, n, c).
-
-    Raises:
-        InputError: a channel to which another reading lies nearer than the limit allows.
-    """
+    Raises InputError: a channel to which another reading lies nearer than the limit allows."""
     found, (named, refused) = [], limits["reading"]
     for r in alike((r for r in readings(objective, trials) if r.times >= named), objective.readings):
         said = f"{_listed(r.channels)} {r.words}"
@@ -167,11 +161,8 @@ def readings(objective: Objective, trials: Floats) -> Iterator[Reading]:
 
 
 def left_over(objective: Objective, residuals: Floats, limits: Limits, stated: Mapping[str, float] | None) -> list[str]:
-    """What a fit leaves (n, m) that its noise does not explain, in words.
-
-    Raises:
-        InputError: more than the limits allow.
-    """
+    """What a fit leaves (n, m) that its noise does not explain, in words. Raises InputError: more than the limits
+    allow."""
     found = []
     for channel, columns, rows in objective.columns():
         there = objective.present[:, rows.start]
@@ -200,11 +191,8 @@ def left_over(objective: Objective, residuals: Floats, limits: Limits, stated: M
 def bounded(
     limit: str, value: float, said: str, source: str, limits: Limits, why: str = "", remedy: str = ""
 ) -> list[str]:
-    """What is said of a value, if the limit of this name wants it named.
-
-    Raises:
-        InputError: the value is beyond what the limit allows.
-    """
+    """What is said of a value, if the limit of this name wants it named. Raises InputError: the value is beyond what
+    the limit allows."""
     named, refused = limits[limit]
     if value >= refused:
         expected = f"less than {refused:g} by the limit {limit!r}{why}"

@@ -67,11 +67,8 @@ def with_differences(
 
 
 def _deviation(scene: Scene, p: Parameter, sd: float) -> float:
-    """It, if it can be one.
-
-    Raises:
-        InputError: it is no positive number, or the least of the bounds less so many deviations is no such quantity.
-    """
+    """It, if it can be one. Raises InputError: it is no positive number, or the least of the bounds less so many
+    deviations is no such quantity."""
     if not (isinstance(sd, Real) and np.isfinite(float(sd)) and float(sd) > 0):
         raise InputError(f"{p.name}: found {sd!r}", where="varies", expected="a positive standard deviation")
     declared = named_arrays(scene)[p.place.names[0].partition("[")[0]].quantity

@@ -198,11 +198,7 @@ def _searched(
     progress: Callable[[Progress], None] | None,
     checkpoint: str | Path | None,
 ) -> tuple[Method, State]:
-    """The search where it ended, and its state there.
-
-    Raises:
-        InputError: all starts failed.
-    """
+    """The search where it ended, and its state there. Raises InputError: all starts failed."""
     state = _run(search, state, identity, progress, None if checkpoint is None else Path(checkpoint))
     if state["best_theta"] is None:
         raise InputError(

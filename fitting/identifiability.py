@@ -169,11 +169,7 @@ def _channels(
     scene: Scene, use: Sequence[str], candidates: Sequence[str] | None
 ) -> tuple[tuple[str, ...], list[str], dict[str, str]]:
     """The channels that are measured or might be, in the scene's order; the latter; units of those that are no poses
-    and forces.
-
-    Raises:
-        InputError: no such channel, or none.
-    """
+    and forces. Raises InputError: no such channel, or none."""
     plain = channels_of(scene)
     more = [c for c in plain if c not in use] if candidates is None else list(candidates)
     for channel in (*use, *more):
@@ -187,11 +183,7 @@ def _channels(
 
 
 def _noise(channels: Sequence[str], units: Mapping[str, str], stated: Mapping[str, float]) -> dict[str, float]:
-    """Standard deviations by channel.
-
-    Raises:
-        InputError: one that is none, or that has to be stated.
-    """
+    """Standard deviations by channel. Raises InputError: one that is none, or that has to be stated."""
     sigma = {c: NOISE.get(c, FORCE_NOISE) for c in channels} | dict(stated)
     if unknown := [c for c in channels if units.get(c, "N") != "N" and c not in stated]:
         expected = f"its standard deviation [{units[unknown[0]]}]"
@@ -221,12 +213,10 @@ def _of_the_first(information: Floats, asked: int) -> Floats:
 def _information(
     scene: Scene, parameters: Parameters, channels: tuple[str, ...], noise: dict[str, float], use: tuple[str, ...]
 ) -> tuple[dict[str, Floats], tuple[str, ...]]:
-    """Fisher information of every channel (p, p), and the parameters that the used ones do not feel.
+    """Fisher information of every channel (p, p), and the parameters that the used ones do not feel. Raises InputError:
+    the scene cannot be simulated; a number that moves the point whose path is measured.
 
     In steps as short as those of a fit's answer: half as long ones tell the same of what is asked for.
-
-    Raises:
-        InputError: the scene cannot be simulated; a number that moves the point whose path is measured.
     """
     if POSITION in use:
         refuse_moved_point(scene, parameters)

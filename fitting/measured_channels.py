@@ -20,11 +20,8 @@ _OF_FORCES = ("force", "tension")  # what the channel is that has an effect's na
 def measured_channels(
     scene: Scene, measured: Measured, springs: Mapping[str, str]
 ) -> tuple[dict[str, Floats], tuple[str, ...]]:
-    """What was measured of a scene's channels, (n, columns) each, and all channels that could be.
-
-    Raises:
-        InputError: a reading that no effect reports, or that is measured as a force already.
-    """
+    """What was measured of a scene's channels, (n, columns) each, and all channels that could be. Raises InputError: a
+    reading that no effect reports, or that is measured as a force already."""
     available: dict[str, Any] = {POSITION: measured.center, ORIENTATION: measured.quaternion}
     contact = scene.contact
     names = {e.name for e in scene.effects}
@@ -48,11 +45,8 @@ def measured_channels(
 def chosen_channels(
     scene: Scene, measured: Measured, kind: str, use: str | Sequence[str], springs: Mapping[str, str]
 ) -> dict[str, Floats]:
-    """The measured channels that are compared, (n, columns) each.
-
-    Raises:
-        InputError: one that was not measured; none.
-    """
+    """The measured channels that are compared, (n, columns) each. Raises InputError: one that was not measured;
+    none."""
     data, available = measured_channels(scene, measured, springs)
     wanted = tuple(data) if use == "all" else (use,) if isinstance(use, str) else tuple(use)
     if kind == "paper" and wanted != (POSITION,):
@@ -71,11 +65,7 @@ def chosen_channels(
 
 
 def check_times(scene: Scene, measured: Measured) -> None:
-    """Refuses measurements at other times than the scene's.
-
-    Raises:
-        InputError: another number, rate or start.
-    """
+    """Refuses measurements at other times than the scene's. Raises InputError: another number, rate or start."""
     ours, theirs, interval = scene.motion.times, measured.times, scene.motion.frame_interval
     if theirs.size != ours.size:
         rate = (theirs.size - 1) / (theirs[-1] - theirs[0]) if theirs.size > 1 else 0.0

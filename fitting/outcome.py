@@ -85,10 +85,7 @@ class Outcome(NamedTuple):
     @staticmethod
     def of_simulations(problem: Problem, found: Inferred, seed: int, limits: Limits) -> Outcome:
         """Of a posterior learned from simulations, at its mean, or at the draw nearest to it that can be simulated.
-
-        Raises:
-            InputError: the measurements lie farther outside of what was simulated than the limits allow.
-        """
+        Raises InputError: the measurements lie farther outside of what was simulated than the limits allow."""
         draws, target = found.answer.draws, problem.objective
         mean, deviations = draws.mean(axis=0), np.maximum(draws.std(axis=0), 1e-300)
         count = max(_TRIED, _PER_PARAMETER * draws.shape[1])

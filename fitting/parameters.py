@@ -246,11 +246,8 @@ def with_nuisance(
     priors: Mapping[str, tuple[float, float]] | None,
     nuisance: Nuisance,
 ) -> tuple[Scene, Parameters]:
-    """The scene with whatever is fitted in it, and what is free: what these names stand for, then nuisance.
-
-    Raises:
-        InputError: as `free_parameters` and `Nuisance.prepared`.
-    """
+    """The scene with whatever is fitted in it, and what is free: what these names stand for, then nuisance. Raises
+    InputError: as `free_parameters` and `Nuisance.prepared`."""
     scene = nuisance.prepared(scene)
     asked = free_parameters(scene, names, bounds, priors)
     more = nuisance.numbers(scene, but=[name for p in asked.items for name in p.place.names])
@@ -329,11 +326,8 @@ class Applied(eqx.Module):
         self.nuisance = replace(nuisance, working=())
 
     def __call__(self, scene: Scene, theta: Any = None) -> Scene:
-        """The scene with the values, or with others (p,) of the fitted scene. Pure in both.
-
-        Raises:
-            InputError: it has no such parameters.
-        """
+        """The scene with the values, or with others (p,) of the fitted scene. Pure in both. Raises InputError: it has
+        no such parameters."""
         scene = self.nuisance.prepared(scene, self.working)
         places = tuple(find(scene, name)[0] for name in self.names)
         theta = self.values if theta is None else theta

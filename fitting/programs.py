@@ -54,11 +54,8 @@ def unit_of(channel: str, readings: Mapping[str, str]) -> str:
 
 
 def reading_units(scene: Scene, channels: Iterable[str]) -> dict[str, str]:
-    """Units of those channels that are readings, "EFFECT.OBSERVABLE".
-
-    Raises:
-        InputError: one that no effect of the scene reports.
-    """
+    """Units of those channels that are readings, "EFFECT.OBSERVABLE". Raises InputError: one that no effect of the
+    scene reports."""
     known = channels_of(scene)
     return {channel: scene.reported(channel).unit for channel in channels if channel not in known}
 
@@ -117,11 +114,7 @@ def _predicted(
 
 
 def _number(value: Array, channel: str) -> Scalar:
-    """What is reported, if it is one number a frame.
-
-    Raises:
-        InputError: there are several.
-    """
+    """What is reported, if it is one number a frame. Raises InputError: there are several."""
     if jnp.ndim(value):
         expected = "one number a frame, as a measurement has"
         raise InputError(f"{channel} has {jnp.size(value)} numbers a frame", where="use", expected=expected)

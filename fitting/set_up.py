@@ -59,11 +59,8 @@ class SetUp(NamedTuple):
         return free_in_trials(scenes, self.free, self.bounds, self.priors, self.nuisance, self.varies)
 
     def objective(self, trials: Sequence[tuple[Scene, Measured]]) -> Objective:
-        """The measurements of such scenes.
-
-        Raises:
-            InputError: other frames; a channel that was not measured; of several trials, other channels in some.
-        """
+        """The measurements of such scenes. Raises InputError: other frames; a channel that was not measured; of several
+        trials, other channels in some."""
         if (found := tuple(scene.motion.times.size for scene, _ in trials)) != self.frames:
             said = f"{listed(found)} frames"
             raise InputError(said, where=trials[0][1].source, expected=f"{listed(self.frames)}, as it was trained for")
@@ -76,11 +73,7 @@ class SetUp(NamedTuple):
 
 def from_nominal(problem: Problem, substeps: int, others: Floats) -> tuple[Objective, Prediction]:
     """A comparison with the nominal knee's motion in the place of the measurements, of what was measured at all; and
-    the motions of others (N, p), simulated in the same call.
-
-    Raises:
-        InputError: the nominal knee does not run.
-    """
+    the motions of others (N, p), simulated in the same call. Raises InputError: the nominal knee does not run."""
     seen = problem.evaluator.values(np.concatenate([problem.parameters.nominal[None], others]), substeps)
     if not seen.usable[0]:
         raise InputError("the nominal knee finds no equilibrium or no finite motion", where=problem.scene.name)
@@ -93,10 +86,7 @@ def from_nominal(problem: Problem, substeps: int, others: Floats) -> tuple[Objec
 
 def bridged(problem: Problem, held: Objective, wanted: NDArray[np.bool_]) -> Rows:
     """The measurements (n, m) from the nominal knee's motion, with straight lines over gaps; zero where none is wanted.
-
-    Raises:
-        InputError: too much is missing.
-    """
+    Raises InputError: too much is missing."""
     target = problem.objective
     measured = -target.residuals(held.measured[None])[0]
     out = np.zeros(measured.shape, np.float32)
@@ -112,11 +102,7 @@ def bridged(problem: Problem, held: Objective, wanted: NDArray[np.bool_]) -> Row
 
 
 def refuse_weights(measured: Sequence[Measured]) -> None:
-    """Refuses weights of frames: a set-up is one for all its recordings.
-
-    Raises:
-        InputError: there are some.
-    """
+    """Refuses weights of frames: a set-up is one for all its recordings. Raises InputError: there are some."""
     for data in measured:
         if data.weights is not None:
             remedy = "measurements without them, or fit_tendons, which answers one recording"

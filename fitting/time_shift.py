@@ -65,11 +65,8 @@ def time_shifts(objective: Objective, times: Floats, values: Floats, slopes: Flo
 
 
 def late_channels(shifts: Mapping[str, TimeShift], source: str, limits: Limits) -> list[str]:
-    """The channels that are late or early beyond the limit "shift" [s], in words.
-
-    Raises:
-        InputError: a shift so large that the measurements are not of this motion.
-    """
+    """The channels that are late or early beyond the limit "shift" [s], in words. Raises InputError: a shift so large
+    that the measurements are not of this motion."""
     said = []
     for channel, s in shifts.items():
         if not s.beyond(limits["shift"][0]):

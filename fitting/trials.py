@@ -30,12 +30,8 @@ _EQUAL = 1e-6  # share by which numbers of two scenes may differ that count as t
 def trials_of(
     scene: Scene | Sequence[Scene], measured: Measured | Sequence[Measured | None] | None
 ) -> list[tuple[Scene, Measured]]:
-    """Every trial's scene and measurements, of one or several; by default what scenes carry.
-
-    Raises:
-        InputError: no scene, or something that is none; a scene that carries no measurements; not as many measurements
-            as scenes.
-    """
+    """Every trial's scene and measurements, of one or several; by default what scenes carry. Raises InputError: no
+    scene, or something that is none; a scene that carries no measurements; not as many measurements as scenes."""
     scenes = list(scene) if isinstance(scene, Sequence) else [scene]
     if not scenes:
         raise InputError("no trial", where="scene", expected="a scene, or several")
@@ -50,11 +46,7 @@ def trials_of(
 
 
 def measured_of(scene: Scene) -> Measured:
-    """The measurements that a scene carries.
-
-    Raises:
-        InputError: it carries none.
-    """
+    """The measurements that a scene carries. Raises InputError: it carries none."""
     if scene.measured is None:
         raise InputError("nothing to compare with", where="measured", expected="measurements of this scene's motion")
     return scene.measured
@@ -87,11 +79,8 @@ def objective_of(
     loss: str,
     springs: Mapping[str, str],
 ) -> Objective:
-    """The distance from all trials' measurements: as `Objective.of`, of each what was measured there.
-
-    Raises:
-        InputError: as `Objective.of`; a trial of which nothing that is used was measured.
-    """
+    """The distance from all trials' measurements: as `Objective.of`, of each what was measured there. Raises
+    InputError: as `Objective.of`; a trial of which nothing that is used was measured."""
     there = [tuple(measured_channels(scene, data, springs)[0]) for scene, data in trials]
     found = []
     for (scene, data), channels in zip(trials, there, strict=True):
@@ -135,13 +124,9 @@ def free_in_trials(
     nuisance: Nuisance,
     varies: Mapping[str, float] | None = None,
 ) -> tuple[list[Scene], list[Parameters]]:
-    """Every trial's scene with whatever is fitted in it, and what is free in it; bounds and priors are of the first.
-    So are the differences of trials.
-
-    Raises:
-        InputError: as `with_nuisance` and `with_differences`; another number is free in one trial than in another, or
-            one that does not vary has another value there.
-    """
+    """Every trial's scene with whatever is fitted in it, and what is free in it; bounds and priors are of the first. So
+    are the differences of trials. Raises InputError: as `with_nuisance` and `with_differences`; another number is free
+    in one trial than in another, or one that does not vary has another value there."""
     first, own = with_nuisance(scenes[0], names, bounds, priors, nuisance)
     found, free = [first], [own]
     for scene in scenes[1:]:
@@ -154,11 +139,7 @@ def free_in_trials(
 
 
 def _check_ties(own: Parameters, first: Scene, scene: Scene) -> None:
-    """Refuses a trial in which what is tied has another proportion than in the first.
-
-    Raises:
-        InputError: it has.
-    """
+    """Refuses a trial in which what is tied has another proportion than in the first. Raises InputError: it has."""
     for p in own.items:
         here, there = ([] if p.coordinate else p.place.proportions(s) for s in (first, scene))
         if len(here) != len(there) or not np.allclose(here, there, rtol=_EQUAL, atol=0):

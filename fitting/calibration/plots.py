@@ -66,11 +66,8 @@ class CalibrationPlots:
         return figure
 
     def save(self, stem: Path) -> list[Path]:
-        """Both as STEM_coverage and STEM_ranks, .png and .svg.
-
-        Raises:
-            OutputError: the folder is missing or cannot be written to.
-        """
+        """Both as STEM_coverage and STEM_ranks, .png and .svg. Raises OutputError: the folder is missing or cannot be
+        written to."""
         from pftwin.results.plots import save_figure
 
         drawn = {"coverage": self.coverage(), "ranks": self.ranks()}

@@ -38,11 +38,8 @@ class Seen(NamedTuple):
 
 
 def run(plants: Sequence[Plant]) -> list[Seen | None]:
-    """What each plant does; None of one that could not be simulated.
-
-    Raises:
-        InputError: scenes that cannot give a right answer.
-    """
+    """What each plant does; None of one that could not be simulated. Raises InputError: scenes that cannot give a right
+    answer."""
     found = simulate_batch(
         [plant.scene for plant in plants],
         integrator=BDF2(),
@@ -80,11 +77,8 @@ def _kept(scene: Scene, seen: Observation) -> dict[str, Array]:
 
 
 def check_truth(plant: Plant, parameters: Parameters) -> None:
-    """Refuses to ask for what a plant does not have.
-
-    Raises:
-        InputError: the slack length of a tendon that follows another law is asked for as a strain or a force.
-    """
+    """Refuses to ask for what a plant does not have. Raises InputError: the slack length of a tendon that follows
+    another law is asked for as a strain or a force."""
     for item in parameters.items[: parameters.asked]:
         if item.place.owner in plant.curved and item.place.meaning != "value":
             expected = "stiffness and slack length themselves of a tendon that follows another law"

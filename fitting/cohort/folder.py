@@ -28,13 +28,9 @@ _UNFINISHED = {
 
 @contextmanager
 def opened(folder: Path, cohort: str, *, resume: bool) -> Iterator[Manifest]:
-    """The folder's manifest, while no other process works there; the folder is made if it is not there.
-
-    Raises:
-        InputError: it holds results without `resume`, those of another cohort, a damaged manifest, or
-            another process is at work there.
-        OutputError: it cannot be made or written to.
-    """
+    """The folder's manifest, while no other process works there; the folder is made if it is not there. Raises
+    InputError: it holds results without `resume`, those of another cohort, a damaged manifest, or another process is at
+    work there. Raises OutputError: it cannot be made or written to."""
     make_folder(folder, _ANOTHER)
     with _locked(folder):
         manifest = _existing_or_new(folder, cohort, resume)
@@ -46,11 +42,8 @@ def opened(folder: Path, cohort: str, *, resume: bool) -> Iterator[Manifest]:
 
 
 def check_room(folder: Path) -> None:
-    """Refuses a folder that cannot be written to, before hours are spent on what would be written.
-
-    Raises:
-        OutputError: it cannot be written to, or the disk is full.
-    """
+    """Refuses a folder that cannot be written to, before hours are spent on what would be written. Raises OutputError:
+    it cannot be written to, or the disk is full."""
     try:
         with tempfile.NamedTemporaryFile(dir=folder, prefix=".room.", suffix=".nc") as file:
             file.write(_PROBE)

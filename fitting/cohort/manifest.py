@@ -34,11 +34,8 @@ class Unit:
 
 
 def units_of(cohort: Cohort, patient: Patient) -> tuple[Unit, ...]:
-    """The units of a patient, in their order.
-
-    Raises:
-        InputError: the scene file, or a file that it names, cannot be read.
-    """
+    """The units of a patient, in their order. Raises InputError: the scene file, or a file that it names, cannot be
+    read."""
     inputs = _inputs(patient, cohort.allow_outside)
     units, before = [], ""
     if patient.fit is not None:
@@ -58,11 +55,7 @@ def versions() -> dict[str, str]:
 
 
 def file_digest(path: Path) -> str:
-    """SHA-256 of a file, in hexadecimal.
-
-    Raises:
-        OSError: it cannot be read.
-    """
+    """SHA-256 of a file, in hexadecimal. Raises OSError: it cannot be read."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
@@ -154,11 +147,7 @@ class Manifest:
     summary: Announced | None
 
     def record(self, unit: Unit, folder: Path, seconds: float) -> None:
-        """Records a unit whose file has been written.
-
-        Raises:
-            OSError: it cannot be read.
-        """
+        """Records a unit whose file has been written. Raises OSError: it cannot be read."""
         path = folder / unit.file
         size, digest = path.stat().st_size, file_digest(path)
         self.files[unit.file] = Entry(
@@ -171,21 +160,13 @@ class Manifest:
         return entry is not None and entry.key == unit.key and file_fault(entry, folder / unit.file) is None
 
     def save(self, folder: Path) -> None:
-        """Writes it.
-
-        Raises:
-            OutputError: it cannot be written.
-        """
+        """Writes it. Raises OutputError: it cannot be written."""
         content = {"format": FORMAT, "date": now(), "versions": versions(), **asdict(self)}
         write_text(folder / NAME, json.dumps(content, indent=1) + "\n")
 
     @staticmethod
     def load(folder: Path) -> Manifest:
-        """The manifest of a folder.
-
-        Raises:
-            InputError: there is none, or it is damaged.
-        """
+        """The manifest of a folder. Raises InputError: there is none, or it is damaged."""
         path = folder / NAME
         content = read_json(path, expected=_EXPECTED)
         try:

@@ -40,13 +40,8 @@ class Work:
         return {"scene": scene.name, "synthetic": int(scene.synthetic or measured)}
 
     def fit(self, patient: Patient, tell: Tell) -> Estimate:
-        """The patient's parameters.
-
-        Raises:
-            InputError: what `fitting.fit_tendons` refuses.
-            PftwinError: the fitted motion may not be spoken of.
-            KeyboardInterrupt: Ctrl-C; an unfinished fit is discarded.
-        """
+        """The patient's parameters. Raises InputError: what `fitting.fit_tendons` refuses. Raises PftwinError: the
+        fitted motion may not be spoken of. Raises KeyboardInterrupt: Ctrl-C; an unfinished fit is discarded."""
         from fitting.fit import fit_tendons
 
         scene = self._scene(patient)
@@ -58,11 +53,8 @@ class Work:
         return estimate
 
     def predict(self, patient: Patient, estimate: Estimate | None, tell: Tell) -> Dataset | None:
-        """Outcomes of the cohort's treatments; None if it has none.
-
-        Raises:
-            InputError: what `fitting.predict` refuses; no variant that could be simulated.
-        """
+        """Outcomes of the cohort's treatments; None if it has none. Raises InputError: what `fitting.predict` refuses;
+        no variant that could be simulated."""
         if not self.cohort.treatments:
             return None
         from fitting.prediction.plots import main_finding
@@ -187,21 +179,14 @@ class _CohortRun:
             self._take(outcome, units[-1])
 
     def _take(self, outcome: Outcome, unit: Unit) -> None:
-        """Reads the store of a patient who is done.
-
-        Raises:
-            InputError: it is none.
-        """
+        """Reads the store of a patient who is done. Raises InputError: it is none."""
         self.summary.take(outcome.patient, unit)
         outcome.at_bounds = tuple(self.summary.rows[outcome.patient][0].get("at_bounds", "").split())
         outcome.status = "done"
 
     def _unit(self, patient: Patient, unit: Unit) -> None:
-        """Computes a unit, writes its file and records it in the manifest.
-
-        Raises:
-            PftwinError: it cannot be computed or written.
-        """
+        """Computes a unit, writes its file and records it in the manifest. Raises PftwinError: it cannot be computed or
+        written."""
         began = time.perf_counter()
         self.pace.began(unit)
         self.tell(self.pace.progress(unit, 0.0))

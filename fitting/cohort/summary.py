@@ -34,11 +34,8 @@ _NUMBERS = ("objective_value", "serial_correlation", "condition", "seed", "evalu
 def write_store(
     path: Path, unit: Unit, scene: dict[str, Any], estimate: Estimate | None, prediction: Dataset | None
 ) -> None:
-    """Writes a store, whole or not at all; `scene` says where the numbers come from.
-
-    Raises:
-        OutputError: it cannot be written.
-    """
+    """Writes a store, whole or not at all; `scene` says where the numbers come from. Raises OutputError: it cannot be
+    written."""
     from xarray import Dataset
 
     from pftwin.files.result_files import save_dataset
@@ -88,11 +85,7 @@ def fit_dataset(estimate: Estimate) -> Dataset:
 
 
 def read_store(path: Path) -> tuple[dict[str, Any], Dataset | None, Dataset | None]:
-    """Attributes of a store, its fit, and its prediction.
-
-    Raises:
-        InputError: no store.
-    """
+    """Attributes of a store, its fit, and its prediction. Raises InputError: no store."""
     from pftwin.files.result_files import load_dataset
 
     about = dict(load_dataset(path).attrs)
@@ -123,11 +116,8 @@ Units = dict[str, str]
 
 
 def require_pyarrow() -> None:
-    """Checks early for pyarrow, which is needed only at the end of a long run.
-
-    Raises:
-        MissingExtraError: pyarrow is not installed.
-    """
+    """Checks early for pyarrow, which is needed only at the end of a long run. Raises MissingExtraError: pyarrow is not
+    installed."""
     try:
         import pyarrow.parquet  # noqa: F401
     except ImportError:
@@ -135,11 +125,7 @@ def require_pyarrow() -> None:
 
 
 def rows_of(path: Path) -> tuple[list[Row], Units]:
-    """A patient's rows from the store, one for each variant, and the columns' units.
-
-    Raises:
-        InputError: no store.
-    """
+    """A patient's rows from the store, one for each variant, and the columns' units. Raises InputError: no store."""
     about, fit, prediction = read_store(path)
     units: Units = {}
     row: Row = {"patient": str(about["patient"]), "status": "done", "scene": str(about["scene"])}
@@ -225,20 +211,13 @@ class SummaryFile:
         self.units: Units = {}
 
     def take(self, patient: str, unit: Unit) -> None:
-        """Reads a patient's store.
-
-        Raises:
-            InputError: it is none.
-        """
+        """Reads a patient's store. Raises InputError: it is none."""
         self.rows[patient], units = rows_of(self.folder / unit.file)
         self.units |= units
 
     def write(self, failures: dict[str, Failure]) -> None:
-        """Announces the summary in the manifest, then writes it, unless it is already there.
-
-        Raises:
-            OutputError: the manifest or the summary cannot be written.
-        """
+        """Announces the summary in the manifest, then writes it, unless it is already there. Raises OutputError: the
+        manifest or the summary cannot be written."""
         rows: list[Row] = []
         for patient in self.cohort.patients:
             if (failure := failures.get(patient.name)) is not None:

@@ -55,11 +55,8 @@ class Inferred(NamedTuple):
 
 
 def check_size(parameters: Parameters, simulations: int, numbers: int) -> None:
-    """Refuses what cannot be learned: `numbers` are those of a recording.
-
-    Raises:
-        InputError: too many parameters are asked for; too few simulations, or more than memory holds.
-    """
+    """Refuses what cannot be learned: `numbers` are those of a recording. Raises InputError: too many parameters are
+    asked for; too few simulations, or more than memory holds."""
     if (asked := parameters.asked) > _MOST_ASKED:
         found = f"{asked} parameters beside nuisance"
         raise InputError(found, where="free", expected=f"at most {_MOST_ASKED} for simulations")
@@ -73,11 +70,8 @@ def check_size(parameters: Parameters, simulations: int, numbers: int) -> None:
 
 
 def check_enough(usable: int, simulations: int, problem: Problem) -> None:
-    """Refuses to learn from what is left of so many simulations.
-
-    Raises:
-        InputError: too few found an equilibrium and a finite motion.
-    """
+    """Refuses to learn from what is left of so many simulations. Raises InputError: too few found an equilibrium and a
+    finite motion."""
     if usable < max(_FEWEST_USABLE * simulations, min(simulations, _FEWEST_SIMULATIONS) / 2):
         raise InputError(
             f"{simulations - usable} of {simulations} simulations found no equilibrium or no finite motion",

@@ -33,11 +33,8 @@ class Answer(NamedTuple):
     level: float  # of its noise, by that which was learned from
 
     def doubts(self, source: str, limits: Limits) -> list[str]:
-        """What is said of a recording from this source that lies far from those that were simulated.
-
-        Raises:
-            InputError: it lies farther from them than the limits allow.
-        """
+        """What is said of a recording from this source that lies far from those that were simulated. Raises InputError:
+        it lies farther from them than the limits allow."""
         far = f"a summary of them is {self.distance:.0f} standard deviations from its mean"
         said = f"the measurements lie outside of what was simulated: {far}"
         return bounded("simulated", self.distance, said, source, limits)

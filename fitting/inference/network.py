@@ -89,11 +89,8 @@ def leaves_of(net: PosteriorNetwork) -> list[NDArray[np.float32]]:
 
 
 def network_of(summaries: int, parameters: int, leaves: list[NDArray[np.float32]]) -> PosteriorNetwork:
-    """A network of so many summaries and parameters, with weights from a file.
-
-    Raises:
-        ValueError: they are not its weights.
-    """
+    """A network of so many summaries and parameters, with weights from a file. Raises ValueError: they are not its
+    weights."""
     weights, fixed = eqx.partition(PosteriorNetwork(summaries, parameters, 0), eqx.is_inexact_array)
     expected = [leaf.shape for leaf in jax.tree.leaves(weights)]
     if (found := [leaf.shape for leaf in leaves]) != expected:

@@ -107,11 +107,8 @@ class Region(NamedTuple):
         return inside & (np.linalg.norm(self.ellipsoid.coordinates(theta), axis=1) < self.ellipsoid.radius)
 
     def drawn(self, count: int, random: np.random.Generator) -> Floats:
-        """Parameters (count, p) from the priors, those asked for within the region.
-
-        Raises:
-            InputError: next to nothing of the priors lies in it.
-        """
+        """Parameters (count, p) from the priors, those asked for within the region. Raises InputError: next to nothing
+        of the priors lies in it."""
         theta = self.parameters.scattered(count, random)
         if self.ellipsoid is None:
             return theta

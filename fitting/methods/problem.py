@@ -140,11 +140,8 @@ class Problem:
 
 
 def refuse_moved_point(scene: Scene, parameters: Parameters) -> None:
-    """Measured is the path of one point of the patella; where a number moves that point, it fits any path.
-
-    Raises:
-        InputError: there is such a number among the parameters.
-    """
+    """Measured is the path of one point of the patella; where a number moves that point, it fits any path. Raises
+    InputError: there is such a number among the parameters."""
     for p in parameters.items:
         if scene.contact is None or scene.contact.name not in {place.owner for place in (p.place, *p.place.tied)}:
             continue
@@ -224,20 +221,13 @@ FORMAT = "pftwin fit checkpoint 1"
 
 
 def save_checkpoint(path: Path, problem: str, state: dict[str, Any]) -> None:
-    """Writes a state.
-
-    Raises:
-        OutputError: it cannot be written.
-    """
+    """Writes a state. Raises OutputError: it cannot be written."""
     write_text(path, json.dumps({"format": FORMAT, "problem": problem, "state": _plain(state)}))
 
 
 def load_checkpoint(path: Path, problem: str) -> dict[str, Any]:
-    """Reads the saved state of this problem.
-
-    Raises:
-        InputError: no such file, no checkpoint, or one of another problem.
-    """
+    """Reads the saved state of this problem. Raises InputError: no such file, no checkpoint, or one of another
+    problem."""
     content = read_json(path, expected=f"a file of {FORMAT!r}")
     try:
         if content["format"] != FORMAT:

@@ -50,11 +50,8 @@ class Density:
 
     @staticmethod
     def of(estimate: Estimate, measured: Measured | Sequence[Measured] | None) -> Density:
-        """The density of an estimate by likelihood.
-
-        Raises:
-            InputError: as `likelihood_of`; parameters that the measurements leave open.
-        """
+        """The density of an estimate by likelihood. Raises InputError: as `likelihood_of`; parameters that the
+        measurements leave open."""
         problem = likelihood_of(estimate, measured)
         centre = np.asarray(estimate.values, dtype=np.float64)
         covariance = estimate.covariance if estimate.serial_correlation > SERIAL else None
@@ -62,11 +59,8 @@ class Density:
 
     @staticmethod
     def about(problem: Problem, centre: Floats, covariance: Floats | None = None) -> Density:
-        """The density of a problem, tempered to a covariance (p, p) where one is given.
-
-        Raises:
-            InputError: the motion at the centre cannot be simulated, or leaves a combination of parameters open.
-        """
+        """The density of a problem, tempered to a covariance (p, p) where one is given. Raises InputError: the motion
+        at the centre cannot be simulated, or leaves a combination of parameters open."""
         p = len(centre)
         _, slopes, usable = _residuals(problem, centre[None])
         if not usable[0]:
@@ -113,10 +107,7 @@ def _residuals(problem: Problem, theta: Floats) -> tuple[Floats, Floats, NDArray
 
 def tempering(information: Floats, covariance: Floats) -> Floats:
     """A (p, p) with A' H A = the inverse of C, the same whatever units parameters are in; H information, C covariance.
-
-    Raises:
-        InputError: the covariance leaves a combination of parameters open.
-    """
+    Raises InputError: the covariance leaves a combination of parameters open."""
     scale = np.sqrt(np.diagonal(information))
     spread = np.linalg.eigvalsh(covariance * np.outer(scale, scale))
     if not (np.isfinite(spread).all() and spread[0] > _SMALLEST * spread[-1]):

@@ -35,11 +35,8 @@ class PosteriorPlots:
         return corner_figure(self._posterior.estimate, self._posterior)
 
     def save(self, stem: Path) -> list[Path]:
-        """The figure as STEM_posterior.png and STEM_posterior.svg.
-
-        Raises:
-            OutputError: the folder is missing or cannot be written to.
-        """
+        """The figure as STEM_posterior.png and STEM_posterior.svg. Raises OutputError: the folder is missing or cannot
+        be written to."""
         from pftwin.results.plots import save_figure
 
         return list(save_figure(self.corner(), stem.with_name(f"{stem.name}_posterior")))
@@ -47,10 +44,7 @@ class PosteriorPlots:
 
 def corner_figure(estimate: Estimate, posterior: Posterior | None = None) -> Figure:
     """Every parameter and every pair of an estimate's normal distribution, over a posterior's draws if there are any.
-
-    Raises:
-        InputError: a posterior of other parameters.
-    """
+    Raises InputError: a posterior of other parameters."""
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch

@@ -127,11 +127,8 @@ class Proposals(NamedTuple):
 def proposals(
     density: Density, count: int, random: np.random.Generator, progress: Callable[[int], None] | None = None
 ) -> Proposals:
-    """As many proposals as are wanted; `progress` is told how many there are.
-
-    Raises:
-        InputError: too few solutions lie within the bounds.
-    """
+    """As many proposals as are wanted; `progress` is told how many there are. Raises InputError: too few solutions lie
+    within the bounds."""
     start = density(density.centre[None])
     lower, upper = density.bounds
     found: list[Seen] = []
@@ -237,10 +234,7 @@ def sampled(theta: Floats, log_density: Floats, log_proposal: Floats, *, chains:
 @cache
 def chain_runner() -> Callable[[Array, _Point, _Point], tuple[_Point, Array]]:
     """A compiled function that runs chains over proposals: from keys, starts (chains,) and proposals (chains, n).
-
-    Raises:
-        MissingExtraError: blackjax is not installed.
-    """
+    Raises MissingExtraError: blackjax is not installed."""
     try:
         from blackjax.mcmc import random_walk
     except ImportError as error:

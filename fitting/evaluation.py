@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from fitting import programs
 from fitting.parameters import Parameters
-from fitting.programs import ORIENTATION, POSITION, channel_widths, columns_of, unit_of
+from fitting.programs import ORIENTATION, POSITION, columns_of, side_by_side, unit_of
 from pftwin.base.arrays import Floats
 from pftwin.base.runtime import warn_of_accelerator
 from pftwin.base.spatial import Pose
@@ -142,15 +142,13 @@ class Evaluator:
 
     def _agree(self, rough: Floats, good: Floats) -> bool:
         """Whether long steps are accurate enough for a search: by the position, or else by every channel."""
-        judged = self.channels[:1] if self.channels[0] == POSITION else self.channels
-        at = 0
-        for channel, width in zip(judged, self.widths, strict=False):
-            a, b = (run[:, at : at + width] for run in (rough, good))
+        judged = side_by_side(self.channels)
+        for channel, columns in judged[:1] if self.channels[0] == POSITION else judged:
+            a, b = rough[:, columns], good[:, columns]
             place = unit_of(channel, self._readings) == "m"
             off = np.sqrt(np.mean(np.sum((a - b) ** 2, axis=1))) if place else np.abs(a - b).max()
             if off > (_ROUGH if place else _ROUGH_SHARE * np.ptp(b, axis=0).max()):
                 return False
-            at += width
         return True
 
     @cached_property
@@ -178,22 +176,16 @@ class Evaluator:
         long, short = (run(theta[None], n) for n in (substeps, 2 * substeps))
         if not (long.usable[0] and short.usable[0]):
             return {}
-        found, at = {}, 0
-        for channel, width in zip(self.channels, self.widths, strict=True):
-            a, b = (run.values[0, :, at : at + width] for run in (long, short))
+        found = {}
+        for channel, columns in side_by_side(self.channels):
+            a, b = (run.values[0, :, columns] for run in (long, short))
             rms = 2 * float(np.sqrt(np.mean(np.sum((a - b) ** 2, axis=1))))
             if channel == ORIENTATION:
                 rms *= 2  # an angle is twice what the quaternion changes by
             place = unit_of(channel, self._readings) == "m"
             most = _EXACT if place else _EXACT_SHARE * float(np.ptp(b, axis=0).max())
             found[channel] = StepError(rms, rms > most)
-            at += width
         return found
-
-    @property
-    def widths(self) -> tuple[int, ...]:
-        """Columns of each channel."""
-        return channel_widths(self.channels)
 
     def values(self, theta: Floats, substeps: int) -> Prediction:
         """Predictions for (N, p) parameters."""
@@ -256,17 +248,13 @@ class Evaluator:
         assert values is not None
         assert found is not None
         if self.computed is not None:
-            values = values[..., self._kept]
-            slope = None if slope is None else slope[..., self._kept, :]
+            kept = columns_of(self.channels, self.computed)
+            values = values[..., kept]
+            slope = None if slope is None else slope[..., kept, :]
         usable = found & np.isfinite(values).all(axis=(1, 2))
         if slope is not None:
             usable &= np.isfinite(slope).all(axis=(1, 2, 3))
         return Prediction(values, slope, usable)
-
-    @cached_property
-    def _kept(self) -> NDArray[np.intp]:
-        """Columns of `channels` among those of `computed`."""
-        return columns_of(self.channels, self.computed or self.channels)
 
     def _run(self, theta: NDArray, guesses: Pose, substeps: int, slopes: bool) -> tuple[Any, Any, Any, Any]:
         """Values (N, n, c), slopes (N, n, c, p) or None, whether in equilibrium at the start (N,), starting poses."""

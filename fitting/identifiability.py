@@ -18,7 +18,7 @@ from fitting.methods.problem import Problem, refuse_moved_point
 from fitting.nuisance import Nuisance
 from fitting.objective import Normal
 from fitting.parameters import Bounds, Parameters
-from fitting.programs import ORIENTATION, POSITION, channels_of, reading_units, with_readings
+from fitting.programs import ORIENTATION, POSITION, channels_of, reading_units, side_by_side, with_readings
 from fitting.trials import check_channels, free_in_trials, trial_names
 from fitting.uncertainty import in_words, inverse_information, percent, sizes
 from pftwin.base.arrays import Floats
@@ -242,17 +242,15 @@ def _information_at(
     evaluator: Evaluator, parameters: Parameters, noise: Mapping[str, float], substeps: int
 ) -> dict[str, Floats]:
     """Fisher information of every channel (p, p) with so many steps between frames; none where nothing can be run."""
-    seen, out, column = evaluator.with_slopes(parameters.nominal[None], substeps), {}, 0
+    seen, out = evaluator.with_slopes(parameters.nominal[None], substeps), {}
     if not seen.usable[0] or seen.slopes is None:
         return {}
-    channels = evaluator.channels
-    for channel, width in zip(channels, evaluator.widths, strict=True):
-        j = seen.slopes[0, :, column : column + width] / noise[channel]
+    for channel, columns in side_by_side(evaluator.channels):
+        j = seen.slopes[0, :, columns] / noise[channel]
         if channel == ORIENTATION:
             j = 2 * j  # of a unit quaternion: half the turn
         flat = j.reshape(-1, j.shape[-1])
         out[channel] = flat.T @ flat
-        column += width
     return out
 
 

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from fitting.evaluation import Prediction
 from fitting.measured_channels import check_times, chosen_channels
 from fitting.metric import Metric, StatedNoise, check_noise, covariances, level
-from fitting.programs import ORIENTATION, POSITION, channel_widths, reading_units
+from fitting.programs import ORIENTATION, POSITION, reading_units, side_by_side
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.model.measured import Measured
@@ -39,7 +39,6 @@ _AXES = ("X", "Y", "Z")
 _SMALLEST = {POSITION: 1e-7, ORIENTATION: 1e-6}  # residuals below these are rounding [m], [rad]
 _SMALLEST_FORCE = 1e-5  # the same of a force [N]
 _SMALLEST_SHARE = 1e-6  # the same of another reading, as a share of its root mean square
-_ONE: dict[str, Any] = {"frames": (slice(None),), "sources": ()}  # of one trial
 _HUBER = 1.345  # residual from which the loss is linear, in units of the noise
 
 
@@ -150,7 +149,8 @@ class Objective:
                 present=self.present[rows],
                 source=source,
                 metric=None if self.metric is None else self.metric.at(rows),
-                **_ONE,
+                frames=(slice(None),),
+                sources=(),
             )
             for rows, source in zip(self.frames, self.sources or (self.source,), strict=True)
         )
@@ -305,11 +305,9 @@ class Objective:
 
     def columns(self) -> Iterator[tuple[str, slice, slice]]:
         """Every channel with its columns among the predictions' and among the residuals."""
-        column = row = 0
-        for channel, width in zip(self.channels, channel_widths(self.channels), strict=True):
-            rows = 3 if channel == ORIENTATION else width
-            yield channel, slice(column, column + width), slice(row, row + rows)
-            column, row = column + width, row + rows
+        ends = np.cumsum(counts := _residuals_of(self.channels)).tolist()
+        for (channel, columns), count, end in zip(side_by_side(self.channels), counts, ends, strict=True):
+            yield channel, columns, slice(end - count, end)
 
 
 def channel_of_columns(channels: tuple[str, ...]) -> NDArray[np.intp]:

@@ -65,11 +65,17 @@ def channel_widths(channels: tuple[str, ...]) -> tuple[int, ...]:
     return tuple({POSITION: 3, ORIENTATION: 4}.get(c, 1) for c in channels)
 
 
+def side_by_side(channels: tuple[str, ...]) -> list[tuple[str, slice]]:
+    """Each channel with its columns."""
+    widths = channel_widths(channels)
+    ends = np.cumsum(widths).tolist()
+    return [(c, slice(end - n, end)) for c, n, end in zip(channels, widths, ends, strict=True)]
+
+
 def columns_of(channels: tuple[str, ...], among: tuple[str, ...]) -> NDArray[np.intp]:
     """Indices of some channels' columns among those of more channels."""
-    ends = np.cumsum(channel_widths(among))
-    columns = {c: np.arange(end - n, end) for c, n, end in zip(among, channel_widths(among), ends, strict=True)}
-    return np.concatenate([columns[c] for c in channels])
+    columns = dict(side_by_side(among))
+    return np.concatenate([np.r_[columns[c]] for c in channels])
 
 
 _COLUMNS = PartitionSpec(None, AXIS)

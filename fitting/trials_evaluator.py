@@ -16,7 +16,7 @@ from pftwin.model.scene import Scene
 
 @dataclass(eq=False)
 class TrialsEvaluator:
-    """`Evaluator` for several trials; numbers of steps between two frames are those of the first.
+    """`Evaluator` for several trials, with its methods; numbers of steps between two frames are those of the first.
 
     Args:
         evaluators: of every trial, by the parameters that trials share.
@@ -29,32 +29,20 @@ class TrialsEvaluator:
     def __post_init__(self) -> None:
         nominal = [e.parameters.nominal for e in self.evaluators]
         self._moved = [own - nominal[0] for own in nominal]
-        trials, shared = range(len(self.evaluators)), len(nominal[0])
-        self._weights = [weights_in(self.differences, shared, k) for k in trials]
+        self._weights = [weights_in(self.differences, len(nominal[0]), k) for k in range(len(self.evaluators))]
+        self.scenes = tuple(scene for each in self.evaluators for scene in each.scenes)
+        self.in_turns = any(each.in_turns for each in self.evaluators)
+        first = self.evaluators[0]
+        self.computed, self.first, self.slope_chunk = first.computed, first.first, first.slope_chunk
 
     def prepare(self, widest: int | None) -> None:
         """As `Evaluator.prepare`."""
         for each in self.evaluators:
             each.prepare(widest)
 
-    @property
-    def scenes(self) -> tuple[Scene, ...]:
-        """The nominal scene of every trial."""
-        return tuple(scene for each in self.evaluators for scene in each.scenes)
-
     def scenes_at(self, theta: Floats) -> tuple[Scene, ...]:
         """The scene of every trial with parameters (p,)."""
         return tuple(e.parameters.apply(e.scene, at[0]) for e, at, _ in self._each(theta, self.first))
-
-    @property
-    def computed(self) -> tuple[str, ...] | None:
-        """As `Evaluator.computed`."""
-        return self.evaluators[0].computed
-
-    @property
-    def first(self) -> int:
-        """As `Evaluator.first`."""
-        return self.evaluators[0].first
 
     @cached_property
     def coarse(self) -> int:
@@ -69,16 +57,6 @@ class TrialsEvaluator:
     def short_enough(self, *, slopes: bool = True) -> int:
         """As `Evaluator.short_enough`, likewise."""
         return max(self._of_the_first(each, each.short_enough(slopes=slopes)) for each in self.evaluators)
-
-    @property
-    def in_turns(self) -> bool:
-        """As `Evaluator.in_turns`, of any trial."""
-        return any(each.in_turns for each in self.evaluators)
-
-    @property
-    def slope_chunk(self) -> int:
-        """As `Evaluator.slope_chunk`."""
-        return self.evaluators[0].slope_chunk
 
     @property
     def pull_chunk(self) -> int:

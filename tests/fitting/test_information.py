@@ -33,7 +33,7 @@ class LinearEvaluator:
     """In the place of simulations."""
 
     def __init__(self, scene, parameters, channels):
-        self.channels, self.first, self.fine, self.widths = channels, 1, 1, channel_widths(channels)
+        self.channels, self.first, self.fine = channels, 1, 1
 
     def prepare(self, widest):
         pass

@@ -29,7 +29,7 @@ from pftwin.base.output import check_place
 from pftwin.dynamics.batch.devices import Devices
 from pftwin.dynamics.simulate import compiled_aside
 from pftwin.model.measured import Measured
-from pftwin.model.scene import Scene, check
+from pftwin.model.scene import Scene
 
 METHODS = {  # module and class
     "least_squares": ("least_squares", "LeastSquares"),
@@ -142,9 +142,7 @@ def fit_tendons(
     if checkpoint is not None:
         check_place(checkpoint)
     allowed = limits_of(limits)
-    trials = trials_of(scene, measured)
-    for one, _ in trials:
-        check(one)
+    nominal, given = trials_of(scene, measured)
     if objective == "paper" and (priors or varies or nuisance is not None):
         where = "priors" if priors else "nuisance" if nuisance is not None else "varies"
         raise InputError("the paper's objective has no noise to weigh priors against", where=where)
@@ -152,23 +150,26 @@ def fit_tendons(
     if method != SIMULATIONS:
         besides.refuse_sensors(f"method {method!r}")
     else:
-        besides = besides.at_work([one for one, _ in trials])
-    given = [data for _, data in trials]
-    scenes, parameters = free_in_trials([one for one, _ in trials], free, bounds, priors, besides, varies)
-    target = objective_of(list(zip(scenes, given, strict=True)), objective, use, noise, loss, springs)
+        besides = besides.at_work(nominal)
+    scenes, parameters = free_in_trials(nominal, free, bounds, priors, besides, varies)
+    target = objective_of(scenes, given, objective, use, noise, loss, springs)
     knee = scenes[0]
     problem = Problem.of(scenes, parameters, target, _computed(knee, target, computed), devices)
-    began = time.perf_counter()
+    began, tell = time.perf_counter(), progress or (lambda _: None)
     if method == SIMULATIONS:
         count, rounds = _check_simulations(objective, loss, checkpoint, options)
         check_size(problem.parameters, count, target.present.size)
         problem.evaluator.prepare(TOGETHER)
         compiled = compiled_aside(knee.unnamed())
         doubts = plain_look(problem, allowed)
-        found = infer(problem, Sensors.of(besides), seed, count, rounds, _told(progress))
+
+        def report(e: dict[str, float], most: int) -> None:
+            tell(Progress(method, int(e["iteration"]), most, e["best"], e["spread"]))
+
+        found = infer(problem, Sensors.of(besides), seed, count, rounds, report)
         if not found.interrupted:
             besides, draws = at_own_lengths(problem, besides, found.answer.draws)
-            scenes, parameters = free_in_trials([one for one, _ in trials], free, bounds, priors, besides, varies)
+            scenes, parameters = free_in_trials(nominal, free, bounds, priors, besides, varies)
             problem = Problem.of(scenes, parameters, target, problem.evaluator.computed, devices)
             problem.evaluator.prepare(TOGETHER)
             found = found._replace(answer=found.answer._replace(draws=draws))
@@ -182,7 +183,7 @@ def fit_tendons(
         if resume and checkpoint is not None:
             state = load_checkpoint(Path(checkpoint), identity)
         doubts = first_look(problem, search.ask(search.begin()) if state is None else None, allowed)
-        search, state = _searched(search, state, identity, progress, checkpoint)
+        search, state = _searched(search, state, identity, tell, None if checkpoint is None else Path(checkpoint))
         problem, outcome = search.problem, Outcome.of_search(search, state)
     estimate = estimate_of(problem, outcome, method, given, springs, besides, doubts, allowed, began)
     if not outcome.interrupted:
@@ -195,11 +196,11 @@ def _searched(
     search: Method,
     state: State | None,
     identity: str,
-    progress: Callable[[Progress], None] | None,
-    checkpoint: str | Path | None,
+    tell: Callable[[Progress], None],
+    checkpoint: Path | None,
 ) -> tuple[Method, State]:
     """The search where it ended, and its state there. Raises InputError: all starts failed."""
-    state = _run(search, state, identity, progress, None if checkpoint is None else Path(checkpoint))
+    state = _run(search, state, identity, tell, checkpoint)
     if state["best_theta"] is None:
         raise InputError(
             f"all {state['starts']} starts failed: no equilibrium, or no finite motion",
@@ -209,7 +210,7 @@ def _searched(
         )
     if state["interrupted"]:
         return search, state
-    return finished(search, state, lambda again: _run(again, None, "", progress, None))
+    return finished(search, state, lambda again: _run(again, None, "", tell, None))
 
 
 def _check_simulations(
@@ -226,16 +227,6 @@ def _check_simulations(
     _check_options(SIMULATIONS, tuple(known), options)
     found = known | dict(options)
     return found["simulations"], found["rounds"]
-
-
-def _told(progress: Callable[[Progress], None] | None) -> Callable[[dict[str, float], int], None]:
-    """What is told of a round."""
-
-    def tell(entry: dict[str, float], most: int) -> None:
-        if progress is not None:
-            progress(Progress(SIMULATIONS, int(entry["iteration"]), most, entry["best"], entry["spread"]))
-
-    return tell
 
 
 def likelihood_of(estimate: Estimate, measured: Measured | Sequence[Measured | None] | None) -> Problem:
@@ -262,10 +253,9 @@ def likelihood_of(estimate: Estimate, measured: Measured | Sequence[Measured | N
     shared = e.names[: e.shared]
     limits = {n: (lower, upper) for n, lower, upper in zip(shared, e.lower, e.upper, strict=False)}
     priors = {name: prior for name, prior in e.priors.items() if name in shared}
-    trials = trials_of(scenes, [trial.measured for trial in e.trials] if measured is None else measured)
-    target = objective_of(
-        trials, "likelihood", e.channels, {**e.noise, **e.covariances}, "linear", e.springs or SPRINGS
-    )
+    _, given = trials_of(scenes, [trial.measured for trial in e.trials] if measured is None else measured)
+    noise = {**e.noise, **e.covariances}
+    target = objective_of(scenes, given, "likelihood", e.channels, noise, "linear", e.springs or SPRINGS)
     target = replace(target, share=e.share)
     problem = Problem.of(scenes, free_in_trials(scenes, shared, limits, priors, EXACT, e.varies)[1], target)
     problem.evaluator.prepare(None)
@@ -311,7 +301,7 @@ def _check_options(name: str, known: tuple[str, ...], options: Mapping[str, Any]
 
 
 def _run(
-    search: Method, state: State | None, identity: str, report: Callable[[Progress], None] | None, path: Path | None
+    search: Method, state: State | None, identity: str, tell: Callable[[Progress], None], path: Path | None
 ) -> State:
     """Iterates until the method stops or someone interrupts."""
     if state is None:
@@ -333,8 +323,7 @@ def _run(
             if path is not None and (now - saved > _BETWEEN_CHECKPOINTS or state["stopped"]):
                 save_checkpoint(path, identity, state)
                 saved = now
-            if report is not None:
-                report(Progress(search.name, state["iteration"], search.most_iterations, **found))
+            tell(Progress(search.name, state["iteration"], search.most_iterations, **found))
     except KeyboardInterrupt:
         state["interrupted"] = True
         if path is not None:

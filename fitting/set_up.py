@@ -58,13 +58,13 @@ class SetUp(NamedTuple):
         """The scenes with whatever is fitted in them, and what is free in each."""
         return free_in_trials(scenes, self.free, self.bounds, self.priors, self.nuisance, self.varies)
 
-    def objective(self, trials: Sequence[tuple[Scene, Measured]]) -> Objective:
+    def objective(self, scenes: Sequence[Scene], measured: Sequence[Measured]) -> Objective:
         """The measurements of such scenes. Raises InputError: other frames; a channel that was not measured; of several
         trials, other channels in some."""
-        if (found := tuple(scene.motion.times.size for scene, _ in trials)) != self.frames:
+        if (found := tuple(scene.motion.times.size for scene in scenes)) != self.frames:
             said = f"{listed(found)} frames"
-            raise InputError(said, where=trials[0][1].source, expected=f"{listed(self.frames)}, as it was trained for")
-        target = objective_of(trials, "likelihood", self.channels, self.noise, "linear", self.springs)
+            raise InputError(said, where=measured[0].source, expected=f"{listed(self.frames)}, as it was trained for")
+        target = objective_of(scenes, measured, "likelihood", self.channels, self.noise, "linear", self.springs)
         if target.channels != self.channels:
             found = f"{', '.join(target.channels)} measured"
             raise InputError(found, where=target.source, expected=f"{', '.join(self.channels)}, as in training")

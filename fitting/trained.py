@@ -35,7 +35,7 @@ from pftwin.base.errors import InputError
 from pftwin.base.output import written_whole
 from pftwin.dynamics.simulate import compiled_aside
 from pftwin.model.measured import Measured
-from pftwin.model.scene import Scene, check
+from pftwin.model.scene import Scene
 
 FORMAT = "pftwin trained posterior 2"
 _FEWEST_PROBES = 0.5  # share of the knees that are run again that must run
@@ -128,13 +128,10 @@ class TrainedPosterior:
         scene: Scene | Sequence[Scene], measured: Measured | Sequence[Measured | None] | None, set_up: SetUp
     ) -> tuple[Problem, list[Measured]]:
         """What is to be answered, and the measurements of every trial."""
-        trials = trials_of(scene, measured)
-        for one, _ in trials:
-            check(one)
-        scenes, parameters = set_up.parameters([one for one, _ in trials])
-        given = [data for _, data in trials]
+        nominal, given = trials_of(scene, measured)
+        scenes, parameters = set_up.parameters(nominal)
         refuse_weights(given)
-        problem = Problem.of(scenes, parameters, set_up.objective(list(zip(scenes, given, strict=True))))
+        problem = Problem.of(scenes, parameters, set_up.objective(scenes, given))
         problem.evaluator.prepare(TOGETHER)
         return problem, given
 

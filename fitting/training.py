@@ -34,7 +34,7 @@ from fitting.trials import free_in_trials, objective_of, trials_of
 from pftwin.base.arrays import Floats, Rows
 from pftwin.dynamics.batch.devices import Devices
 from pftwin.model.measured import Measured
-from pftwin.model.scene import Scene, check
+from pftwin.model.scene import Scene
 
 AT_ALL = 30_000  # simulations
 _AT_ONCE = 2048  # of them, between two reports of progress
@@ -74,15 +74,11 @@ def train_posterior(
             frames, which every recording would need to share.
     """
     began, allowed, besides = time.perf_counter(), limits_of(limits), Nuisance.of(nuisance)
-    trials = trials_of(scene, measured)
-    for one, _ in trials:
-        check(one)
-    refuse_weights([data for _, data in trials])
-    besides = besides.at_work([one for one, _ in trials])
-    scenes, parameters = free_in_trials([one for one, _ in trials], free, bounds, priors, besides, varies)
-    target = objective_of(
-        list(zip(scenes, [data for _, data in trials], strict=True)), "likelihood", use, noise, "linear", springs
-    )
+    nominal, given = trials_of(scene, measured)
+    refuse_weights(given)
+    besides = besides.at_work(nominal)
+    scenes, parameters = free_in_trials(nominal, free, bounds, priors, besides, varies)
+    target = objective_of(scenes, given, "likelihood", use, noise, "linear", springs)
     problem = Problem.of(scenes, parameters, target, devices=devices)
     numbers = target.present.size
     simulations = min(AT_ALL, MOST_NUMBERS // numbers) if simulations is None else simulations

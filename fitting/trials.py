@@ -21,7 +21,7 @@ from fitting.parameters import Bounds, Parameters, with_nuisance
 from fitting.programs import ORIENTATION, POSITION, channel_widths, columns_of, with_readings
 from pftwin.base.errors import InputError
 from pftwin.model.measured import Measured
-from pftwin.model.scene import Scene
+from pftwin.model.scene import Scene, check
 
 _ANY = (-1e12, 1e12)  # bounds where the first trial's hold
 _EQUAL = 1e-6  # share by which numbers of two scenes may differ that count as the same: rounding in files
@@ -29,9 +29,10 @@ _EQUAL = 1e-6  # share by which numbers of two scenes may differ that count as t
 
 def trials_of(
     scene: Scene | Sequence[Scene], measured: Measured | Sequence[Measured | None] | None
-) -> list[tuple[Scene, Measured]]:
+) -> tuple[list[Scene], list[Measured]]:
     """Every trial's scene and measurements, of one or several; by default what scenes carry. Raises InputError: no
-    scene, or something that is none; a scene that carries no measurements; not as many measurements as scenes."""
+    scene, something that is none, or one that cannot give a right answer; a scene that carries no measurements; not as
+    many measurements as scenes."""
     scenes = list(scene) if isinstance(scene, Sequence) else [scene]
     if not scenes:
         raise InputError("no trial", where="scene", expected="a scene, or several")
@@ -42,7 +43,10 @@ def trials_of(
     if len(given) != len(scenes):
         found = f"{len(given)} given, and {len(scenes)} scenes"
         raise InputError(found, where="measured", expected="measurements for each scene")
-    return [(s, measured_of(s) if m is None else m) for s, m in zip(scenes, given, strict=True)]
+    found = [measured_of(s) if m is None else m for s, m in zip(scenes, given, strict=True)]
+    for each in scenes:
+        check(each)
+    return scenes, found
 
 
 def measured_of(scene: Scene) -> Measured:
@@ -62,17 +66,18 @@ def trial_names(scenes: Sequence[Scene]) -> list[str]:
 
 
 def said_of_trials(
-    scenes: Sequence[Scene], objective: Objective, check: Callable[[Objective, slice], list[str]]
+    scenes: Sequence[Scene], objective: Objective, say: Callable[[Objective, slice], list[str]]
 ) -> list[str]:
     """What a check of one trial's measurements, given them and their frames, says of each; of several by name."""
     names, found = trial_names(scenes), []
     for name, own, rows in zip(names, objective.trials, objective.frames, strict=True):
-        found += [said if len(names) == 1 else f"{said} (in {name})" for said in check(own, rows)]
+        found += [said if len(names) == 1 else f"{said} (in {name})" for said in say(own, rows)]
     return found
 
 
 def objective_of(
-    trials: Sequence[tuple[Scene, Measured]],
+    scenes: Sequence[Scene],
+    measured: Sequence[Measured],
     kind: str,
     use: str | Sequence[str],
     noise: StatedNoise | None,
@@ -81,11 +86,11 @@ def objective_of(
 ) -> Objective:
     """The distance from all trials' measurements: as `Objective.of`, of each what was measured there. Raises
     InputError: as `Objective.of`; a trial of which nothing that is used was measured."""
-    there = [tuple(measured_channels(scene, data, springs)[0]) for scene, data in trials]
+    there = [tuple(measured_channels(*each, springs)[0]) for each in zip(scenes, measured, strict=True)]
     found = []
-    for (scene, data), channels in zip(trials, there, strict=True):
+    for scene, data, channels in zip(scenes, measured, there, strict=True):
         wanted: str | Sequence[str] = use
-        if len(trials) > 1 and use != "all":
+        if len(scenes) > 1 and use != "all":
             names = [use] if isinstance(use, str) else list(use)
             elsewhere = {c for other in there for c in other}
             wanted = [c for c in names if c in channels or c not in elsewhere]  # what nobody measured is refused
@@ -97,7 +102,7 @@ def objective_of(
                 )
         found.append(Objective.of(scene, data, kind, use=wanted, noise=noise, loss=loss, springs=springs))
     joined = joined_objective(found)
-    check_channels([scene for scene, _ in trials], joined.channels)
+    check_channels(scenes, joined.channels)
     return joined
 
 

@@ -59,11 +59,10 @@ class QuickFit(NamedTuple):
             raise InputError(found, where="method", expected=f"one of: {', '.join(METHODS)}", remedy=remedy)
         besides = Nuisance.of(nuisance)
         besides.refuse_sensors(f"method {method!r}")
-        trials = trials_of(scene, measured)
-        refuse_weights([data for _, data in trials])
-        scenes, parameters = free_in_trials([one for one, _ in trials], free, bounds, priors, besides, varies)
-        data = [data for _, data in trials]
-        target = objective_of(list(zip(scenes, data, strict=True)), "likelihood", use, noise, "linear", springs)
+        nominal, data = trials_of(scene, measured)
+        refuse_weights(data)
+        scenes, parameters = free_in_trials(nominal, free, bounds, priors, besides, varies)
+        target = objective_of(scenes, data, "likelihood", use, noise, "linear", springs)
         there = [measured_channels(one, own, springs)[0] for one, own in zip(scenes, data, strict=True)]
         channels = tuple(tuple(name for name in target.channels if name in each) for each in there)
         return QuickFit(SetUp.of(Problem.of(scenes, parameters, target), besides, springs), method, channels)
@@ -81,13 +80,11 @@ class QuickFit(NamedTuple):
             PftwinError: as `fit_tendons`.
         """
         s = self.set_up
-        trials = trials_of(scene, measured)
-        scenes = [one for one, _ in trials]
-        kept = [_only(own, one, data, s.springs) for own, (one, data) in zip(self.measured, trials, strict=True)]
-        asked: dict[str, Any] = {"free": s.free, "bounds": s.bounds, "priors": s.priors, "nuisance": s.nuisance}
-        asked["varies"] = s.varies
-        seen: dict[str, Any] = {"use": s.channels, "noise": s.noise, "springs": s.springs, "limits": limits}
-        return fit_tendons(scenes, kept, method=self.method, **asked, **seen)
+        scenes, given = trials_of(scene, measured)
+        kept = [_only(*each, s.springs) for each in zip(self.measured, scenes, given, strict=True)]
+        names = ("free", "bounds", "priors", "nuisance", "varies", "noise", "springs")
+        asked: dict[str, Any] = {name: getattr(s, name) for name in names}
+        return fit_tendons(scenes, kept, method=self.method, use=s.channels, limits=limits, **asked)
 
     def draws(
         self,

@@ -39,5 +39,5 @@ def problem_of(
 ) -> Problem:
     """Of some of the trials, measured so, by the channels whose noise is given; one program serves them all."""
     scenes, own = free_in_trials([nominal()[i] for i in trials], FREE, BOUNDS, None, EXACT, varies)
-    target = objective_of(list(zip(scenes, data, strict=True)), "likelihood", tuple(noise), noise, "linear", SPRINGS)
+    target = objective_of(scenes, data, "likelihood", tuple(noise), noise, "linear", SPRINGS)
     return Problem.of(scenes, own, target, computed=COMPUTED)

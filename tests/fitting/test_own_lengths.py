@@ -21,7 +21,7 @@ def problem(free: tuple[str, ...], besides: Nuisance) -> Problem:
     knee = small_scene()
     scenes, parameters = free_in_trials([knee], free, 0.3, None, besides)
     seen = Measured(knee.motion.times, np.zeros((knee.motion.times.size, 3)))
-    target = objective_of([(scenes[0], seen)], "likelihood", "position", None, "linear", {})
+    target = objective_of(scenes, [seen], "likelihood", "position", None, "linear", {})
     return Problem.of(scenes, parameters, target)
 
 

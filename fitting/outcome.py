@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
 
 _TRIED, _PER_PARAMETER = 63, 3  # draws next to the posterior's mean, at least, and per number of parameters
+_ANOTHER_DRAW = "the posterior's means give no finite motion; values are those of a draw next to them"
 _NO_DRAW_RUNS = "neither the posterior's means nor the draws next to them give a finite motion"
 
 
@@ -43,13 +44,9 @@ class Outcome(NamedTuple):
     seen: Prediction  # at theta, with derivatives
     steps: dict[str, StepError]  # of its time steps
     noise: dict[str, float]  # by channel
-    serial: float  # correlation of neighbouring residuals
-    condition: float
     doubts: list[str]
-    reason: str
     interrupted: bool
-    substeps: int  # between two frames
-    facts: dict[str, Any]  # seed, evaluations, iterations, starts, dropped, history
+    facts: dict[str, Any]  # whatever else an `Estimate` has of a method, by its names
 
     @staticmethod
     def of_search(search: Method, state: State) -> Outcome:
@@ -68,14 +65,15 @@ class Outcome(NamedTuple):
             seen,
             problem.evaluator.step_errors(theta, problem.evaluator.fine),
             noise,
-            sure.serial,
-            sure.condition,
             [],
-            "interrupted; the best so far" if state["interrupted"] else str(state["stopped"]),
             state["interrupted"],
-            problem.evaluator.fine,
             {
-                **{key: int(state[key]) for key in ("iteration", "evaluations", "starts", "dropped")},
+                **{key: int(state[key]) for key in ("evaluations", "starts", "dropped")},
+                "iterations": int(state["iteration"]),
+                "reason": "interrupted; the best so far" if state["interrupted"] else str(state["stopped"]),
+                "serial_correlation": sure.serial,
+                "condition": sure.condition,
+                "substeps": problem.evaluator.fine,
                 "seed": search.seed,
                 "history": state["history"],
                 "notes": list(state.get("notes", [])),
@@ -96,14 +94,10 @@ class Outcome(NamedTuple):
         theta, at = tried[best], slice(best, best + 1)
         _check_usable(every._replace(usable=every.usable[at]), _NO_DRAW_RUNS)
         slopes = _slopes(tried[every.usable], every.values[every.usable])
-        covariance = np.cov(draws.T).reshape(2 * [len(problem.parameters)])
         parameters = problem.parameters
-        span = parameters.upper - parameters.lower
-        size = sizes(parameters.names, span, theta, parameters.coordinates)
-        doubts = (
-            ["the posterior's means give no finite motion; values are those of a draw next to them"] if best else []
-        )
-        doubts += found.answer.doubts(target.source, limits)
+        covariance = np.cov(draws.T).reshape(2 * [len(parameters)])
+        size = sizes(parameters.names, parameters.upper - parameters.lower, theta, parameters.coordinates)
+        doubts = [_ANOTHER_DRAW] if best else []
         squares = {channel: found.noise.deviations[rows] ** 2 for channel, _, rows in target.columns()}
         return Outcome(
             theta,
@@ -112,19 +106,16 @@ class Outcome(NamedTuple):
             Prediction(every.values[at], slopes[None], every.usable[at]),
             problem.evaluator.step_errors(theta, found.substeps, slopes=False),
             {channel: float(np.sqrt(s.mean())) for channel, s in squares.items()},
-            float(found.noise.correlations.mean()),
-            float(np.linalg.cond(relative(size, covariance))),
-            doubts,
-            found.reason,
+            doubts + found.answer.doubts(target.source, limits),
             found.interrupted,
-            found.substeps,
             {
-                "iteration": len(found.history),
+                **{key: getattr(found, key) for key in ("reason", "dropped", "substeps", "history")},
+                "serial_correlation": float(found.noise.correlations.mean()),
+                "condition": float(np.linalg.cond(relative(size, covariance))),
+                "iterations": len(found.history),
                 "evaluations": found.simulations,
                 "starts": found.simulations,
-                "dropped": found.dropped,
                 "seed": seed,
-                "history": found.history,
             },
         )
 
@@ -153,19 +144,10 @@ def estimate_of(
     limits: Limits,
     began: float,
 ) -> Estimate:
-    """The estimate, with what forbids to believe it.
+    """The estimate of a problem that this method solved, with what forbids to believe it.
 
-    Args:
-        problem: that was solved.
-        found: by the method of this name.
-        measured: of every trial, what the estimate keeps of the measurements.
-        springs: as `fit_tendons` has them; `nuisance` too.
-        doubts: of the measurements, before the search.
-        limits: of the checks of what is left.
-        began: when, by `time.perf_counter`.
-
-    Raises:
-        InputError: more is left of the measurements than the limits allow, or they are too late.
+    Beside arguments of `fit_tendons` it takes `doubts` of the measurements before the search, and when that began, by
+    `time.perf_counter`. Raises InputError: more is left of the measurements than the limits allow, or they are late.
     """
     parameters, target, seen = problem.parameters, problem.objective, found.seen
     r = target.plain.residuals(seen.values)[0]
@@ -173,18 +155,19 @@ def estimate_of(
     assert seen.slopes is not None
     scenes, names = problem.evaluator.scenes, trial_names(problem.evaluator.scenes)
     shifts: dict[str, TimeShift] = {}
-    late: list[str] = []
+    late, of_trials = list[str](), {}
     for scene, name, rows, own in zip(scenes, names, target.frames, target.trials, strict=True):
-        of_trial = time_shifts(own, scene.motion.times, seen.values[0][rows], seen.slopes[0][rows])
-        named = {channel if len(scenes) == 1 else f"{channel} of {name}": s for channel, s in of_trial.items()}
+        of_trials[name] = _rmse(own, r[rows])
+        found_here = time_shifts(own, scene.motion.times, seen.values[0][rows], seen.slopes[0][rows])
+        named = {channel if len(scenes) == 1 else f"{channel} of {name}": s for channel, s in found_here.items()}
         late += late_channels(named, own.source, limits)
         shifts |= named
     noise = None if target.noise is None else Sensors.of(nuisance).beside(target.noise, target)
     left = said_of_trials(scenes, target, lambda own, rows: left_over(own, r[rows], limits, noise))
     moved = [s.change for s in shifts.values() if s.beyond(limits["shift"][0])]
-    draws, facts = found.draws, dict(found.facts)
+    draws = found.draws
     if draws is not None:
-        random = np.random.default_rng(facts["seed"])
+        random = np.random.default_rng(found.facts["seed"])
         draws = draws + sum(np.outer(random.standard_normal(len(draws)), change) for change in moved)
     return Estimate(
         names=parameters.names,
@@ -201,14 +184,10 @@ def estimate_of(
         channels=target.channels,
         noise={k: float(v) for k, v in found.noise.items()},
         noise_known=target.noise is not None,
-        serial_correlation=found.serial,
         share=target.share,
-        condition=found.condition,
         rmse=rmse,
         method=method,
-        reason=found.reason,
-        iterations=facts.pop("iteration"),
-        **facts,
+        **found.facts,
         seconds=time.perf_counter() - began,
         synthetic=target.synthetic,
         source=target.source,
@@ -223,15 +202,10 @@ def estimate_of(
         doubts=[*doubts, *late, *left, *found.doubts, *unresolved(found.steps, rmse, target.readings)],
         time_shifts={channel: (s.seconds, s.deviation) for channel, s in shifts.items()},
         coordinates=parameters.coordinates,
-        substeps=found.substeps,
         readings=target.readings,
         covariances=target.covariances,
         step_error={channel: e.rms for channel, e in found.steps.items()},
-        trial_rmse={
-            name: _rmse(own, r[rows]) for name, rows, own in zip(names, target.frames, target.trials, strict=True)
-        }
-        if len(scenes) > 1
-        else {},
+        trial_rmse=of_trials if len(scenes) > 1 else {},
         trials=tuple(FittedTrial(*each) for each in zip(scenes, measured, strict=True)),
     )
 

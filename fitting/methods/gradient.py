@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 import optax
 
-from fitting.methods.problem import Method, Problem, ProblemAnswer, Request, State, range_of, standard_promotion
+from fitting.methods.problem import Method, Problem, ProblemAnswer, Request, State, standard_promotion
 from pftwin.base.arrays import Floats
 
 RATE = 0.1  # of Adam, in the unbounded parameters
@@ -33,13 +33,9 @@ class Gradient(Method):
         super().__init__(problem, seed)
         self.starts = starts
         self.widest = max(starts, _LANES)
-        self.adam_iterations = self.newton_iterations = iterations
+        self.adam_iterations = iterations
         self.most_iterations = 2 * iterations
         problem.evaluator.pull_chunk = self.widest
-
-    def settings(self) -> tuple[Any, ...]:
-        """What decides its course."""
-        return (self.starts, self.adam_iterations)
 
     def begin(self) -> State:
         """The nominal point and others all over the box."""
@@ -81,10 +77,6 @@ class Gradient(Method):
         state["count"] += 1
         if state["stopped"] is None and state["count"] >= self.most_iterations:
             state["stopped"] = f"{self.most_iterations} iterations, the most allowed"
-
-    def spread(self, state: State) -> float:
-        """Of the finite values of the starts."""
-        return range_of(state["value"])
 
     def _adam_step(self, state: State, value: Floats, gradient: Floats) -> None:
         alive = np.isfinite(value)

@@ -21,7 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.methods.bounded_steps import bounded_steps
-from fitting.methods.problem import Method, Problem, ProblemAnswer, Request, State, range_of
+from fitting.methods.problem import Method, Problem, ProblemAnswer, Request, State
 from pftwin.base.arrays import Floats
 
 
@@ -107,10 +107,6 @@ class LeastSquares(Method):
         elif state["done"].all() or state["in_phase"] >= self.phases[state["phase"]].iterations:
             self._next_phase(state)
 
-    def spread(self, state: State) -> float:
-        """Of the objective over the starts."""
-        return range_of(state["value"])
-
     def _trials(self, state: State) -> tuple[NDArray[np.intp], Floats, Floats, Floats]:
         """From which starts, those that are not done (P,): points (P, L, p), their dampings (P, L), and the decrease
         that the quadratic model promises (P, L)."""
@@ -152,10 +148,6 @@ class LeastSquares(Method):
         for key in ("u", "value", "gradient", "hessian", "damping", "done"):
             state[key] = state[key][which]
 
-    @staticmethod
-    def _best_done(state: State) -> bool:
-        return bool(state["done"][int(np.argmin(state["value"]))])
-
     def _note_best(self, state: State) -> None:
         if len(state["value"]) and np.isfinite(state["value"].min()):
             i = int(np.argmin(state["value"]))
@@ -164,7 +156,7 @@ class LeastSquares(Method):
 
     def _next_phase(self, state: State) -> None:
         if state["phase"] == len(self.phases) - 1:
-            converged = self._best_done(state)
+            converged = state["done"][int(np.argmin(state["value"]))]
             state["stopped"] = "converged" if converged else "iterations ran out before the best start converged"
             return
         before = self.phases[state["phase"]]

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.methods.problem import Method, Problem, ProblemAnswer, Request, State, range_of
+from fitting.methods.problem import Method, Problem, ProblemAnswer, Request, State
 from pftwin.base.arrays import Floats
 
 Random = np.random.Generator
@@ -38,6 +38,7 @@ class Generations(Method):
     """Base of the methods that evaluate one generation after another."""
 
     options = ("population", "generations")
+    values = "scores"
 
     def __init__(
         self, problem: Problem, seed: int, population: int | None = None, generations: int | None = None
@@ -47,14 +48,6 @@ class Generations(Method):
         self.population = max(4, default_population(p) if population is None else population)
         self.most_iterations = 1 + (100 * p if generations is None else generations)
         self.starts = self.widest = self.population
-
-    def settings(self) -> tuple[Any, ...]:
-        """What decides its course."""
-        return (self.population, self.most_iterations)
-
-    def spread(self, state: State) -> float:
-        """Of the finite scores of the last generation."""
-        return range_of(state["scores"])
 
     def reason_to_stop(self, *, found: bool, over: bool, generations: int) -> str | None:
         """Whether nothing was found, all populations have stalled, or generations have run out."""
@@ -85,8 +78,8 @@ class Populations(Generations):
         self.starts = self.widest = self.population * populations
 
     def settings(self) -> tuple[Any, ...]:
-        """What decides its course."""
-        return (self.population, self.most_iterations, self.populations)
+        """What, with problem and seed, determines its course."""
+        return (*super().settings(), self.populations)
 
     @abstractmethod
     def bred(self, state: State, k: int, random: Random) -> Floats:

@@ -164,6 +164,7 @@ class Method(ABC):
 
     name: ClassVar[str]
     options: ClassVar[tuple[str, ...]]  # what a user may choose
+    values: ClassVar[str] = "value"  # where its state has the objective's values
     most_iterations: int
     starts: int  # number of points from which it begins
     rough: ClassVar[bool] = False  # whether its answer is to be made exact by another search from there
@@ -184,13 +185,15 @@ class Method(ABC):
     def tell(self, state: State, request: Request, answer: ProblemAnswer) -> None:
         """Updates the state with the answer. Sets state["stopped"] to the reason when the search ends."""
 
-    @abstractmethod
     def settings(self) -> tuple[Any, ...]:
-        """The settings that, with problem and seed, determine its course."""
+        """What, with problem and seed, determines its course."""
+        return (self.starts, self.most_iterations)
 
-    @abstractmethod
     def spread(self, state: State) -> float:
-        """The range of the objective's values: a measure of progress."""
+        """The range of the objective's finite values, a measure of progress; infinite where there are none."""
+        values = state[self.values]
+        finite = values[np.isfinite(values)]
+        return float(np.ptp(finite)) if finite.size else np.inf
 
     def scattered_starts(self) -> Floats:
         """The nominal point and others throughout the bounds (starts, p)."""
@@ -202,12 +205,6 @@ class Method(ABC):
     def blank() -> State:
         """The entries that every state has."""
         return {"best_value": float("inf"), "best_theta": None, "dropped": 0, "stopped": None}
-
-
-def range_of(values: Floats) -> float:
-    """The range of the finite values; infinite where there are none."""
-    finite = values[np.isfinite(values)]
-    return float(np.ptp(finite)) if finite.size else np.inf
 
 
 @contextmanager
@@ -222,7 +219,7 @@ FORMAT = "pftwin fit checkpoint 1"
 
 def save_checkpoint(path: Path, problem: str, state: dict[str, Any]) -> None:
     """Writes a state. Raises OutputError: it cannot be written."""
-    write_text(path, json.dumps({"format": FORMAT, "problem": problem, "state": _plain(state)}))
+    write_text(path, json.dumps({"format": FORMAT, "problem": problem, "state": state}, default=_plain))
 
 
 def load_checkpoint(path: Path, problem: str) -> dict[str, Any]:
@@ -246,17 +243,11 @@ def load_checkpoint(path: Path, problem: str) -> dict[str, Any]:
     return state
 
 
-def _plain(value: Any) -> Any:
-    """Plain JSON values; Python's decimal notation restores every float exactly."""
-    if isinstance(value, dict):
-        return {k: _plain(v) for k, v in value.items()}
-    if isinstance(value, np.ndarray):
-        return {"array": value.ravel().tolist(), "shape": list(value.shape), "dtype": value.dtype.str}
+def _plain(value: np.ndarray | np.generic) -> Any:
+    """In plain JSON values; Python's decimal notation restores every float exactly."""
     if isinstance(value, np.generic):
         return value.item()
-    if isinstance(value, list | tuple):
-        return [_plain(v) for v in value]
-    return value
+    return {"array": value.ravel().tolist(), "shape": list(value.shape), "dtype": value.dtype.str}
 
 
 def _restored(value: Any) -> Any:

@@ -21,15 +21,22 @@ _SPREAD = 0.3  # of CMA-ES's first generation, as a share of the range
 
 
 @lru_cache(maxsize=8)
-def _algorithm(name: str, population: int, parameters: int) -> Any:
-    """One object per kind, since its programs are compiled for that object."""
+def _algorithm(name: str, population: int, parameters: int) -> tuple[Any, Any, Any]:
+    """The algorithm, its settings and its state's structure: one object per kind, for which programs are compiled."""
     try:
         from evosax import algorithms
     except ImportError as error:
         raise MissingExtraError("evosax", extra="evosax", feature=f"the method {name!r}") from error
     kind = algorithms.CMA_ES if name == "cma_es" else algorithms.DifferentialEvolution
     with standard_promotion():  # evosax mixes types and ranks
-        return kind(population_size=population, solution=jnp.zeros(parameters))
+        found, key = kind(population_size=population, solution=jnp.zeros(parameters)), jax.random.key(0)
+        settings = found.default_params
+        if name == "cma_es":
+            settings = settings.replace(std_init=jnp.asarray(_SPREAD))
+            state = found.init(key, jnp.zeros(parameters), settings)
+        else:
+            state = found.init(key, jnp.zeros((population, parameters)), jnp.zeros(population), settings)
+    return found, settings, jax.tree.structure(state)
 
 
 class _Strategy(Generations):
@@ -39,11 +46,7 @@ class _Strategy(Generations):
         self, problem: Problem, seed: int, population: int | None = None, generations: int | None = None
     ) -> None:
         super().__init__(problem, seed, population, generations)
-        self._algorithm = _algorithm(self.name, self.population, len(problem.parameters))
-        with standard_promotion():
-            self._params = self._algorithm.default_params
-            if self.name == "cma_es":
-                self._params = self._params.replace(std_init=jnp.asarray(_SPREAD))
+        self._algorithm, self._params, self._structure = _algorithm(self.name, self.population, len(problem.parameters))
 
     def begin(self) -> State:
         """A first population all over the box; CMA-ES draws its own about the nominal point."""
@@ -97,19 +100,7 @@ class _Strategy(Generations):
         state["leaves"] = [np.asarray(leaf) for leaf in jax.tree.leaves(inner)]
 
     def _inner(self, state: State) -> Any:
-        structure = _structure(self.name, self.population, len(self.problem.parameters))
-        return jax.tree.unflatten(structure, [jnp.asarray(leaf) for leaf in state["leaves"]])
-
-
-@lru_cache(maxsize=8)
-def _structure(name: str, population: int, parameters: int) -> Any:
-    algorithm = _algorithm(name, population, parameters)
-    with standard_promotion():
-        params, key = algorithm.default_params, jax.random.key(0)
-        if name == "cma_es":
-            return jax.tree.structure(algorithm.init(key, jnp.zeros(parameters), params))
-        members = jnp.zeros((population, parameters))
-        return jax.tree.structure(algorithm.init(key, members, jnp.zeros(population), params))
+        return jax.tree.unflatten(self._structure, [jnp.asarray(leaf) for leaf in state["leaves"]])
 
 
 class CmaEs(_Strategy):

@@ -24,18 +24,9 @@ from pftwin.model.scene import Scene
 def with_differences(
     scene: Scene, parameters: Parameters, varies: Mapping[str, float], trials: Sequence[str]
 ) -> Parameters:
-    """The parameters, and of each that varies the differences of all trials, at the end.
-
-    Args:
-        scene: of the first trial, with whatever is fitted in it.
-        parameters: that trials share.
-        varies: by name, standard deviations.
-        trials: their names.
-
-    Raises:
-        InputError: a name that is not free, or one of many numbers; no standard deviation; a single trial; bounds that
-            leave no room.
-    """
+    """The parameters that trials of these names share, and of each that varies, by a standard deviation, differences
+    of all trials, at the end; `scene` is the first trial's, with whatever is fitted in it. Raises InputError: a name
+    that is not free, or one of many numbers; no standard deviation; a single trial; bounds that leave no room."""
     if not varies:
         return parameters
     if len(trials) < 2:

@@ -48,16 +48,11 @@ _SEED = 20240418  # of the cloud: the same for every fit
 
 
 class Prediction(NamedTuple):
-    """Predictions for N variants; NaN where one could not be simulated.
+    """Predictions for N variants; NaN where one could not be simulated."""
 
-    values: (N, n, c) the channels side by side: position 3 [m], orientation 4, forces 1 each [N].
-    slopes: (N, n, c, p) their derivatives by the parameters, where asked for.
-    usable: (N,) whether the equilibrium was found and all numbers are finite.
-    """
-
-    values: Floats
-    slopes: Floats | None
-    usable: NDArray[np.bool_]
+    values: Floats  # (N, n, c) the channels side by side: position 3 [m], orientation 4, forces 1 each [N]
+    slopes: Floats | None  # (N, n, c, p) their derivatives by the parameters, where asked for
+    usable: NDArray[np.bool_]  # (N,) whether the equilibrium was found and all numbers are finite
 
 
 class StepError(NamedTuple):
@@ -69,29 +64,19 @@ class StepError(NamedTuple):
 
 @dataclass(eq=False)
 class Evaluator:
-    """Predictions of one scene's variants.
+    """Predictions of one scene's variants. Raises InputError: no such devices.
 
-    Args:
-        scene: the nominal one.
-        parameters: what varies.
-        channels: what is predicted, in this order: "position", "orientation", or effects' names for their forces.
-        chunk: variants evaluated by one call of a compiled program; others are split, and the last part is filled up.
-        pull_chunk: the same for gradients by reverse mode.
-        computed: channels that the program computes, `channels` among them, which are picked out of its answer;
-            evaluators that differ in nothing but `channels` share one program. By default `channels` alone.
-        devices: over which each call's variants are laid, as `pftwin.simulate_batch` has them.
-
-    Raises:
-        InputError: no such devices.
+    Of the channels that the program computes, `channels` are picked out of its answer: evaluators that differ in
+    nothing else share one program.
     """
 
-    scene: Scene
-    parameters: Parameters
-    channels: tuple[str, ...]
-    chunk: int = CHUNK
-    pull_chunk: int = 8
-    computed: tuple[str, ...] | None = None
-    devices: Devices = "all"
+    scene: Scene  # the nominal one
+    parameters: Parameters  # what varies
+    channels: tuple[str, ...]  # what is predicted, in this order
+    chunk: int = CHUNK  # variants in one call of a program; others are split, and the last part is filled up
+    pull_chunk: int = 8  # the same for gradients by reverse mode
+    computed: tuple[str, ...] | None = None  # channels, `channels` among them; by default these alone
+    devices: Devices = "all"  # over which each call's variants are laid, as `pftwin.simulate_batch` has them
 
     def __post_init__(self) -> None:
         found = chosen_devices(self.devices)

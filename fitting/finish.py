@@ -46,15 +46,8 @@ _OPEN = 1e-10  # of the largest eigenvalue: directions with less information are
 
 
 def finished(search: Method, state: State, run: Callable[[Method], State]) -> tuple[Method, State]:
-    """The search with steps and weights that its answer needs, and its state with that answer.
-
-    A search by a population ends where it was, unless there are priors.
-
-    Args:
-        search: that has ended.
-        state: its.
-        run: iterates a method until it stops.
-    """
+    """A search that has ended, with the steps and weights that its answer needs, and its state with that answer; `run`
+    iterates a method until it stops. A search by a population ends where it was, unless there are priors."""
     problem = search.problem
     if state["best_theta"] is None or not (search.rough or problem.weighs_priors):
         return search, state
@@ -78,15 +71,10 @@ def finished(search: Method, state: State, run: Callable[[Method], State]) -> tu
 def settle(
     evaluator: Evaluator | TrialsEvaluator, told: Callable[[int], Told | None], tolerance: float = _SETTLED
 ) -> float:
-    """Halves the steps of an evaluator's answers until what is told by them changes no more.
+    """Halves the steps of an evaluator's answers until what is `told` with so many between two frames (None where no
+    motion comes out, which ends it) changes by no more than a tolerance [nats].
 
-    Args:
-        evaluator: whose `fine` is set.
-        told: what is told with so many steps between two frames; None where no motion comes out, which ends it.
-        tolerance: divergence of what is taken for the same [nats].
-
-    Returns:
-        By how much it would still change [nats]: from the last halving, for the error of steps is of first order.
+    Returns by how much it would still change [nats]: from the last halving, for the error of steps is of first order.
     """
     left, halvings = change(told, evaluator.fine), int(np.log2(_MOST * evaluator.first / evaluator.fine))
     while left > tolerance and halvings > 0:
@@ -114,18 +102,14 @@ def _weighed(problem: Problem, theta: Floats) -> Problem:
 
 
 def share_of_independent(objective: Objective, r: Floats, j: Floats) -> float:
-    """How much correlated residuals count beside priors: 1 without correlation.
+    """How much correlated residuals (n, m), with derivatives (n, m, p), count beside priors, by an objective of known
+    noise: 1 without correlation.
 
     Measurements whose residuals resemble their neighbours' repeat each other. Counted as independent they drown the
     priors. Their log likelihood is therefore multiplied by a share w before priors are added, as in power posteriors:
     the inverse of the mean inflation, over the p directions of the parameters, of the score's long-run variance (Newey
     & West 1987) over what it would be without correlation. Sources: Bissiri, Holmes & Walker 2016, JRSS B 78:1103
     (general Bayesian updating); Holmes & Walker 2017, Biometrika 104:497 (w by matching information).
-
-    Args:
-        objective: of known noise.
-        r: residuals (n, m).
-        j: their derivatives (n, m, p).
     """
     z, a = scaled_by_noise(objective, r, j)
     serial = serial_correlation(z, objective.present)

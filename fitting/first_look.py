@@ -20,14 +20,11 @@ _SEED = 20240418  # of trial motions that measurements are held against: the sam
 
 
 def first_look(problem: Problem, first: Request | None, limits: Limits) -> list[str]:
-    """Evaluates the nominal parameters and others within the bounds, and refuses what no search could fit.
+    """Evaluates the nominal parameters and others within the bounds, and refuses what no search could fit. Returns what
+    measured channels look like, where that is not what they are taken for.
 
-    Returns:
-        What measured channels look like, where that is not what they are taken for.
-
-    Raises:
-        InputError: measurements in other units, signs or axes, or swapped; parameters asked for to which nothing that
-            is compared reacts; measured positions in another frame.
+    Raises InputError: measurements in other units, signs or axes, or swapped; parameters asked for to which nothing
+    that is compared reacts; measured positions in another frame.
     """
     evaluator, at = problem.evaluator, problem.parameters.nominal
     count = max(1, min(_TRIALS, _COLUMNS // len(at)))

@@ -230,16 +230,9 @@ def _check_simulations(
 
 
 def likelihood_of(estimate: Estimate, measured: Measured | Sequence[Measured | None] | None) -> Problem:
-    """The problem that an estimate solved, with the noise that it found.
-
-    Args:
-        estimate: of a likelihood, with its scene.
-        measured: the measurements, of every trial; by default those of the estimate, or of its scenes.
-
-    Raises:
-        InputError: an estimate without a scene, or of the paper's objective; what `Objective.of` has against the
-            measurements.
-    """
+    """The problem that an estimate solved, with the noise that it found; measured of every trial, by default as the
+    estimate or its scenes have it. Raises InputError: an estimate without a scene, or of the paper's objective; what
+    `Objective.of` has against the measurements."""
     e, scenes = estimate, [trial.nominal for trial in estimate.trials]
     if not scenes:
         remedy = "Estimate.load(path, scene)"

@@ -312,14 +312,8 @@ class Applied(eqx.Module):
         origins: tuple[tuple[str, float], ...] = (),
         nuisance: Nuisance = EXACT,
     ) -> None:
-        """As `Estimate` has them.
-
-        Args:
-            names: of the parameters.
-            values: of them (p,).
-            origins: names of coordinates, and their values in the fitted scene.
-            nuisance: what other scenes have to be given first.
-        """
+        """As `Estimate` has them: names and values (p,) of parameters, names of coordinates with their values in the
+        fitted scene, and the nuisance that other scenes have to be given first."""
         self.names, self.origins = tuple(names), origins
         self.values = jnp.asarray(values, dtype=float)
         self.working = {n: Working(*(jnp.asarray(x, dtype=float) for x in numbers)) for n, numbers in nuisance.working}

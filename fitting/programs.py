@@ -128,16 +128,11 @@ def _number(value: Array, channel: str) -> Scalar:
 
 
 class FitProgram(NamedTuple):
-    """The static part of a compiled program: what it computes, and on which devices.
+    """The static part of a compiled program: what it computes, and on which devices."""
 
-    places: of the parameters, in their order.
-    channels: what is predicted.
-    mesh: devices over which the variants are sharded; None: JAX's default device.
-    """
-
-    places: tuple[NumberPlace, ...]
-    channels: tuple[str, ...]
-    mesh: Mesh | None
+    places: tuple[NumberPlace, ...]  # of the parameters, in their order
+    channels: tuple[str, ...]  # what is predicted
+    mesh: Mesh | None  # devices over which the variants are sharded; None: JAX's default device
 
     def predicted(self, scene: Scene, theta: Array, guess: Pose, substeps: int | Scalar) -> tuple[Array, Pose, Array]:
         """The prediction of one variant."""

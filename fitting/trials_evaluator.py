@@ -16,15 +16,10 @@ from pftwin.model.scene import Scene
 
 @dataclass(eq=False)
 class TrialsEvaluator:
-    """`Evaluator` for several trials, with its methods; numbers of steps between two frames are those of the first.
+    """`Evaluator` for several trials, with its methods; numbers of steps between two frames are those of the first."""
 
-    Args:
-        evaluators: of every trial, by the parameters that trials share.
-        differences: of trials, as `Parameters` has them: columns behind those of the shared ones.
-    """
-
-    evaluators: tuple[Evaluator, ...]
-    differences: tuple[tuple[int, int], ...] = ()
+    evaluators: tuple[Evaluator, ...]  # of every trial, by the parameters that trials share
+    differences: tuple[tuple[int, int], ...] = ()  # as `Parameters` has them: columns behind those of the shared ones
 
     def __post_init__(self) -> None:
         nominal = [e.parameters.nominal for e in self.evaluators]

@@ -94,14 +94,8 @@ def truth_of(
     """What a fit should find of a plant (d,): of a tendon that follows another law, the straight line nearest to its
     spring, over the forces that occurred in all trials; of what differs between trials, the mean.
 
-    Args:
-        plant: as it is in the first, without differences between trials.
-        seen: what it did in each.
-        parameters: of the first.
-        differing: as it is in each; by default without differences.
-
-    Raises:
-        InputError: a tendon that is never stretched.
+    The plant and parameters are those of the first trial, without differences; it did what was `seen` in each, where it
+    was as in `differing`. Raises InputError: a tendon that is never stretched.
     """
     found = []
     for item in parameters.items[: parameters.asked]:

@@ -38,21 +38,10 @@ def with_nuisance(
     substeps: int,
     random: np.random.Generator,
 ) -> Floats:
-    """Draws (N, p) of all parameters, from draws (N, d) of what is asked for.
+    """Draws (N, p) of all parameters of a problem, from draws (N, d) of what is asked for.
 
-    Args:
-        problem: whose parameters they are, with its evaluator.
-        sensors: errors that recordings have besides noise.
-        held: what recordings are held against.
-        learned: what tells summaries and noise.
-        recording: (n, m) from what it is held against.
-        asked: (N, d).
-        substeps: of the simulations, between two frames.
-        random: of nuisance.
-
-    Returns:
-        The draws; where too few of the knees run to fit a straight model, nuisance as it was the time before, at first
-        from its prior.
+    `recording` (n, m) is from what recordings are `held` against; what was `learned` tells summaries and noise. Where
+    too few of the knees run to fit a straight model, nuisance is as it was the time before, at first from its prior.
     """
     parameters, d = problem.parameters, asked.shape[1]
     if len(parameters) == d:

@@ -88,20 +88,12 @@ def infer(
     rounds: int,
     report: Callable[[dict[str, float], int], None],
 ) -> Inferred:
-    """The posterior of a problem's parameters.
+    """The posterior of a problem's parameters, in at most so many rounds of so many simulations.
 
-    Args:
-        problem: what is compared; its objective's noise, if stated, is taken as known.
-        sensors: errors that recordings have besides noise.
-        seed: of all random choices.
-        simulations: of each round.
-        rounds: at most.
-        report: told each round's entry of the history (the spread is the posterior's, as a share of the bounds), and
-            how many rounds there are at most.
-
-    Raises:
-        InputError: too few of the simulations can be run.
-        PftwinError: the posterior that was learned lies beyond the bounds.
+    Noise that the objective states is taken as known; recordings have errors of sensors besides. `report` is told each
+    round's entry of the history (the spread is the posterior's, as a share of the bounds), and the number of rounds.
+    Raises InputError: too few of the simulations can be run. Raises PftwinError: the posterior that was learned lies
+    beyond the bounds.
     """
     whole = region = Region(problem.parameters)
     noise = Noise.initial(problem.objective)

@@ -60,17 +60,9 @@ class Learned(NamedTuple):
         return (self.summaries(self.table.rows(recordings)) - self.middle) / self.size
 
     def answer(self, recording: Rows, count: int, random: np.random.Generator, wider: Floats | float = 1.0) -> Answer:
-        """The posterior of a recording (n, m), with so many draws of what is asked for.
-
-        Args:
-            recording: as `seen` has it.
-            count: of the draws.
-            random: of the draws.
-            wider: (d,) how many times the posterior is to be as wide.
-
-        Raises:
-            PftwinError: hardly any of what the networks say lies within the region.
-        """
+        """The posterior of a recording (n, m), as `seen` has it, with so many draws of what is asked for; `wider` (d,):
+        how many times it is to be as wide. Raises PftwinError: hardly any of what the networks say lies within the
+        region."""
         at = self.seen(recording[None])[0]
         left = self.summaries.unexplained(self.table.rows(recording[None]))
         distance = float(np.abs(at).max())
@@ -105,16 +97,11 @@ def learn(
     noise: Noise,
     random: np.random.Generator,
 ) -> Learned:
-    """From recordings simulated without noise, but with what sensors may be off by.
+    """From recordings simulated without noise, but with what sensors may be off by, of parameters `theta` (N, p) from
+    the region.
 
-    Args:
-        region: where parameters were drawn.
-        theta: (N, p) the parameters.
-        simulated: (N, n, m) how far each recording is from some other one, as `Objective.residuals` has it.
-        measured: (n, m) the same of the measurements, which tell what noise is like.
-        objective: the measurements.
-        noise: what their noise was like in the round before.
-        random: of noise and training.
+    `simulated` (N, n, m) tells how far each is from some other recording, as `Objective.residuals` has it, `measured`
+    (n, m) the same of the measurements, which tell what noise is like; `noise` is that of the round before.
     """
     from fitting.inference.network import trained  # with optax, which no other fit needs
 

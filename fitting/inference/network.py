@@ -100,17 +100,8 @@ def network_of(summaries: int, parameters: int, leaves: list[NDArray[np.float32]
 
 
 def trained(summaries: Floats, parameters: Floats, noise: SummaryNoise, seed: int) -> tuple[PosteriorNetwork, float]:
-    """A network for recordings' summaries and their parameters, and how well it tells those kept aside.
-
-    Args:
-        summaries: (N, s) of recordings without noise, which is drawn anew every epoch.
-        parameters: (N, p).
-        noise: of summaries.
-        seed: of starting weights, order and noise.
-
-    Returns:
-        The network, and minus the mean log density of what was kept aside: smaller is better.
-    """
+    """A network for recordings' summaries (N, s) and their parameters (N, p), and minus the mean log density of those
+    kept aside: smaller is better. Summaries are without noise, which is drawn anew every epoch."""
     random = np.random.default_rng(seed)
     size = len(summaries) // _BATCH * _BATCH or len(summaries)  # few sizes, so that programs are shared
     order = random.permutation(len(summaries))[:size]

@@ -38,13 +38,8 @@ class Noise(NamedTuple):
         return Noise(levels, np.full(len(levels), _INITIAL_CORRELATION), _SPAN)._within(objective)
 
     def like(self, objective: Objective, left: Floats, drawn: Floats) -> Noise:
-        """Noise of which as much would be left, as correlated, as of the measurements.
-
-        Args:
-            objective: the measurements.
-            left: (1, n, m) what simulations do not explain of them.
-            drawn: (N, n, m) what they do not explain of this noise.
-        """
+        """Noise of which as much would be left, as correlated, as of the measurements: simulations do not explain
+        `left` (1, n, m) of these, and `drawn` (N, n, m) of this noise."""
         there, both = objective.present, objective.present[1:] & objective.present[:-1]
         ours, theirs = (np.maximum(np.sum(np.where(there, a**2, 0.0), axis=-2), 1e-300) for a in (left, drawn))
         ratio = np.sqrt(ours[0] / theirs.mean(axis=0))

@@ -65,17 +65,9 @@ class Problem:
         computed: tuple[str, ...] | None = None,
         devices: Devices = "all",
     ) -> Problem:
-        """A problem with its own evaluator, which computes these channels on these devices.
-
-        Args:
-            scenes: of every trial, nominal.
-            parameters: what is free in each: `fitting.trials.free_in_trials`.
-            objective: all measurements: `fitting.trials.joined_objective`.
-            computed: as `Evaluator` has it; `devices` too.
-
-        Raises:
-            InputError: a free number that moves the point of the patella whose path was measured.
-        """
+        """A problem of every trial's nominal scene and of what is free in each, as `fitting.trials` has them, with its
+        own evaluator, which computes these channels on these devices. Raises InputError: a free number that moves the
+        point of the patella whose path was measured."""
         if POSITION in objective.channels:
             refuse_moved_point(scenes[0], parameters[0])
         own = [

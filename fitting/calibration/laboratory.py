@@ -57,12 +57,9 @@ class Laboratory:
     readings: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for name in ("marker_noise", "cluster", "force_noise", *OF_SENSORS):
-            value = getattr(self, name)
+        own = {name: getattr(self, name) for name in ("marker_noise", "cluster", "force_noise", *OF_SENSORS)}
+        for name, value in {**own, **self.readings}.items():
             if not (np.isfinite(value) and (value > 0 if name == "cluster" else value >= 0)):
-                raise InputError(f"{name}: found {value!r}", where="laboratory", expected="a number, not negative")
-        for name, value in self.readings.items():
-            if not (np.isfinite(value) and value >= 0):
                 raise InputError(f"{name}: found {value!r}", where="laboratory", expected="a number, not negative")
 
     def recorded(
@@ -109,9 +106,11 @@ class Laboratory:
         late = constant.normal(0.0, self.time_shift)
         if not first:
             late = random.spawn(1)[0].normal(0.0, self.time_shift)
-        behind = {name: np.interp(times - late, times, value) for name, value in seen.forces.items()}
-        scaled = {name: value * (1 + constant.normal(0.0, self.force_scale)) for name, value in behind.items()}
-        forces = {name: self._load_cell(value, random) for name, value in scaled.items()}
+        forces = {}
+        for name, value in seen.forces.items():
+            scaled = np.interp(times - late, times, value) * (1 + constant.normal(0.0, self.force_scale))
+            zero = random.normal(0.0, self.force_bias)
+            forces[name] = scaled + zero + random.normal(0.0, self.force_noise, value.shape)
         contact = scene.contact
         measured = Measured(
             times,
@@ -142,9 +141,6 @@ class Laboratory:
         if value is None:
             raise InputError(f"{name} is no single number a frame", where="laboratory", expected="another reading")
         return value + random.normal(0.0, self.readings[name], value.shape)
-
-    def _load_cell(self, force: Floats, random: np.random.Generator) -> Floats:
-        return force + random.normal(0.0, self.force_bias) + random.normal(0.0, self.force_noise, force.shape)
 
 
 def _poses(part: SegmentMotion | None, times: Floats) -> PoseSeries:

@@ -51,16 +51,16 @@ def run(plants: Sequence[Plant]) -> list[Seen | None]:
         care=False,
     )
     failed = np.asarray(found["failed"])
-    kept = {str(name): np.asarray(found[name]) for name in found.data_vars if str(name).startswith(_OWN)}
+    names = [str(name) for name in found.data_vars if str(name).startswith(_OWN)]
+    kept = {name.removeprefix(_OWN): np.asarray(found[name]) for name in names}
 
     def of(i: int) -> Seen:
-        mine = {name.removeprefix(_OWN): value[i] for name, value in kept.items()}
         reported: dict[str, dict[str, Floats]] = {}
-        for name, value in mine.items():
+        for name, value in kept.items():
             owner, _, key = name.rpartition(".")
             if owner:
-                reported.setdefault(owner, {})[key] = value
-        return Seen(mine["position"], mine["quaternion"], reported)
+                reported.setdefault(owner, {})[key] = value[i]
+        return Seen(kept["position"][i], kept["quaternion"][i], reported)
 
     return [None if failed[i] else of(i) for i in range(len(plants))]
 
@@ -104,12 +104,9 @@ def truth_of(
             found.append(float(item.place.read(plant.scene)))
             continue
         mean: Any = plant.scene.effect(owner)
-        longer = [0.0] * len(seen)
-        if differing:
-            tendons: list[Any] = [own.scene.effect(owner) for own in differing]
-            longer = [float(tendon.slack_length - mean.slack_length) for tendon in tendons]
-        pairs = zip(seen, longer, strict=True)
-        lengths = np.concatenate([one.reported[owner]["length"] - by for one, by in pairs])
+        tendons: list[Any] = [own.scene.effect(owner) for own in differing or [plant] * len(seen)]
+        longer = [float(tendon.slack_length - mean.slack_length) for tendon in tendons]
+        lengths = np.concatenate([one.reported[owner]["length"] - by for one, by in zip(seen, longer, strict=True)])
         line = straight_line(lengths, np.maximum(np.asarray(mean.held_tension(jnp.asarray(lengths))), 0.0))
         found.append(line.stiffness if path == ("stiffness",) else line.slack_length)
     return np.array(found)

@@ -85,10 +85,6 @@ class FitTable(Section):
     rounds: Annotated[int, Field(ge=1)] | None = Field(default=None, description="at most (simulations)")
     seed: Annotated[int, Field(ge=0)] | None = Field(default=None, description="of all random choices")
 
-    def options(self) -> dict[str, Any]:
-        """What is given, as `fitting.fit_tendons` takes it."""
-        return self.model_dump(exclude_none=True)
-
 
 class PredictTable(Section):
     """How treatments are simulated: the options of `pftwin treat`."""
@@ -250,8 +246,8 @@ def _patient(table: PatientTable, i: int, cohort: CohortTable, document: Documen
     if table.contact is not None:
         with document.naming("patient", i, "contact"):
             contact = _contact(table)
-    if cohort.fit is not None or table.fit is not None:
-        fit = {**(cohort.fit.options() if cohort.fit else {}), **(table.fit.options() if table.fit else {})}
+    if given := [one.model_dump(exclude_none=True) for one in (cohort.fit, table.fit) if one is not None]:
+        fit = {name: value for one in given for name, value in one.items()}
     return Patient(table.name, scene, table.case, contact, fit)
 
 

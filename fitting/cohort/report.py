@@ -30,7 +30,7 @@ class Pace:
     def __init__(self, units: Sequence[Unit]) -> None:
         self.waiting, self.number, self.total = list(units), 0, len(units)
         self.times: dict[str, list[float]] = {}
-        self._began = self._took = 0.0
+        self._began = 0.0
 
     def began(self, unit: Unit) -> None:
         """A unit begins."""
@@ -38,29 +38,24 @@ class Pace:
         self.number += 1
         self._began = time.perf_counter()
 
-    def ended(self, unit: Unit, *, failed: bool) -> None:
-        """A unit ends. After a failure the patient's other units are not run, and its time is not counted."""
-        self._took = time.perf_counter() - self._began
-        if not failed:
-            self.times.setdefault(unit.kind, []).append(self._took)
-            return
-        before = len(self.waiting)
-        self.waiting = [u for u in self.waiting if u.patient != unit.patient]
-        self.total -= before - len(self.waiting)
-
     def progress(self, unit: Unit, share: float) -> CohortProgress:
         """While a unit runs."""
         seconds = time.perf_counter() - self._began
-        left = None if not self.times else self._rest() + max(self._usual(unit.kind) - seconds, 0.0)
+        return self._told(unit, share, seconds, max(self._usual(unit.kind) - seconds, 0.0) if self.times else 0.0)
+
+    def ended(self, unit: Unit, failure: Failure | None) -> CohortProgress:
+        """A unit ends. After a failure the patient's other units are not run, and its time is not counted."""
+        seconds = time.perf_counter() - self._began
+        if failure is None:
+            self.times.setdefault(unit.kind, []).append(seconds)
+        else:
+            self.waiting = [u for u in self.waiting if u.patient != unit.patient]
+            self.total = self.number + len(self.waiting)
+        return self._told(unit, 1.0, seconds, 0.0)._replace(ended=True, failure=failure)
+
+    def _told(self, unit: Unit, share: float, seconds: float, more: float) -> CohortProgress:
+        left = sum(self._usual(u.kind) for u in self.waiting) + more if self.times else None
         return CohortProgress(unit, share, False, self.number, self.total, seconds, left)
-
-    def last(self, unit: Unit, failure: Failure | None) -> CohortProgress:
-        """After its end."""
-        left = self._rest() if self.times else None
-        return CohortProgress(unit, 1.0, True, self.number, self.total, self._took, left, failure)
-
-    def _rest(self) -> float:
-        return sum(self._usual(u.kind) for u in self.waiting)
 
     def _usual(self, kind: str) -> float:
         known = self.times.get(kind) or [t for times in self.times.values() for t in times]

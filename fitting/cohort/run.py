@@ -170,9 +170,9 @@ class _CohortRun:
             with self._caught(outcome, unit.kind):
                 self._unit(patient, unit)
                 outcome.computed += 1
-            self._saved()
-            self.pace.ended(unit, failed=outcome.failure is not None)
-            self.tell(self.pace.last(unit, outcome.failure))
+            with self._noted("manifest"):
+                self.manifest.save(self.folder)
+            self.tell(self.pace.ended(unit, outcome.failure))
             if outcome.failure is not None:
                 return
         with self._caught(outcome, "summary"):
@@ -182,7 +182,6 @@ class _CohortRun:
         """Reads the store of a patient who is done. Raises InputError: it is none."""
         self.summary.take(outcome.patient, unit)
         outcome.at_bounds = tuple(self.summary.rows[outcome.patient][0].get("at_bounds", "").split())
-        outcome.status = "done"
 
     def _unit(self, patient: Patient, unit: Unit) -> None:
         """Computes a unit, writes its file and records it in the manifest. Raises PftwinError: it cannot be computed or
@@ -191,11 +190,7 @@ class _CohortRun:
         self.pace.began(unit)
         self.tell(self.pace.progress(unit, 0.0))
         check_room(self.folder / PATIENTS)
-        path = self.folder / unit.file
-
-        def tell(share: float) -> None:
-            self.tell(self.pace.progress(unit, share))
-
+        path, tell = self.folder / unit.file, lambda share: self.tell(self.pace.progress(unit, share))
         if unit.kind == "fit":
             estimate = self.work.fit(patient, tell)
             self._check_inputs(patient, unit)
@@ -217,11 +212,6 @@ class _CohortRun:
         if unit.key not in [u.key for u in units_of(self.cohort, patient)]:
             raise InputError("its files changed while it was computed", where=patient.name, remedy="--resume")
 
-    def _saved(self) -> None:
-        """Writes the manifest; if that fails, the next write includes the same entries."""
-        with self._noted("manifest"):
-            self.manifest.save(self.folder)
-
     def _summarised(self) -> None:
         self.manifest.failures = {o.patient: o.failure for o in self.outcomes.values() if o.failure}
         with self._noted("summary"):
@@ -238,7 +228,6 @@ class _CohortRun:
             kind = type(error).__name__
             message = str(error) if known else f"unexpected, a mistake of pftwin's own: {kind}: {error}"
             outcome.failure = Failure(stage, kind, message, text)
-            outcome.status = "failed"
             self.manifest.failures[outcome.patient] = outcome.failure
 
     @contextmanager

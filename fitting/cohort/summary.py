@@ -9,7 +9,6 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-import math
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -142,25 +141,22 @@ def table(rows: Iterable[Row], units: Mapping[str, str], about: Mapping[str, Any
     import pyarrow as pa
     from pyarrow import parquet
 
-    listed = list(rows)
-    names = list(dict.fromkeys([*FIXED, *(n for row in listed for n in row)]))
-    fields, columns = [], []
-    for name in names:
+    # Null instead of NaN, which would spoil means in SQL.
+    listed = [{name: None if value != value else value for name, value in row.items()} for row in rows]
+    fields = []
+    for name in dict.fromkeys([*FIXED, *(n for row in listed for n in row)]):
         kind = pa.type_for_alias(FIXED.get(name, "float64"))
-        metadata = {"units": units[name]} if name in units else None
-        fields.append(pa.field(name, kind, metadata=metadata))
-        columns.append(pa.array([_null_for_nan(row.get(name)) for row in listed], kind))
+        fields.append(pa.field(name, kind, metadata={"units": units[name]} if name in units else None))
     metadata = {"units": json.dumps(dict(units)), **{k: str(v) for k, v in about.items()}}
-    whole = pa.Table.from_arrays(columns, schema=pa.schema(fields, metadata))
     out = io.BytesIO()
-    parquet.write_table(whole, out, compression="zstd")
+    parquet.write_table(pa.Table.from_pylist(listed, pa.schema(fields, metadata)), out, compression="zstd")
     return out.getvalue()
 
 
 def _fitted(fit: Dataset, units: Units) -> Row:
-    row: Row = {"fit_method": fit.attrs["method"], "fit_stopped": fit.attrs["reason"]}
-    row["at_bounds"] = fit.attrs["at_bounds"]
-    besides = str(fit.attrs.get("besides", "")).split()  # in the store alone
+    about = fit.attrs
+    row: Row = {"fit_method": about["method"], "fit_stopped": about["reason"], "at_bounds": about["at_bounds"]}
+    besides = str(about.get("besides", "")).split()  # in the store alone
     for name, unit in zip(fit["parameter"].values, fit["parameter_unit"].values, strict=True):
         if name in besides:
             continue
@@ -168,10 +164,10 @@ def _fitted(fit: Dataset, units: Units) -> Row:
         for ending, variable in (("", "value"), ("_sd", "standard_deviation"), ("_low", "low"), ("_high", "high")):
             row[column + ending] = float(at[variable])
             units[column + ending] = str(unit)
-    for channel, value in json.loads(fit.attrs["rmse"]).items():
+    for channel, value in json.loads(about["rmse"]).items():
         column = f"rmse_{channel}".replace(".", "_")
         row[column] = float(value)
-        units[column] = "m" if channel in ("X", "Y", "Z") else unit_of(channel, json.loads(fit.attrs["readings"]))
+        units[column] = "m" if channel in ("X", "Y", "Z") else unit_of(channel, json.loads(about["readings"]))
     return row
 
 
@@ -195,11 +191,6 @@ def _predicted(data: Dataset, units: Units) -> Iterable[Row]:
                 low, high = (band[i] for band in found["bands_95"][name])
                 row |= {f"{name}_low": float(low), f"{name}_high": float(high)}
         yield row
-
-
-def _null_for_nan(value: Any) -> Any:
-    """Null instead of NaN, which would spoil means in SQL."""
-    return None if isinstance(value, float) and math.isnan(value) else value
 
 
 class SummaryFile:

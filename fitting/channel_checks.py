@@ -1,20 +1,7 @@
 """Is every measured channel what it is taken for? Before a fit by other readings of it, after a fit by what is left.
 
-| limit | what it bounds | named from | refused from |
-|---|---|---:|---:|
-| reading | how many times nearer to the twin a channel is in other units, signs or axes, or swapped | 1.5 | 2 |
-| position | what a fit leaves of positions, rms [m] | 0.01 | 0.03 |
-| orientation | what it leaves of orientations, rms [rad] | 0.26 | 0.7 |
-| force | what it leaves of a force or another reading, as a share of it, rms | 0.15 | 0.5 |
-| noise | what it leaves of a channel, rms, in units of the noise that was stated | 30 | 300 |
-| shift | by how much a channel is late or early [s] (`fitting.time_shift`) | 0.02 | 0.1 |
-| simulated | how far it lies outside of what a posterior was learned from, in standard deviations | 5 | 15 |
-| trained_noise | what no simulation explains, in units of the noise that a posterior was trained for | 3 | 10 |
-| set_up | by how many standard deviations a trained posterior is off for knees simulated in this set-up | 1 | 3 |
-
-The rig's own measurements, whose plant differs from the twin in springs, attachments, friction and surface, reach 1.0,
-4.8 mm, 0.12 rad, 0.05, 14 and, for positions, 12 ms; pounds taken for newtons a reading of 2.4. "Named" means:
-before any number of the estimate.
+Below its first limit a doubt is not said, from it on it is named before any number of the estimate, and from the second
+on the fit is refused. docs/fitting.md says what the rig's own measurements reach, and what faults do.
 """
 
 from __future__ import annotations
@@ -36,15 +23,15 @@ from pftwin.base.quantities import shown
 Limits = Mapping[str, tuple[float, float]]
 
 LIMITS: dict[str, tuple[float, float]] = {
-    "reading": (1.5, 2.0),
-    "position": (0.01, 0.03),
-    "orientation": (0.26, 0.7),
-    "force": (0.15, 0.5),
-    "noise": (30.0, 300.0),
-    "shift": (0.02, 0.1),
-    "simulated": (5.0, 15.0),
-    "trained_noise": (3.0, 10.0),
-    "set_up": (1.0, 3.0),
+    "reading": (1.5, 2.0),  # how many times nearer to the twin a channel is in other units, signs or axes, or swapped
+    "position": (0.01, 0.03),  # what a fit leaves of positions, rms [m]
+    "orientation": (0.26, 0.7),  # of orientations, rms [rad]
+    "force": (0.15, 0.5),  # of a force or another reading, as a share of it, rms
+    "noise": (30.0, 300.0),  # of a channel, rms, in units of the noise that was stated
+    "shift": (0.02, 0.1),  # by how much a channel is late or early [s]
+    "simulated": (5.0, 15.0),  # how far it lies outside of what a posterior was learned from, in standard deviations
+    "trained_noise": (3.0, 10.0),  # what no simulation explains, in units of the noise that was trained for
+    "set_up": (1.0, 3.0),  # by how many deviations a trained posterior is off for knees simulated in this set-up
 }
 _UNITS: dict[str, dict[float, str]] = {  # by what a number must be multiplied, and what it then was
     "m": {
@@ -118,12 +105,8 @@ def alike(found: Iterable[Reading], units: Mapping[str, str]) -> list[Reading]:
     for r in found:
         alone = len(r.channels) == 1 and r.channels[0] not in _FLOOR
         key = (r.words, unit_of(r.channels[0], units)) if alone else r.channels
-        before = together.get(key)
-        together[key] = (
-            r
-            if before is None
-            else before._replace(channels=before.channels + r.channels, times=max(before.times, r.times))
-        )
+        before = together.get(key, Reading((), r.words, r.times))
+        together[key] = Reading(before.channels + r.channels, r.words, max(before.times, r.times))
     return sorted(together.values(), key=lambda r: -r.times)
 
 
@@ -171,8 +154,7 @@ def left_over(objective: Objective, residuals: Floats, limits: Limits, stated: M
         left = float(_rms(residuals[there, rows]))
         kind = channel if channel in _FLOOR else "force"
         size, unit = float(_rms(objective.measured[there, columns])), unit_of(channel, objective.readings)
-        said = f"of {channel} the fit leaves {shown(left, unit, 3)} rms"
-        cases = []
+        said, cases = f"of {channel} the fit leaves {shown(left, unit, 3)} rms", []
         if kind != "force":
             cases.append((kind, left, said))
         elif size > 0 or channel not in objective.readings:  # of what should read nothing there is no share
@@ -228,17 +210,12 @@ def _poses(channel: str, data: Floats) -> Iterator[tuple[str, Floats]]:
     units = {1.0: "", **_UNITS["m"]}
     turns = itertools.product(itertools.permutations(range(3)), itertools.product((1.0, -1.0), repeat=3))
     every = [(unit, order, signs) for order, signs in turns for unit in units]
-
-    def oddity(case: tuple[float, tuple[int, ...], tuple[float, ...]]) -> int:
-        unit, order, signs = case
-        return (unit != 1.0) + sum(i != o for i, o in enumerate(order)) + signs.count(-1.0)
-
-    for unit, order, signs in sorted(every, key=oddity)[1:]:
+    odd = [(unit != 1.0) + sum(i != o for i, o in enumerate(order)) + signs.count(-1.0) for unit, order, signs in every]
+    for unit, order, signs in [every[i] for i in np.argsort(odd, kind="stable")[1:]]:
         said = [units[unit]] if unit != 1.0 else []
         if order != (0, 1, 2) or -1.0 in signs:
             axes = ", ".join(f"{'-' if s < 0 else ''}{_AXES[i]}" for i, s in zip(order, signs, strict=True))
-            even = order in ((0, 1, 2), (1, 2, 0), (2, 0, 1))
-            mirrored = " (mirrored)" if np.prod(signs) * (1 if even else -1) < 0 else ""
+            mirrored = " (mirrored)" if np.linalg.det(np.eye(3)[list(order)] * signs) < 0 else ""
             said.append(f"like ({axes}) in the place of (x, y, z){mirrored}")
         yield " and ".join(said), unit * data[:, order] * np.array(signs)
 
@@ -246,12 +223,9 @@ def _poses(channel: str, data: Floats) -> Iterator[tuple[str, Floats]]:
 def _readings(data: Floats, unit: str) -> Iterator[tuple[str, Floats]]:
     """A force or another single number as it is, in other units, and with the other sign."""
     units = _UNITS.get(unit, {})
-    yield "", data
-    yield "negated", -data
-    for factor, words in units.items():
-        yield words, factor * data
-    for factor, words in units.items():
-        yield f"negated and {words}", -factor * data
+    yield from (("", data), ("negated", -data))
+    yield from ((words, factor * data) for factor, words in units.items())
+    yield from ((f"negated and {words}", -factor * data) for factor, words in units.items())
 
 
 def _rms(values: Floats) -> Floats:

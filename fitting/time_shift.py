@@ -3,12 +3,10 @@
 Each channel is compared with the fitted motion shifted in time, p(t - s), with the parameters' linear effect taken out.
 Residuals of a wrong model are correlated from frame to frame, and such errors are slow: so neighbouring frames are
 differenced by their own correlation (generalised least squares, autoregressive noise of first order) before the sum of
-squares is made least over s. The standard deviation is from its curvature there. Clocks that agree can look some
-milliseconds apart: friction in the joint and what else the twin lacks delay what is measured (on the rig positions by 5
-to 13 ms, tensions by up to 60). So a shift is said only where it is beyond the limit by two standard deviations, is
-known to a quarter of the limit (slow motion, as the DM knee's, does not tell a shift from a wrong model), and explains
-more of the whitened squares than those effects do: `EXPLAINED`, of which the rig's positions reach 0.07, and 0.20 to
-0.39 where they are 30 ms late; its tensions 0.25, and 0.18 to 0.45.
+squares is made least over s. The standard deviation is from its curvature there. Friction in the joint and what else
+the twin lacks delay what is measured. So a shift is said only where it is beyond the limit by two standard deviations,
+is known to a quarter of the limit, and explains more of the whitened squares than those effects do: of `EXPLAINED` the
+rig's positions reach 0.07, and 0.20 to 0.39 where they are 30 ms late; its tensions 0.25, and 0.18 to 0.45.
 """
 
 from __future__ import annotations

@@ -15,7 +15,7 @@ from fitting.coverage import Coverage, coverage_of
 from fitting.nuisance import EXACT, REACH, Nuisance
 from fitting.parameters import Applied, weights_in
 from fitting.programs import unit_of
-from fitting.sensors import Sensors
+from fitting.sensors import sensors_in_words
 from fitting.uncertainty import NORMAL_95, SERIAL, Undetermined, in_words
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
@@ -293,7 +293,7 @@ class Estimate:
             out.append(
                 f"beside the priors the measurements count as {100 * self.share:.2g} % of as many independent ones"
             )
-        if errors := Sensors.of(self.nuisance).describe():
+        if errors := sensors_in_words(self.nuisance):
             out.append(f"allowed for throughout the recording, one standard deviation: {errors}")
         if self.dropped:
             tried = "starts" if self.draws is None else "simulations"

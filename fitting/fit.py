@@ -13,8 +13,8 @@ from fitting.channel_checks import limits_of
 from fitting.estimate import Estimate
 from fitting.finish import finished
 from fitting.first_look import first_look, plain_look
+from fitting.inference.besides import at_own_lengths
 from fitting.inference.infer import PER_ROUND, ROUNDS, TOGETHER, check_size, infer
-from fitting.inference.own_lengths import at_own_lengths
 from fitting.methods.problem import MOST_SEED, Method, Problem, State, load_checkpoint, save_checkpoint
 from fitting.metric import StatedNoise
 from fitting.nuisance import EXACT, Nuisance
@@ -22,7 +22,6 @@ from fitting.objective import SPRINGS, Objective
 from fitting.outcome import Outcome, estimate_of, judge
 from fitting.parameters import Bounds
 from fitting.programs import POSITION, with_readings
-from fitting.sensors import Sensors
 from fitting.trials import free_in_trials, objective_of, trials_of
 from pftwin.base.errors import InputError
 from pftwin.base.output import check_place
@@ -166,7 +165,7 @@ def fit_tendons(
         def report(e: dict[str, float], most: int) -> None:
             tell(Progress(method, int(e["iteration"]), most, e["best"], e["spread"]))
 
-        found = infer(problem, Sensors.of(besides), seed, count, rounds, report)
+        found = infer(problem, besides, seed, count, rounds, report)
         if not found.interrupted:
             besides, draws = at_own_lengths(problem, besides, found.answer.draws)
             scenes, parameters = free_in_trials(nominal, free, bounds, priors, besides, varies)

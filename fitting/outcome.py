@@ -15,7 +15,7 @@ from fitting.methods.problem import Method, Problem, State
 from fitting.nuisance import Nuisance
 from fitting.objective import Objective
 from fitting.programs import ORIENTATION, POSITION, TURNS
-from fitting.sensors import Sensors
+from fitting.sensors import noise_beside
 from fitting.time_shift import TimeShift, late_channels, time_shifts
 from fitting.trials import said_of_trials, trial_names
 from fitting.uncertainty import relative, sizes, uncertainty
@@ -162,7 +162,7 @@ def estimate_of(
         named = {channel if len(scenes) == 1 else f"{channel} of {name}": s for channel, s in found_here.items()}
         late += late_channels(named, own.source, limits)
         shifts |= named
-    noise = None if target.noise is None else Sensors.of(nuisance).beside(target.noise, target)
+    noise = None if target.noise is None else noise_beside(target.noise, nuisance, target)
     left = said_of_trials(scenes, target, lambda own, rows: left_over(own, r[rows], limits, noise))
     moved = [s.change for s in shifts.values() if s.beyond(limits["shift"][0])]
     draws = found.draws

@@ -45,7 +45,7 @@ class Parameter:
         kind: `ASKED`; or what nuisance it is, or `BETWEEN_TRIALS`: then it is fitted besides, for what others would
             make good otherwise.
         trial: None: the number is shared by all trials; k: it is by how much that of trial k, from 0, is more than the
-            shared number at the same place (`fitting.differences`).
+            shared number at the same place (`fitting.trials`).
     """
 
     name: str

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -17,68 +17,56 @@ if TYPE_CHECKING:
     from fitting.objective import Objective
 
 
-class Sensors(NamedTuple):
-    """Standard deviations of errors that stay the same for a recording, scale, placement and turn in all its trials; 0:
-    there is none."""
+def sensed(values: Floats, nuisance: Nuisance, problem: Problem, random: np.random.Generator) -> Floats:
+    """Simulated motions (N, n, c) as such sensors would tell them: scale, placement and turn are the same in all trials
+    of a recording."""
+    if not any(getattr(nuisance, name) for name in OF_SENSORS):
+        return values
+    count, out, objective = len(values), values.copy(), problem.objective
+    frames = [nuisance.time_shift / scene.motion.frame_interval for scene in problem.evaluator.scenes]
+    late = [share * random.standard_normal(count) for share in frames]
+    turns = Rotation.from_rotvec(nuisance.turn * random.standard_normal((count, 3))) if nuisance.turn else None
+    for channel, columns, _ in objective.columns():
+        if channel == POSITION:
+            if turns is not None:
+                out[..., columns] = np.einsum("iab,inb->ina", turns.as_matrix(), out[..., columns])
+            out[..., columns] += nuisance.placement * random.standard_normal((count, 1, 3))
+        elif channel == ORIENTATION and turns is not None:
+            out[..., columns] = quaternion_product(turns.as_quat(scalar_first=True)[:, None], out[..., columns])
+        elif unit_of(channel, objective.readings) == "N":
+            scale = 1 + nuisance.force_scale * random.standard_normal((count, 1, 1))
+            for rows, behind in zip(objective.frames, late, strict=True):
+                bias = nuisance.force_bias * random.standard_normal((count, 1, 1))
+                out[:, rows, columns] = scale * _later(values[:, rows, columns], behind) + bias
+    return out
 
-    force_scale: float = 0.0  # of each force's sensor, as a share
-    force_bias: float = 0.0  # of its zero, in each trial [N]
-    time_shift: float = 0.0  # by which all forces of a trial are late [s]
-    placement: float = 0.0  # of the measured point in the femur's frame, each coordinate [m]
-    turn: float = 0.0  # of the femur's frame, about each axis [rad]
 
-    @staticmethod
-    def of(nuisance: Nuisance) -> Sensors:
-        """Those that are part of what is not known."""
-        return Sensors(**{name: getattr(nuisance, name) for name in OF_SENSORS})
+def noise_beside(noise: dict[str, float], nuisance: Nuisance, objective: Objective) -> dict[str, float]:
+    """Noise of each channel together with errors of sensors, root mean square; a shift in time is judged apart."""
+    found = {}
+    for channel, columns, rows in objective.columns():
+        own = nuisance.turn if channel == ORIENTATION else 0.0
+        if channel == POSITION:
+            point = objective.measured[objective.present[:, rows].all(axis=1), columns]
+            # A turn moves a point by its distance from the axis: of three axes two thirds of the square count.
+            own = np.hypot(nuisance.placement, nuisance.turn * np.sqrt(2 * np.mean(point**2)))
+        elif unit_of(channel, objective.readings) == "N":
+            force = objective.measured[objective.present[:, rows.start], columns]
+            own = np.hypot(nuisance.force_bias, nuisance.force_scale * np.sqrt(np.mean(force**2)))
+        found[channel] = float(np.hypot(noise[channel], own))
+    return found
 
-    def read(self, values: Floats, problem: Problem, random: np.random.Generator) -> Floats:
-        """Simulated motions (N, n, c) as such sensors would tell them."""
-        if not any(self):
-            return values
-        count, out, objective = len(values), values.copy(), problem.objective
-        frames = [self.time_shift / scene.motion.frame_interval for scene in problem.evaluator.scenes]
-        late = [share * random.standard_normal(count) for share in frames]
-        turns = Rotation.from_rotvec(self.turn * random.standard_normal((count, 3))) if self.turn else None
-        for channel, columns, _ in objective.columns():
-            if channel == POSITION:
-                if turns is not None:
-                    out[..., columns] = np.einsum("iab,inb->ina", turns.as_matrix(), out[..., columns])
-                out[..., columns] += self.placement * random.standard_normal((count, 1, 3))
-            elif channel == ORIENTATION and turns is not None:
-                out[..., columns] = quaternion_product(turns.as_quat(scalar_first=True)[:, None], out[..., columns])
-            elif unit_of(channel, objective.readings) == "N":
-                scale = 1 + self.force_scale * random.standard_normal((count, 1, 1))
-                for rows, behind in zip(objective.frames, late, strict=True):
-                    bias = self.force_bias * random.standard_normal((count, 1, 1))
-                    out[:, rows, columns] = scale * _later(values[:, rows, columns], behind) + bias
-        return out
 
-    def beside(self, noise: dict[str, float], objective: Objective) -> dict[str, float]:
-        """Noise of each channel together with these errors, root mean square; a shift in time is judged apart."""
-        found = {}
-        for channel, columns, rows in objective.columns():
-            own = self.turn if channel == ORIENTATION else 0.0
-            if channel == POSITION:
-                point = objective.measured[objective.present[:, rows].all(axis=1), columns]
-                # A turn moves a point by its distance from the axis: of three axes two thirds of the square count.
-                own = np.hypot(self.placement, self.turn * np.sqrt(2 * np.mean(point**2)))
-            elif unit_of(channel, objective.readings) == "N":
-                force = objective.measured[objective.present[:, rows.start], columns]
-                own = np.hypot(self.force_bias, self.force_scale * np.sqrt(np.mean(force**2)))
-            found[channel] = float(np.hypot(noise[channel], own))
-        return found
-
-    def describe(self) -> str:
-        """In words, those there are."""
-        said = {
-            f"forces read {100 * self.force_scale:.3g} % too large or small": self.force_scale,
-            f"their zeros {self.force_bias:.3g} N off": self.force_bias,
-            f"forces {1e3 * self.time_shift:.3g} ms late or early": self.time_shift,
-            f"the measured point {1e3 * self.placement:.3g} mm off": self.placement,
-            f"the femur's frame turned by {np.degrees(self.turn):.3g} deg": self.turn,
-        }
-        return ", ".join(words for words, deviation in said.items() if deviation)
+def sensors_in_words(nuisance: Nuisance) -> str:
+    """The errors that there are."""
+    said = {
+        f"forces read {100 * nuisance.force_scale:.3g} % too large or small": nuisance.force_scale,
+        f"their zeros {nuisance.force_bias:.3g} N off": nuisance.force_bias,
+        f"forces {1e3 * nuisance.time_shift:.3g} ms late or early": nuisance.time_shift,
+        f"the measured point {1e3 * nuisance.placement:.3g} mm off": nuisance.placement,
+        f"the femur's frame turned by {np.degrees(nuisance.turn):.3g} deg": nuisance.turn,
+    }
+    return ", ".join(words for words, deviation in said.items() if deviation)
 
 
 def _later(signal: Floats, frames: Floats) -> Floats:

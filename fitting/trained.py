@@ -19,15 +19,13 @@ from fitting.estimate import Estimate
 from fitting.evaluation import Prediction
 from fitting.first_look import plain_look
 from fitting.fit import SIMULATIONS
-from fitting.inference.besides import with_nuisance
+from fitting.inference.besides import at_own_lengths, with_nuisance
 from fitting.inference.infer import DRAWS, TOGETHER, Inferred
 from fitting.inference.learning import Answer, Learned
-from fitting.inference.own_lengths import at_own_lengths
 from fitting.methods.problem import Problem
 from fitting.nuisance import Nuisance
 from fitting.objective import Objective
 from fitting.outcome import Outcome, estimate_of, judge
-from fitting.sensors import Sensors
 from fitting.set_up import SetUp, bridged, from_nominal, listed, refuse_weights
 from fitting.trials import trials_of
 from pftwin.base.arrays import Floats, Rows
@@ -147,10 +145,9 @@ class TrainedPosterior:
         answer = self.learned.answer(recording, DRAWS, np.random.default_rng(self.seed), wider)
         said = f"what no simulation explains of them is {answer.level:.2g} times the noise that was learned from"
         doubts += bounded("trained_noise", answer.level, said, source, limits)
-        random = np.random.default_rng([self.seed, 1])
-        sensors = Sensors.of(self.set_up.nuisance)
-        draws = with_nuisance(problem, sensors, held, self.learned, recording, answer.draws, self.substeps, random)
-        besides, draws = at_own_lengths(problem, self.set_up.nuisance, draws)
+        random, nuisance = np.random.default_rng([self.seed, 1]), self.set_up.nuisance
+        draws = with_nuisance(problem, nuisance, held, self.learned, recording, answer.draws, self.substeps, random)
+        besides, draws = at_own_lengths(problem, nuisance, draws)
         return answer, draws, besides, doubts
 
     def _off(self, held: Objective, seen: Prediction) -> Floats:

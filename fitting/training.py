@@ -27,7 +27,7 @@ from fitting.nuisance import Nuisance
 from fitting.objective import SPRINGS, Objective
 from fitting.parameters import Bounds
 from fitting.programs import POSITION
-from fitting.sensors import Sensors
+from fitting.sensors import sensed
 from fitting.set_up import SetUp, bridged, from_nominal, refuse_weights
 from fitting.trained import Probes, TrainedPosterior
 from fitting.trials import free_in_trials, objective_of, trials_of
@@ -93,7 +93,7 @@ def train_posterior(
     check_enough(len(probes.theta), _PROBES, problem)
     first = bridged(problem, held, held.present)
     drawn = region.drawn(simulations, random)
-    theta, recordings = _simulated(problem, held, Sensors.of(besides), drawn, substeps, random, progress)
+    theta, recordings = _simulated(problem, held, besides, drawn, substeps, random, progress)
     check_enough(len(theta), simulations, problem)
     learned = learn(region, theta, recordings, first, held, Noise.initial(target), random)
     return TrainedPosterior(
@@ -113,7 +113,7 @@ def train_posterior(
 def _simulated(
     problem: Problem,
     held: Objective,
-    sensors: Sensors,
+    nuisance: Nuisance,
     theta: Floats,
     substeps: int,
     random: np.random.Generator,
@@ -126,7 +126,7 @@ def _simulated(
         part = theta[i : i + _AT_ONCE]
         seen = problem.evaluator.values(part, substeps)
         kept.append(part[seen.usable])
-        read = sensors.read(seen.values[seen.usable], problem, random)
+        read = sensed(seen.values[seen.usable], nuisance, problem, random)
         recordings.append(held.residuals(read).astype(np.float32))
         if progress is not None:
             progress(i + len(part), len(theta))

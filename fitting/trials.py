@@ -1,26 +1,32 @@
 """Several trials of one knee as one long recording: motions one after another, and one frame of nothing between two.
 
-Parameters are shared, but for differences that are stated (`fitting.differences`). A coordinate of a point is moved in
-every trial by as much as in the first, whose value is the one that is told: a tuberosity that lies 2 mm more distal
-does so in the treated knee too.
+Parameters are shared, but for differences that are stated, `fit_tendons([...], varies={"L1": 0.5e-3})`:
+
+    value in trial k = shared value + difference k,    difference k ~ N(0, sd)
+
+So trials lend each other strength as far as they are alike: the smaller the standard deviation, the more. The shared
+value is the mean of all trials that there might be, and is what is told and carried to other knees. A coordinate of a
+point is moved in every trial by as much as in the first, whose value is the one that is told: a tuberosity that lies
+2 mm more distal does so in the treated knee too.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from numbers import Real
 
 import numpy as np
 
-from fitting.differences import with_differences
 from fitting.measured_channels import measured_channels
 from fitting.metric import Metric, StatedNoise
-from fitting.nuisance import Nuisance
+from fitting.nuisance import REACH, Nuisance
 from fitting.objective import Objective, channel_of_columns
-from fitting.parameters import Bounds, Parameters, with_nuisance
+from fitting.parameters import BETWEEN_TRIALS, Bounds, Parameter, Parameters, with_nuisance
 from fitting.programs import ORIENTATION, POSITION, channel_widths, columns_of, with_readings
 from pftwin.base.errors import InputError
 from pftwin.model.measured import Measured
+from pftwin.model.number_place import named_arrays
 from pftwin.model.scene import Scene, check
 
 _ANY = (-1e12, 1e12)  # bounds where the first trial's hold
@@ -175,6 +181,59 @@ def _shared(first: Parameters, own: Parameters, number: int, varies: Mapping[str
         moved = {"nominal": ours.nominal + by, "lower": ours.lower + by, "upper": ours.upper + by, "prior": prior}
         items.append(replace(there[name], **moved))
     return Parameters(tuple(items))
+
+
+def with_differences(
+    scene: Scene, parameters: Parameters, varies: Mapping[str, float], trials: Sequence[str]
+) -> Parameters:
+    """The parameters that trials of these names share, and of each that varies, by a standard deviation, differences
+    of all trials, at the end; `scene` is the first trial's, with whatever is fitted in it. Raises InputError: a name
+    that is not free, or one of many numbers; no standard deviation; a single trial; bounds that leave no room."""
+    if not varies:
+        return parameters
+    if len(trials) < 2:
+        raise InputError("a single trial", where="varies", expected="several trials, which differ")
+    names = parameters.names
+    if strange := [name for name in varies if name not in names]:
+        known = [name for name in names if name.startswith(f"{strange[0]}[")] or names
+        raise InputError(f"{strange[0]!r} is not free", where="varies", expected=f"some of: {', '.join(known)}")
+    items = list(parameters.items)
+    for p in parameters.items:
+        if p.name in varies:
+            sd = _deviation(scene, p, varies[p.name])
+            items += [
+                Parameter(
+                    f"{p.name} difference in {name}",
+                    p.place,
+                    0.0,
+                    -REACH * sd,
+                    REACH * sd,
+                    (0.0, sd),
+                    p.unit,
+                    coordinate=True,
+                    kind=BETWEEN_TRIALS,
+                    trial=trial,
+                )
+                for trial, name in enumerate(trials)
+            ]
+    return Parameters(tuple(items))
+
+
+def _deviation(scene: Scene, p: Parameter, sd: float) -> float:
+    """It, if it can be one. Raises InputError: it is no positive number, or the least of the bounds less so many
+    deviations is no such quantity."""
+    if not (isinstance(sd, Real) and np.isfinite(float(sd)) and float(sd) > 0):
+        raise InputError(f"{p.name}: found {sd!r}", where="varies", expected="a positive standard deviation")
+    declared = named_arrays(scene)[p.place.names[0].partition("[")[0]].quantity
+    if declared is not None and not (declared.holds(p.lower - REACH * sd) and declared.holds(p.upper + REACH * sd)):
+        raise InputError(
+            f"{p.name}: bounds {p.lower:g} to {p.upper:g} and {REACH:g} deviations of {sd:g} leave room for values"
+            " that it cannot have",
+            where="varies",
+            expected=declared.expected,
+            remedy="narrower bounds, or a smaller deviation; what may be zero, such as friction, cannot vary",
+        )
+    return float(sd)
 
 
 def joined_objective(trials: Sequence[Objective]) -> Objective:

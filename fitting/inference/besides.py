@@ -11,26 +11,31 @@ C is what noise and errors of sensors do to summaries, and what the straight mod
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from fitting.inference.learning import Learned, Rows
 from fitting.methods.problem import Problem
+from fitting.nuisance import Nuisance
 from fitting.objective import Objective
 from fitting.parameters import Parameters
-from fitting.sensors import Sensors
+from fitting.sensors import sensed
+from fitting.stiffening import working_of
 from pftwin.base.arrays import Floats
+from pftwin.base.errors import PftwinError
 
 _TIMES = 3  # from the prior on, each time where the one before put it
 _KNEES, _PER_PARAMETER = 192, 6  # simulated each time, at least, and so many times the number of parameters
 _TRIES = 100  # of drawing within the bounds
+_OF_SPRINGS = ("stiffness", "slack_length", "stiffening")  # of a tendon that stiffens
 _ALIKE = 1e-9  # spread of knees' numbers, as a share of their mean, that is rounding
 
 
 def with_nuisance(
     problem: Problem,
-    sensors: Sensors,
+    nuisance: Nuisance,
     held: Objective,
     learned: Learned,
     recording: Rows,
@@ -55,9 +60,7 @@ def with_nuisance(
             break
         values = seen.values[seen.usable]
         x = learned.seen(held.residuals(values).astype(np.float32))
-        misread = np.zeros_like(x)
-        if any(sensors):
-            misread = learned.seen(held.residuals(sensors.read(values, problem, random)).astype(np.float32)) - x
+        misread = learned.seen(held.residuals(sensed(values, nuisance, problem, random)).astype(np.float32)) - x
         straight = _Straight.of(some[seen.usable], x, misread, learned.added.root)
         mean, root = straight.given(learned.seen(recording[None])[0], asked, parameters)
         draws = np.concatenate([asked, _within(mean, root, parameters, random)], axis=1)
@@ -113,3 +116,31 @@ def _within(mean: Floats, root: Floats, parameters: Parameters, random: np.rando
             break
         drawn[beyond] = mean[beyond] + random.standard_normal((beyond.size, mean.shape[1])) @ root.T
     return np.clip(drawn, lower, upper)
+
+
+def at_own_lengths(problem: Problem, besides: Nuisance, draws: Floats) -> tuple[Nuisance, Floats]:
+    """Draws (N, p), and nuisance, with the lengths at which tendons work in the motions of the draws' mean.
+
+    Springs that stiffen are learned from as lines over the lengths at which the nominal knee's tendons work, which are
+    the same for all simulations. What a laboratory finds with a load cell is the line over what occurred. Draws are
+    told by it: their springs stay what they are. Tendons of which stiffness, slack length and stiffening are not all
+    free are left as they are, those of which one differs between trials, and those that would hang slack in some draw;
+    so are all where that motion cannot be simulated, which is told where the fit is judged.
+    """
+    parameters = problem.parameters
+    vary = {parameters.items[at].place for at, _ in parameters.differences}
+    columns = {p.place.name: i for i, p in enumerate(parameters.items) if p.place not in vary}
+    numbers = {name: [f"{name}.{number}" for number in _OF_SPRINGS] for name, _ in besides.working}
+    places = {name: [columns[n] for n in own] for name, own in numbers.items() if columns.keys() >= set(own)}
+    if not places:
+        return besides, draws
+    try:
+        found = working_of(problem.evaluator.scenes_at(draws.mean(axis=0)), tuple(places))
+    except PftwinError:  # a mean beyond the scene's limits
+        return besides, draws
+    known, told = dict(besides.working), draws.copy()
+    for name, own in places.items():
+        there = np.stack(known[name].told_at(found[name], *draws[:, own].T), axis=1)
+        if np.isfinite(there).all() and (there[:, :2] > 0).all() and found[name].taut(there[:, 1].max()):
+            told[:, own], known[name] = there, found[name]
+    return replace(besides, working=tuple(known.items())), told

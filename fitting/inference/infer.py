@@ -24,8 +24,9 @@ from fitting.inference.learning import Answer, Learned, learn
 from fitting.inference.recordings import Noise
 from fitting.inference.region import Region
 from fitting.methods.problem import Problem
+from fitting.nuisance import Nuisance
 from fitting.parameters import Parameters
-from fitting.sensors import Sensors
+from fitting.sensors import sensed
 from pftwin.base.errors import InputError
 
 PER_ROUND = 8000  # simulations
@@ -82,7 +83,7 @@ def check_enough(usable: int, simulations: int, problem: Problem) -> None:
 
 def infer(
     problem: Problem,
-    sensors: Sensors,
+    nuisance: Nuisance,
     seed: int,
     simulations: int,
     rounds: int,
@@ -102,7 +103,7 @@ def infer(
     try:
         for number in range(rounds):
             random = np.random.default_rng([seed, number])
-            one = _round(problem, sensors, region, noise, substeps, simulations, random)
+            one = _round(problem, nuisance, region, noise, substeps, simulations, random)
             draws, dropped = one.answer.draws, dropped + one.dropped
             smaller = whole.around(draws)
             best = min(one.best, history[-1]["best"]) if history else one.best
@@ -159,7 +160,7 @@ class _Round(NamedTuple):
 
 def _round(
     problem: Problem,
-    sensors: Sensors,
+    nuisance: Nuisance,
     region: Region,
     noise: Noise,
     substeps: int,
@@ -170,11 +171,11 @@ def _round(
     seen = problem.evaluator.values(theta, substeps)
     theta, values = theta[seen.usable], seen.values[seen.usable]
     check_enough(len(theta), simulations, problem)
-    apart = problem.objective.residuals(sensors.read(values, problem, random)).astype(np.float32)
+    apart = problem.objective.residuals(sensed(values, nuisance, problem, random)).astype(np.float32)
     nothing = np.zeros_like(apart[0])  # the measurements' distance from themselves
     learned = learn(region, theta, apart, nothing, problem.objective, noise, random)
     cost = problem.objective.value(Prediction(values, None, np.ones(len(values), bool)))
     best = float(np.min(cost + problem.parameters.prior_terms(theta)[0]))
     answer = learned.answer(nothing, DRAWS, random)
-    draws = with_nuisance(problem, sensors, problem.objective, learned, nothing, answer.draws, substeps, random)
+    draws = with_nuisance(problem, nuisance, problem.objective, learned, nothing, answer.draws, substeps, random)
     return _Round(learned, answer._replace(draws=draws), learned.noise, simulations - len(theta), best)

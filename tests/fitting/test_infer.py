@@ -19,9 +19,10 @@ from fitting.inference.learning import Answer, learn
 from fitting.inference.recordings import Noise
 from fitting.inference.region import Region
 from fitting.methods.problem import Problem
+from fitting.nuisance import EXACT, Nuisance
 from fitting.outcome import Outcome
 from fitting.parameters import Parameters
-from fitting.sensors import Sensors
+from fitting.sensors import sensed
 from pftwin.base.errors import InputError
 
 FRAMES, RHO = 200, 0.8
@@ -29,7 +30,7 @@ SIGMA = np.array([0.02, 0.02, 0.02, 0.5])
 PRIOR = (0.37, 0.02)  # of the third parameter, which is nuisance
 TRUTH = np.array([1.23, -30.4, 0.4])
 HALF_WIDTH = 3.0
-EXACT_SENSORS, OFF = Sensors(), Sensors(placement=0.03, force_bias=0.8)
+OFF = Nuisance(placement=0.03, force_bias=0.8)
 
 
 def slopes() -> np.ndarray:
@@ -57,7 +58,7 @@ def linear(seed: int, stated: bool = True, off: float = 0.0) -> Problem:
     return problem(slopes(), measured(seed, off), known(), noise)
 
 
-def bayes(seed: int, sensors: Sensors = EXACT_SENSORS, off: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+def bayes(seed: int, sensors: Nuisance = EXACT, off: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
     """The posterior's mean and covariance in closed form: generalised least squares with the prior. An error that stays
     the same throughout is the same variance between all frames."""
     information, pull = np.diag([0, 0, PRIOR[1] ** -2]), np.array([0, 0, PRIOR[0] * PRIOR[1] ** -2])
@@ -72,7 +73,7 @@ def bayes(seed: int, sensors: Sensors = EXACT_SENSORS, off: float = 0.0) -> tupl
 
 @cache
 def found(
-    seed: int = 3, stated: bool = True, sensors: Sensors = EXACT_SENSORS, off: float = 0.0, simulations: int = 3000
+    seed: int = 3, stated: bool = True, sensors: Nuisance = EXACT, off: float = 0.0, simulations: int = 3000
 ) -> Inferred:
     case = linear(seed, stated, off)
     return infer(case, sensors, seed=1, simulations=simulations, rounds=6, report=lambda entry, most: None)
@@ -128,13 +129,13 @@ def test_measurements_that_no_simulation_resembles_are_strange():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("sensors", [EXACT_SENSORS, OFF])
+@pytest.mark.parametrize("sensors", [EXACT, OFF])
 def test_nuisance_given_what_is_asked_for_is_that_of_bayes(sensors):
     """Linear recordings of which what is asked for is known to be elsewhere: the conditional normal distribution."""
     base, random = linear(3), np.random.default_rng(8)
     region, nothing = Region(base.parameters), np.zeros((FRAMES, 4), np.float32)
     theta = region.drawn(1000, random)
-    values = sensors.read(base.evaluator.values(theta, 1).values, base, random)
+    values = sensed(base.evaluator.values(theta, 1).values, sensors, base, random)
     apart = base.objective.residuals(values).astype(np.float32)
     known_noise = Noise(SIGMA, np.full(4, RHO), 1.0)
     learned = learn(region, theta, apart, nothing, base.objective, known_noise, random)
@@ -169,7 +170,7 @@ def test_nuisance_that_all_lies_at_its_bound_stays_there():
     )
     asked = TRUTH[:2] + 0.01 * random.normal(size=(400, 2))
     with np.errstate(over="raise", invalid="raise"):
-        draws = with_nuisance(far, EXACT_SENSORS, far.objective, learned, nothing, asked, 1, random)
+        draws = with_nuisance(far, EXACT, far.objective, learned, nothing, asked, 1, random)
     assert np.isfinite(draws).all()
     assert ((draws[:, 7:9] >= 0.25) & (draws[:, 7:9] <= 0.5)).all()
 
@@ -214,7 +215,7 @@ def test_an_interrupt_keeps_the_last_whole_round():
         if entry["iteration"] == 2:
             raise KeyboardInterrupt
 
-    kept = infer(linear(3), EXACT_SENSORS, seed=1, simulations=1000, rounds=4, report=interrupt)
+    kept = infer(linear(3), EXACT, seed=1, simulations=1000, rounds=4, report=interrupt)
     assert kept.interrupted
     assert len(kept.history) == 2
     assert kept.answer.draws.shape == (2000, 3)

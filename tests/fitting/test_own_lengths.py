@@ -8,7 +8,7 @@ import pytest
 from small_scene import small_scene
 
 import pftwin
-from fitting.inference.own_lengths import at_own_lengths
+from fitting.inference.besides import at_own_lengths
 from fitting.methods.problem import Problem
 from fitting.nuisance import Nuisance
 from fitting.trials import free_in_trials, objective_of

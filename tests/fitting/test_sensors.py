@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 from small_scene import small_scene
 
 import fitting
-from fitting.nuisance import PRESETS, Nuisance
-from fitting.sensors import Sensors
+from fitting.nuisance import EXACT, PRESETS, Nuisance
+from fitting.sensors import noise_beside, sensed
 from pftwin.base.errors import InputError
 from pftwin.model.measured import Measured
 
@@ -37,12 +37,12 @@ def ramps(count: int = N) -> np.ndarray:
 
 
 def changed(**errors: float) -> np.ndarray:
-    return Sensors(**errors).read(ramps(), case(), np.random.default_rng(2)) - ramps()
+    return sensed(ramps(), Nuisance(**errors), case(), np.random.default_rng(2)) - ramps()
 
 
 def test_exact_sensors_change_nothing():
     values = ramps(3)
-    assert Sensors().read(values, case(), np.random.default_rng(0)) is values
+    assert sensed(values, EXACT, case(), np.random.default_rng(0)) is values
 
 
 def test_a_placement_is_the_same_in_all_frames_and_trials():
@@ -62,7 +62,7 @@ def test_a_turn_is_of_the_frame_in_which_points_and_orientations_are_told():
     values = np.broadcast_to(np.concatenate([points, quaternions], axis=1), (N, FRAMES, 7))
     channels, columns = ("position", "orientation"), np.array([0, 0, 0, 1, 1, 1])
     target = objective(values[0], channels=channels, groups=channels, group_of=columns, noise=None)
-    told = Sensors(turn=0.02).read(values, replace(case(), objective=target), np.random.default_rng(2))
+    told = sensed(values, Nuisance(turn=0.02), replace(case(), objective=target), np.random.default_rng(2))
     turns = Rotation.from_quat(told[:, 0, 3:], scalar_first=True) * poses[0].inv()
     np.testing.assert_allclose(turns.as_rotvec().std(axis=0), 0.02, rtol=0.05)
     for i in (0, 17):
@@ -70,7 +70,7 @@ def test_a_turn_is_of_the_frame_in_which_points_and_orientations_are_told():
         found = Rotation.from_quat(told[i, :, 3:], scalar_first=True)
         assert (found * (turns[i] * poses).inv()).magnitude().max() < 1e-7
     noise = {"position": 1e-9, "orientation": 1e-9}
-    beside = Sensors(turn=0.02).beside(noise, replace(target, present=np.ones((FRAMES, 6), bool)))
+    beside = noise_beside(noise, Nuisance(turn=0.02), replace(target, present=np.ones((FRAMES, 6), bool)))
     assert beside["orientation"] == pytest.approx(0.02)
     assert beside["position"] == pytest.approx((told[..., :3] - values[..., :3]).std(), rel=0.03)
 
@@ -102,14 +102,14 @@ def test_a_shift_moves_forces_in_time_and_no_positions():
 
 def test_what_a_right_fit_leaves_counts_them():
     target = case().objective  # forces of 3 N
-    found = Sensors(force_scale=0.1, force_bias=0.4, placement=0.03).beside({"position": 0.04, "contact": 1.2}, target)
+    off = Nuisance(force_scale=0.1, force_bias=0.4, placement=0.03)
+    found = noise_beside({"position": 0.04, "contact": 1.2}, off, target)
     assert found == {"position": pytest.approx(0.05), "contact": pytest.approx(1.3)}
 
 
 def test_they_are_stated_in_text_beside_a_preset():
     found = Nuisance.of("rig, force_scale=0.02, placement=0.001")
     assert found == replace(PRESETS["rig"], force_scale=0.02, placement=1e-3)
-    assert Sensors.of(found) == Sensors(force_scale=0.02, placement=1e-3)
     estimate = made_estimate({"K1": (150.0, 2.0)}, nuisance=found)
     assert any("forces read 2 % too large or small, the measured point 1 mm off" in line for line in estimate.remarks())
     with pytest.raises(InputError, match="found 'rig'"):

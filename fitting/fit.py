@@ -22,12 +22,11 @@ from fitting.objective import SPRINGS, Objective
 from fitting.outcome import Outcome, estimate_of, judge
 from fitting.parameters import Bounds
 from fitting.programs import POSITION, with_readings
-from fitting.trials import free_in_trials, objective_of, trials_of
+from fitting.trials import Recordings, Scenes, free_in_trials, objective_of, trials_of
 from pftwin.base.errors import InputError
 from pftwin.base.output import check_place
 from pftwin.dynamics.batch.devices import Devices
 from pftwin.dynamics.simulate import compiled_aside
-from pftwin.model.measured import Measured
 from pftwin.model.scene import Scene
 
 METHODS = {  # module and class
@@ -54,8 +53,8 @@ class Progress(NamedTuple):
 
 
 def fit_tendons(
-    scene: Scene | Sequence[Scene],
-    measured: Measured | Sequence[Measured | None] | None = None,
+    scene: Scenes,
+    measured: Recordings = None,
     *,
     method: str = "least_squares",
     objective: str = "likelihood",
@@ -228,7 +227,7 @@ def _check_simulations(
     return found["simulations"], found["rounds"]
 
 
-def likelihood_of(estimate: Estimate, measured: Measured | Sequence[Measured | None] | None) -> Problem:
+def likelihood_of(estimate: Estimate, measured: Recordings) -> Problem:
     """The problem that an estimate solved, with the noise that it found; measured of every trial, by default as the
     estimate or its scenes have it. Raises InputError: an estimate without a scene, or of the paper's objective; what
     `Objective.of` has against the measurements."""

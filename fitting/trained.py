@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import time
-from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -27,7 +26,7 @@ from fitting.nuisance import Nuisance
 from fitting.objective import Objective
 from fitting.outcome import Outcome, estimate_of, judge
 from fitting.set_up import SetUp, bridged, from_nominal, listed, refuse_weights
-from fitting.trials import trials_of
+from fitting.trials import Recordings, Scenes, trials_of
 from pftwin.base.arrays import Floats, Rows
 from pftwin.base.errors import InputError
 from pftwin.base.output import written_whole
@@ -68,13 +67,7 @@ class TrainedPosterior:
     widened: tuple[float, ...] = ()  # times (d,), as a calibration has asked for
     doubts: tuple[str, ...] = ()  # of the recording that it was trained on
 
-    def estimate(
-        self,
-        scene: Scene | Sequence[Scene],
-        measured: Measured | Sequence[Measured | None] | None = None,
-        *,
-        limits: Mapping[str, tuple[float, float]] | None = None,
-    ) -> Estimate:
+    def estimate(self, scene: Scenes, measured: Recordings = None, *, limits: Limits | None = None) -> Estimate:
         """What a recording of this set-up tells.
 
         Args:
@@ -105,11 +98,7 @@ class TrainedPosterior:
         return estimate
 
     def draws(
-        self,
-        scene: Scene | Sequence[Scene],
-        measured: Measured | Sequence[Measured | None] | None = None,
-        *,
-        limits: Mapping[str, tuple[float, float]] | None = None,
+        self, scene: Scenes, measured: Recordings = None, *, limits: Limits | None = None
     ) -> tuple[Floats, list[str]]:
         """Draws (N, d) of what is asked for, and what forbids to believe them: `estimate`, without a look at other
         readings of the measurements and at the fitted motion.
@@ -122,9 +111,7 @@ class TrainedPosterior:
         return draws[:, : problem.parameters.asked], doubts + answer.doubts(problem.objective.source, allowed)
 
     @staticmethod
-    def _problem(
-        scene: Scene | Sequence[Scene], measured: Measured | Sequence[Measured | None] | None, set_up: SetUp
-    ) -> tuple[Problem, list[Measured]]:
+    def _problem(scene: Scenes, measured: Recordings, set_up: SetUp) -> tuple[Problem, list[Measured]]:
         """What is to be answered, and the measurements of every trial."""
         nominal, given = trials_of(scene, measured)
         scenes, parameters = set_up.parameters(nominal)
@@ -208,7 +195,7 @@ class TrainedPosterior:
         return target
 
     @staticmethod
-    def load(path: str | os.PathLike[str], scene: Scene | Sequence[Scene]) -> TrainedPosterior:
+    def load(path: str | os.PathLike[str], scene: Scenes) -> TrainedPosterior:
         """Reads what `save` wrote.
 
         Args:

@@ -29,13 +29,14 @@ from pftwin.model.measured import Measured
 from pftwin.model.number_place import named_arrays
 from pftwin.model.scene import Scene, check
 
+Scenes = Scene | Sequence[Scene]  # of one trial, or of several
+Recordings = Measured | Sequence[Measured | None] | None  # of each; None: what its scene carries
+
 _ANY = (-1e12, 1e12)  # bounds where the first trial's hold
 _EQUAL = 1e-6  # share by which numbers of two scenes may differ that count as the same: rounding in files
 
 
-def trials_of(
-    scene: Scene | Sequence[Scene], measured: Measured | Sequence[Measured | None] | None
-) -> tuple[list[Scene], list[Measured]]:
+def trials_of(scene: Scenes, measured: Recordings) -> tuple[list[Scene], list[Measured]]:
     """Every trial's scene and measurements, of one or several; by default what scenes carry. Raises InputError: no
     scene, something that is none, or one that cannot give a right answer; a scene that carries no measurements; not as
     many measurements as scenes."""

@@ -16,7 +16,6 @@ from fitting.finish import Told, settle
 from fitting.fit import SPRING_PARAMETERS, likelihood_of
 from fitting.methods.problem import Problem, refuse_moved_point
 from fitting.nuisance import Nuisance
-from fitting.objective import Normal
 from fitting.parameters import Bounds, Parameters
 from fitting.programs import ORIENTATION, POSITION, channels_of, reading_units, side_by_side, with_readings
 from fitting.trials import check_channels, free_in_trials, trial_names
@@ -330,11 +329,8 @@ def _conditional(problem: Problem, estimate: Estimate, i: int, held: Floats, ite
         better = new.value < best.value
         theta = np.where(better[:, None], trial, theta)
         damping = np.where(better, damping / 5, damping * 10)
-        best = Normal(
-            np.where(better, new.value, best.value),
-            np.where(better[:, None], new.gradient, best.gradient),
-            np.where(better[:, None, None], new.hessian, best.hessian),
-        )
+        for kept, fresh in zip(best, new, strict=True):
+            kept[better] = fresh[better]
     return theta
 
 

@@ -75,9 +75,7 @@ def check_times(scene: Scene, measured: Measured) -> None:
         raise InputError(found, where=measured.source, expected=expected, remedy=remedy)
     if (bad := np.flatnonzero(np.abs(theirs - ours) > _SAME_TIME * interval)).size:
         i = int(bad[0])
-        found, expected = (
-            f"frame {i + 1} was measured at {theirs[i]:.6g} s",
-            f"{ours[i]:.6g} s as in the scene's motion",
-        )
+        found = f"frame {i + 1} was measured at {theirs[i]:.6g} s"
+        expected = f"{ours[i]:.6g} s as in the scene's motion"
         remedy = "measurements with the clock and rate of the scene's motion"
         raise InputError(found, where=measured.source, expected=expected, remedy=remedy)

@@ -182,14 +182,13 @@ class TrainedPosterior:
 
         target, own = Path(path), self.learned
         facts = {**self.facts(), "block": own.table.block, "span": own.noise.span, "usual": own.usual}
-        arrays: dict[str, Any] = {key: getattr(own, key) for key in _ARRAYS}
-        arrays |= {f"summaries_{key}": value for key, value in own.summaries._asdict().items()}
+        facts["networks"] = len(own.networks)
+        arrays: dict[str, Any] = {key: getattr(own, key) for key in _ARRAYS} | {"present": self.present}
         arrays |= {"deviations": own.noise.deviations, "correlations": own.noise.correlations, "root": own.added.root}
-        arrays["present"] = self.present
-        arrays |= {f"probes_{key}": value for key, value in self.probes._asdict().items()}
+        for name, part in (("summaries", own.summaries), ("probes", self.probes)):
+            arrays |= {f"{name}_{key}": value for key, value in part._asdict().items()}
         for i, net in enumerate(own.networks):
             arrays |= {f"network{i}_{j}": leaf for j, leaf in enumerate(leaves_of(net))}
-        facts["networks"] = len(own.networks)
         with written_whole(target) as temporary, temporary.open("wb") as file:
             np.savez(file, facts=np.array(json.dumps(facts)), **arrays)
         return target
@@ -222,16 +221,14 @@ class TrainedPosterior:
             set_up = SetUp(**own, **pairs, nuisance=Nuisance(**facts["nuisance"]))
             noise = Noise(held["deviations"], held["correlations"], facts["span"])
             summaries = Summaries(*(held[f"summaries_{key}"] for key in Summaries._fields))
+            probes = Probes(*(held[f"probes_{key}"] for key in Probes._fields))
             arrays = {key: held[key] for key in _ARRAYS}
             sizes = (summaries.directions.shape[1], arrays["center"].size)
             nets = []
             for i in range(facts["networks"]):
                 count = sum(key.startswith(f"network{i}_") for key in held)
                 nets.append(network_of(*sizes, [held[f"network{i}_{j}"] for j in range(count)]))
-            table, probes = (
-                Table(facts["block"], noise.deviations),
-                Probes(*(held[f"probes_{k}"] for k in Probes._fields)),
-            )
+            table = Table(facts["block"], noise.deviations)
             rest: dict[str, Any] = {key: facts[key] for key in _FACTS}
             rest |= {key: tuple(facts[key]) for key in ("widened", "doubts")}
             told = {"noise": noise, "added": SummaryNoise(held["root"], noise.span), "usual": facts["usual"]}

@@ -174,7 +174,10 @@ class Manifest:
                 raise ValueError(f"its format is {content['format']!r}")
             return TypeAdapter(Manifest).validate_python(content)  # ignores what a later version may have added
         except (ValueError, KeyError, TypeError) as error:
-            said = _first_fault(error) if isinstance(error, ValidationError) else str(error)
+            said = str(error)
+            if isinstance(error, ValidationError):
+                first = error.errors()[0]
+                said = f"{', '.join(map(repr, first['loc']))}: {first['msg'].removeprefix('Value error, ')}"
             remedy = "another folder (--out); or, to compute everything anew, empty this one"
             raise InputError(f"no manifest: {said}", where=path, expected=_EXPECTED, remedy=remedy) from None
 
@@ -195,9 +198,3 @@ def file_fault(entry: Entry, path: Path) -> str | None:
 def now() -> str:
     """The date and time, in UTC."""
     return datetime.now(UTC).isoformat(timespec="seconds")
-
-
-def _first_fault(error: ValidationError) -> str:
-    """Where the first fault is, and what."""
-    first = error.errors()[0]
-    return f"{', '.join(map(repr, first['loc']))}: {first['msg'].removeprefix('Value error, ')}"

@@ -112,11 +112,11 @@ class Region(NamedTuple):
         theta = self.parameters.scattered(count, random)
         if self.ellipsoid is None:
             return theta
-        found = np.zeros((0, self.asked))
+        found, priors = np.zeros((0, self.asked)), Parameters(self.parameters.items[: self.asked])
         for _ in range(_TRIES):
             trial = self.ellipsoid.drawn(count, random)
             trial = trial[self.contains(trial)]
-            cost = self._prior_cost(trial)
+            cost = priors.prior_terms(trial)[0]
             kept = random.uniform(size=len(trial)) < np.exp(cost.min(initial=np.inf) - cost)
             found = np.concatenate([found, trial[kept]])
             if len(found) >= count:
@@ -124,14 +124,6 @@ class Region(NamedTuple):
                 return theta
         found = "next to nothing of the bounds and priors lies where the measurements put the parameters"
         raise InputError(found, where="bounds and priors", expected="wider ones")
-
-    def _prior_cost(self, theta: Floats) -> Floats:
-        """Minus the log density of the priors of those asked for (N, d)."""
-        cost = np.zeros(len(theta))
-        for column, p in zip(theta.T, self.parameters.items, strict=False):
-            if p.prior is not None:
-                cost += 0.5 * ((column - p.prior[0]) / p.prior[1]) ** 2
-        return cost
 
     def coordinates(self, theta: Floats) -> Floats:
         """(N, d) as numbers that a normal distribution describes well: the ellipsoid's, or free of bounds."""

@@ -55,9 +55,8 @@ class Generations(Method):
             return "all starts failed"
         if over:
             return f"the best changed by less than {TOLERANCE:g} a generation over {STALL} generations"
-        return (
-            f"{self.most_iterations - 1} generations, the most allowed" if generations >= self.most_iterations else None
-        )
+        most = self.most_iterations
+        return f"{most - 1} generations, the most allowed" if generations >= most else None
 
 
 class Populations(Generations):
@@ -65,15 +64,9 @@ class Populations(Generations):
 
     options = ("population", "generations", "populations")
 
-    def __init__(
-        self,
-        problem: Problem,
-        seed: int,
-        population: int | None = None,
-        generations: int | None = None,
-        populations: int = 1,
-    ) -> None:
-        super().__init__(problem, seed, population, generations)
+    def __init__(self, problem: Problem, seed: int, *, populations: int = 1, **size: int | None) -> None:
+        """`size`: population and generations."""
+        super().__init__(problem, seed, **size)
         self.populations = populations
         self.starts = self.widest = self.population * populations
 

@@ -87,8 +87,7 @@ class Problem:
         theta = np.atleast_2d(request.theta)
         prior, pull, _ = self.parameters.prior_terms(theta)
         if request.want == "value":
-            value = self.objective.value(self.evaluator.values(theta, request.substeps))
-            return ProblemAnswer(value + prior)
+            return ProblemAnswer(self.objective.value(self.evaluator.values(theta, request.substeps)) + prior)
         if request.want == "gradient":
             prediction = self.evaluator.values(theta, request.substeps)
             seen = np.where(prediction.usable[:, None, None], prediction.values, 0.0)

@@ -163,23 +163,19 @@ class Posterior:
 
         e, by = self.estimate, ("parameter",)
         chains, draws, _ = self.draws.shape
-        own = {"units": "as parameter_unit"}
-
-        def plain(words: str) -> dict[str, str]:
-            return {"units": "1", "long_name": words}
-
+        own, one = "as parameter_unit", "1"
         variables = {
-            "theta": (("chain", "draw", "parameter"), self.draws, {**own, "long_name": "draws of the parameters"}),
-            "log_density": (("chain", "draw"), self.log_density, plain("log density up to a constant")),
-            "acceptance": (("chain",), self.acceptance, plain("share of accepted proposals")),
-            "r_hat": (by, self.r_hat, plain("rank-normalised split R-hat")),
-            "effective_sample_size": (by, self.effective, plain("effective sample size")),
-            "estimate": (by, e.values, {**own, "long_name": "estimate that is checked"}),
-            "estimate_standard_deviation": (by, e.standard_deviations, {**own, "long_name": "its standard deviation"}),
+            "theta": (("chain", "draw", "parameter"), self.draws, own, "draws of the parameters"),
+            "log_density": (("chain", "draw"), self.log_density, one, "log density up to a constant"),
+            "acceptance": (("chain",), self.acceptance, one, "share of accepted proposals"),
+            "r_hat": (by, self.r_hat, one, "rank-normalised split R-hat"),
+            "effective_sample_size": (by, self.effective, one, "effective sample size"),
+            "estimate": (by, e.values, own, "estimate that is checked"),
+            "estimate_standard_deviation": (by, e.standard_deviations, own, "its standard deviation"),
+            "chain": (("chain",), np.arange(chains), one, "chain"),
+            "draw": (("draw",), np.arange(draws), one, "draw"),
         }
         coordinates = {
-            "chain": (("chain",), np.arange(chains), plain("chain")),
-            "draw": (("draw",), np.arange(draws), plain("draw")),
             "parameter": (by, list(self.names), {"long_name": "parameter"}),
             "parameter_unit": (by, list(self.units), {"long_name": "its unit"}),
         }
@@ -195,7 +191,8 @@ class Posterior:
             "finding": self.sentence(),
             **({"note": notes} if notes else {}),
         }
-        return Dataset(variables, coordinates, attributes)
+        data = {k: (by, v, {"units": unit, "long_name": words}) for k, (by, v, unit, words) in variables.items()}
+        return Dataset(data, coordinates, attributes)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Writes the dataset as NetCDF.

@@ -168,38 +168,31 @@ class Nuisance:
         """
         arrays = named_arrays(scene)
         lines = {e.name for e in scene.effects if e.line_element() is not None}
-        deviations: dict[str, float] = {}
-        places: dict[str, NumberPlace] = {}
-        kinds: dict[str, str] = {}
+        found: dict[str, tuple[NumberPlace, float, str]] = {}  # by name, with deviation and kind
         declared = {name: number.quantity for name, number in arrays.items() if number.quantity is not None}
         for whole, quantity in declared.items():
             # An obstacle's centre has a frame too, and is not where a line is attached.
             attached = quantity.frame in ("patella", "body") and quantity.unit == "m" and arrays[whole].owner in lines
             for place in find(scene, whole) if len(arrays[whole].shape) < 2 else []:
-                places[place.name] = place
                 if self.attachments and attached:
-                    deviations[place.name], kinds[place.name] = self.attachments, "attachments"
+                    found[place.name] = place, self.attachments, "attachments"
                 elif self.damping and quantity.unit in _DAMPING:
-                    deviations[place.name] = self.damping * float(place.read(scene))
-                    kinds[place.name] = "damping"
+                    found[place.name] = place, self.damping * float(place.read(scene)), "damping"
         for name, sd in dict(self.others).items():
             own = find(scene, name)  # in the place of what else is known of the same numbers
-            deviations = {n: v for n, v in deviations.items() if not any(places[n].overlaps(place) for place in own)}
-            deviations |= {place.name: sd for place in own}
-            kinds |= {place.name: "others" for place in own}
-            places |= {place.name: place for place in own}
+            found = {n: each for n, each in found.items() if not any(each[0].overlaps(place) for place in own)}
+            found |= {place.name: (place, sd, "others") for place in own}
         if self.friction:
             name = _friction_name(scene)
-            deviations[name], kinds[name], places[name] = self.friction, "friction", find(scene, name)[0]
+            found[name] = find(scene, name)[0], self.friction, "friction"
         asked = [place for name in but for place in find(scene, name)]
-        taken = {name for name in deviations if any(places[name].overlaps(place) for place in asked)}
-        free = {name: sd for name, sd in deviations.items() if sd > 0 and name not in taken}
-        priors = {name: (float(places[name].read(scene)), sd) for name, sd in free.items()}
-        bounds = {}
-        for name, (mean, sd) in priors.items():
-            known = declared.get(name.partition("[")[0], _ANY)
-            least = _SMALLEST_SHARE * mean if known.positive else known.lower
-            bounds[name] = (max(mean - REACH * sd, least), min(mean + REACH * sd, known.upper))
+        priors, bounds, kinds = {}, {}, {}
+        for name, (place, sd, kind) in found.items():
+            if sd > 0 and not any(place.overlaps(other) for other in asked):
+                mean, known = float(place.read(scene)), declared.get(name.partition("[")[0], _ANY)
+                least = _SMALLEST_SHARE * mean if known.positive else known.lower
+                priors[name], kinds[name] = (mean, sd), kind
+                bounds[name] = (max(mean - REACH * sd, least), min(mean + REACH * sd, known.upper))
         stiff = {f"{tendon}.stiffening" for tendon in stiffening_tendons(scene)}
         for name in (f"{tendon}.stiffening" for tendon, _ in self.working):
             if name in stiff and name not in but:

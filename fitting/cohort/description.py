@@ -48,6 +48,8 @@ def _amounts(given: Any) -> list[float]:
 PatientName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$"), AfterValidator(_file_name)]
 
 
+Names = Annotated[list[str], Field(min_length=1)]
+Count = Annotated[int, Field(ge=1)]
 Method = Literal["least_squares", "gradient", "genetic", "matlab_ga", "cma_es", "differential_evolution", "simulations"]
 
 
@@ -60,30 +62,27 @@ def _nuisance(given: str) -> str:
     return given
 
 
+def _optional(description: str) -> Any:
+    return Field(default=None, description=description)
+
+
 class FitTable(Section):
     """How tendons are fitted: options of `fitting.fit_tendons`, with the same defaults."""
 
-    free: Annotated[list[str], Field(min_length=1)] | None = Field(default=None, description="parameters")
-    bounds: Positive | None = Field(default=None, description="to either side, as a share of the nominal value")
-    use: Annotated[list[str], Field(min_length=1)] | Literal["all"] | None = Field(
-        default=None, description='channels that are compared, in a list, or "all"'
+    free: Names | None = _optional("parameters")
+    bounds: Positive | None = _optional("to either side, as a share of the nominal value")
+    use: Names | Literal["all"] | None = _optional('channels that are compared, in a list, or "all"')
+    noise: dict[str, Positive] | None = _optional("standard deviations by channel, in m, rad or N")
+    method: Method | None = _optional("how the best parameters, or the posterior, are found")
+    nuisance: Annotated[str, AfterValidator(_nuisance)] | None = _optional(
+        'what scenes lack, fitted besides: "rig", "mocap", "mri", or deviations'
     )
-    noise: dict[str, Positive] | None = Field(
-        default=None, description="standard deviations by channel, in m, rad or N"
-    )
-    method: Method | None = Field(default=None, description="how the best parameters, or the posterior, are found")
-    nuisance: Annotated[str, AfterValidator(_nuisance)] | None = Field(
-        default=None,
-        description='what scenes lack, fitted besides: "rig", "mocap", "mri", or deviations',
-    )
-    objective: Literal["likelihood", "paper"] | None = Field(default=None, description="what makes a fit good")
-    loss: Literal["linear", "huber", "soft_l1"] | None = Field(default=None, description="how outliers count")
-    starts: Annotated[int, Field(ge=1)] | None = Field(
-        default=None, description="starting points (least squares, gradient)"
-    )
-    simulations: Annotated[int, Field(ge=1000)] | None = Field(default=None, description="of each round (simulations)")
-    rounds: Annotated[int, Field(ge=1)] | None = Field(default=None, description="at most (simulations)")
-    seed: Annotated[int, Field(ge=0)] | None = Field(default=None, description="of all random choices")
+    objective: Literal["likelihood", "paper"] | None = _optional("what makes a fit good")
+    loss: Literal["linear", "huber", "soft_l1"] | None = _optional("how outliers count")
+    starts: Count | None = _optional("starting points (least squares, gradient)")
+    simulations: Annotated[int, Field(ge=1000)] | None = _optional("of each round (simulations)")
+    rounds: Count | None = _optional("at most (simulations)")
+    seed: Annotated[int, Field(ge=0)] | None = _optional("of all random choices")
 
 
 class PredictTable(Section):
@@ -93,21 +92,17 @@ class PredictTable(Section):
         default=50, description="draws from the fit's uncertainty, for bands"
     )
     seed: Annotated[int, Field(ge=0)] = Field(default=0, description="of the draws")
-    dt_s: Positive | None = Field(
-        default=None, description="longest time step [s]; left out: 0.0005, or shorter where errors ask for it"
-    )
+    dt_s: Positive | None = _optional("longest time step [s]; left out: 0.0005, or shorter where errors ask for it")
 
 
 class PatientTable(Section):
     """One knee: a scene with its recording."""
 
     name: PatientName = Field(description="letters, digits, _ and -; files are named after it")
-    scene: FileName | None = Field(default=None, description="its scene file")
-    case: Annotated[int, Field(ge=1, le=4)] | None = Field(
-        default=None, description="instead of a scene file: a case of the virtual rig"
-    )
-    contact: str | None = Field(default=None, description="patch in place of the scene's own: P2, P4, P5, spline")
-    fit: FitTable | None = Field(default=None, description="table: what is other than in [fit] for this patient")
+    scene: FileName | None = _optional("its scene file")
+    case: Annotated[int, Field(ge=1, le=4)] | None = _optional("instead of a scene file: a case of the virtual rig")
+    contact: str | None = _optional("patch in place of the scene's own: P2, P4, P5, spline")
+    fit: FitTable | None = _optional("table: what is other than in [fit] for this patient")
 
     @model_validator(mode="after")
     def _one_scene(self) -> PatientTable:
@@ -127,7 +122,7 @@ def _kind_table(kind: str) -> type[Section]:
     fields: Any = {
         amount_field(name, way): (
             Annotated[list[float] | None, BeforeValidator(_amounts)],
-            Field(default=None, description=f'{way.more} [{way.shown_unit}]: a number, a list, or "FROM:TO:STEP"'),
+            _optional(f'{way.more} [{way.shown_unit}]: a number, a list, or "FROM:TO:STEP"'),
         )
         for name, way in ways.items()
     }
@@ -140,9 +135,8 @@ class _TreatmentTable(Section):
     @model_validator(mode="after")
     def _something(self) -> _TreatmentTable:
         if not self.amounts():
-            raise problem(
-                "no treatment given", expected='such as tibial_tuberosity_transfer = { medialisation_mm = "0:20:5" }'
-            )
+            expected = 'such as tibial_tuberosity_transfer = { medialisation_mm = "0:20:5" }'
+            raise problem("no treatment given", expected=expected)
         return self
 
     def amounts(self) -> dict[str, dict[str, list[float]]]:
@@ -156,7 +150,7 @@ class _TreatmentTable(Section):
         return found
 
 
-_KINDS: Any = {k: (_kind_table(k) | None, Field(default=None, description=f"table: {KINDS[k].part}")) for k in KINDS}
+_KINDS: Any = {k: (_kind_table(k) | None, _optional(f"table: {KINDS[k].part}")) for k in KINDS}
 if TYPE_CHECKING:
     TreatmentTable = _TreatmentTable
 else:
@@ -167,9 +161,9 @@ class CohortTable(Section):
     """The whole file."""
 
     schema_version: Literal[1] = Field(alias="schema", description="version of this format: schema = 1")
-    name: FileName | None = Field(default=None, description="the cohort's name; the file's by default")
-    output: FileName | None = Field(default=None, description="folder of the results; NAME_results by default")
-    fit: FitTable | None = Field(default=None, description="table: how tendons are fitted; without it nothing is")
+    name: FileName | None = _optional("the cohort's name; the file's by default")
+    output: FileName | None = _optional("folder of the results; NAME_results by default")
+    fit: FitTable | None = _optional("table: how tendons are fitted; without it nothing is")
     predict: PredictTable = Field(default_factory=PredictTable, description="table: how treatments are simulated")
     treatment: list[TreatmentTable] = Field(default=[], description="tables [[treatment]]: what is predicted")
     patient: Annotated[list[PatientTable], Field(min_length=1)] = Field(description="tables [[patient]]: who")
@@ -268,9 +262,8 @@ def _contact(table: PatientTable) -> str:
 
     contact = parse_contact(str(table.contact))
     if table.scene is not None and contact in ON_MESHES:
-        raise InputError(
-            f"{contact} for a scene file", expected="a polynomial or spline; meshes are of the rig's cases"
-        )
+        expected = "a polynomial or spline; meshes are of the rig's cases"
+        raise InputError(f"{contact} for a scene file", expected=expected)
     return contact
 
 

@@ -32,7 +32,7 @@ from pftwin.model.scene import Scene
 METHODS = {  # module and class
     "least_squares": ("least_squares", "LeastSquares"),
     "gradient": ("gradient", "Gradient"),
-    "genetic": ("genetic", "Genetic"),
+    "genetic": ("populations", "Genetic"),
     "matlab_ga": ("matlab_ga", "MatlabGa"),
     "cma_es": ("strategies", "CmaEs"),
     "differential_evolution": ("strategies", "DifferentialEvolution"),

@@ -140,10 +140,7 @@ class TrainedPosterior:
     def _off(self, held: Objective, seen: Prediction) -> Floats:
         """How far posteriors (d,) of knees simulated in training lie from those of the same knees as they are seen in
         another motion and set-up, held against its nominal knee: rms in their deviations.
-
-        Raises:
-            InputError: most do not run.
-        """
+        Raises InputError: most do not run."""
         if seen.usable.mean() < _FEWEST_PROBES:
             found = "most knees that the posterior was trained with do not run"
             raise InputError(found, where=held.source, expected="the set-up that it was trained for")

@@ -20,8 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.methods.bounded_steps import bounded_steps
-from fitting.methods.problem import Method, Problem, ProblemAnswer, Request, State
+from fitting.methods.problem import Method, Problem, ProblemAnswer, Request, State, bounded_steps
 from pftwin.base.arrays import Floats
 
 

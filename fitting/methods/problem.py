@@ -20,7 +20,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from fitting.evaluation import Evaluator, Prediction
-from fitting.methods.bounded_steps import bounded_steps
 from fitting.objective import Normal, Objective
 from fitting.parameters import Parameters
 from fitting.programs import POSITION
@@ -30,6 +29,9 @@ from pftwin.base.errors import InputError
 from pftwin.base.text_files import read_json, write_text
 from pftwin.dynamics.batch.devices import Devices
 from pftwin.model.scene import Scene
+
+_ROUNDS = 4  # of bounded steps, times the number of parameters: releases are few
+_NOTHING = 1e-9  # pull on a stopped parameter that is none, of the largest at the start
 
 
 class Request(NamedTuple):
@@ -142,6 +144,46 @@ def refuse_moved_point(scene: Scene, parameters: Parameters) -> None:
             found = f"{p.name} moves the point of the patella whose path was measured"
             remedy = f"{scene.contact.name}.placement of an elastic foundation, which leaves the point where it is"
             raise InputError(found, where="free", expected="numbers that leave it where it is", remedy=remedy)
+
+
+def bounded_steps(matrix: Floats, gradient: Floats, lowest: Floats, highest: Floats) -> Floats:
+    """The steps to the minima of quadratics within bounds, by a primal active-set method, many at once.
+
+    Goes towards the minimum over what is free, stops at its bound what meets one first, goes on with the others, and
+    lets go again what is pulled inwards once they have arrived: lower all the way. Source: Nocedal & Wright 2006,
+    Numerical Optimization, section 16.5.
+
+    Args:
+        matrix: Hessians (..., p, p), positive definite.
+        gradient: at the beginning (..., p).
+        lowest: the steps to the bounds (..., p), at most 0, and `highest`, at least 0.
+    """
+    count, shape = matrix.shape[-1], matrix.shape[:-1]
+    lowest, highest = np.minimum(lowest, 0.0), np.maximum(highest, 0.0)  # a bound may be passed by rounding
+    size = np.sqrt(np.diagonal(matrix, axis1=-2, axis2=-1))
+    step = np.zeros(shape)
+    pull = np.broadcast_to(-gradient, shape)
+    nothing = _NOTHING * (np.abs(pull) / size).max(axis=-1, keepdims=True)
+    stopped = ((pull > 0) & (highest == 0)) | ((pull < 0) & (lowest == 0))
+    for _ in range(_ROUNDS * (count + 1)):
+        free = ~stopped
+        among = np.where(free[..., :, None] & free[..., None, :], matrix, np.eye(count))
+        ahead = np.linalg.solve(among, np.where(free, pull, 0.0)[..., None])[..., 0]
+        room = np.where(ahead > 0, highest - step, step - lowest)
+        share = np.where(np.abs(ahead) > room, room / np.maximum(np.abs(ahead), 1e-300), np.inf)
+        least = share.min(axis=-1, keepdims=True)
+        met = np.isfinite(share) & (share <= least)
+        bound = np.where(ahead > 0, highest, lowest)
+        step = np.where(met, bound, np.clip(step + np.minimum(least, 1.0) * ahead, lowest, highest))
+        stopped = stopped | met
+        pull = -gradient - np.einsum("...ij,...j->...i", matrix, step)
+        inward = np.where(((pull < 0) & (step >= highest)) | ((pull > 0) & (step <= lowest)), np.abs(pull) / size, 0.0)
+        most = np.where(stopped & np.isinf(least), inward, 0.0)
+        release = (most > nothing) & (most >= most.max(axis=-1, keepdims=True))
+        stopped = stopped & ~release
+        if np.isinf(least).all() and not release.any():
+            break
+    return step
 
 
 State = dict[str, Any]  # arrays, numbers, strings and None: everything a method knows, so that a checkpoint can hold it

@@ -81,7 +81,7 @@ class Run:
 def test_fit_keeps_the_best_so_far_and_its_checkpoint(toy, tmp_path):
     options = ["-o", "fit.json", "--free", "K1,L1", "--method", "genetic", "--checkpoint", "state.npz"]
     slow = (
-        "import fitting.methods.genetic as g\nold = g.Genetic.tell\n"
+        "import fitting.methods.populations as g\nold = g.Genetic.tell\n"
         "def tell(*a):\n    old(*a); time.sleep(0.3)\ng.Genetic.tell = tell"
     )
     run = Run(slow, "fit", toy, *options, cwd=tmp_path)

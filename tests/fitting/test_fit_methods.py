@@ -16,7 +16,7 @@ from lifted_fits import FEW, SPRINGS, clean, noisy, scene, truth
 
 import fitting
 import fitting.fit
-from fitting.methods.genetic import Genetic
+from fitting.methods.populations import Genetic
 from fitting.methods.problem import Problem
 from fitting.objective import Objective
 from pftwin.base import cache_folder

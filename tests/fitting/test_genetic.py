@@ -7,8 +7,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fitting.methods import genetic
-from fitting.methods.genetic import Genetic
 from fitting.methods.matlab_ga import (
     MatlabGa,
     children_of,
@@ -19,7 +17,7 @@ from fitting.methods.matlab_ga import (
     scattered_crossover,
     stochastic_uniform,
 )
-from fitting.methods.populations import STALL, default_population, has_stalled
+from fitting.methods.populations import STALL, Genetic, default_population, has_stalled, offspring
 from fitting.methods.problem import ProblemAnswer
 
 seeds = st.integers(0, 2**32 - 1)
@@ -255,7 +253,7 @@ def test_a_child_is_a_parent_and_a_share_of_a_difference():
     far, parents = np.full(5, 100.0), np.zeros(4)
     differences = np.array([members[j] - members[k] for j in range(4) for k in range(4) if j != k])
     for _ in range(500):
-        for child in genetic.children_of(members, scores, -far, far, random):
+        for child in offspring(members, scores, -far, far, random):
             step = child - members  # from every member that may be its parent
             shares = step @ differences.T / np.sum(differences**2, axis=1)
             off = np.linalg.norm(step[:, None] - shares[..., None] * differences, axis=-1)
@@ -270,6 +268,6 @@ def test_a_child_is_a_parent_and_a_share_of_a_difference():
 @given(seeds)
 def test_children_keep_the_bounds(seed):
     members, scores, random = population(seed, 30)
-    children = genetic.children_of(members, scores, LOWER, UPPER, random)
+    children = offspring(members, scores, LOWER, UPPER, random)
     assert children.shape == members.shape
     assert ((children >= LOWER) & (children <= UPPER)).all()

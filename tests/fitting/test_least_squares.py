@@ -9,9 +9,8 @@ from hypothesis import strategies as st
 from linear_problems import NOMINAL, design, parameters, problem, scaled
 from scipy.optimize import lsq_linear
 
-from fitting.methods.bounded_steps import bounded_steps
 from fitting.methods.least_squares import LeastSquares
-from fitting.methods.problem import ProblemAnswer
+from fitting.methods.problem import ProblemAnswer, bounded_steps
 from fitting.parameters import Parameters
 
 

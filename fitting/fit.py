@@ -52,6 +52,9 @@ class Progress(NamedTuple):
     spread: float
 
 
+Tell = Callable[[Progress], None]
+
+
 def fit_tendons(
     scene: Scenes,
     measured: Recordings = None,
@@ -68,7 +71,7 @@ def fit_tendons(
     noise: StatedNoise | None = None,
     loss: str = "linear",
     springs: Mapping[str, str] = SPRINGS,
-    progress: Callable[[Progress], None] | None = None,
+    progress: Tell | None = None,
     checkpoint: str | Path | None = None,
     resume: bool = False,
     computed: Sequence[str] | None = None,
@@ -176,12 +179,11 @@ def fit_tendons(
         search = _method(method, problem, seed, options)
         problem.evaluator.prepare(search.widest)
         compiled = compiled_aside(knee.unnamed())  # for the fitted motion, which is simulated last
-        state = None
         identity = problem.fingerprint(method, seed, search.settings())
-        if resume and checkpoint is not None:
-            state = load_checkpoint(Path(checkpoint), identity)
+        path = None if checkpoint is None else Path(checkpoint)
+        state = load_checkpoint(path, identity) if resume and path is not None else None
         doubts = first_look(problem, search.ask(search.begin()) if state is None else None, allowed)
-        search, state = _searched(search, state, identity, tell, None if checkpoint is None else Path(checkpoint))
+        search, state = _searched(search, state, identity, tell, path)
         problem, outcome = search.problem, Outcome.of_search(search, state)
     estimate = estimate_of(problem, outcome, method, given, springs, besides, doubts, allowed, began)
     if not outcome.interrupted:
@@ -191,11 +193,7 @@ def fit_tendons(
 
 
 def _searched(
-    search: Method,
-    state: State | None,
-    identity: str,
-    tell: Callable[[Progress], None],
-    checkpoint: Path | None,
+    search: Method, state: State | None, identity: str, tell: Tell, checkpoint: Path | None
 ) -> tuple[Method, State]:
     """The search where it ended, and its state there. Raises InputError: all starts failed."""
     state = _run(search, state, identity, tell, checkpoint)
@@ -236,8 +234,7 @@ def likelihood_of(estimate: Estimate, measured: Recordings) -> Problem:
         remedy = "Estimate.load(path, scene)"
         raise InputError("an estimate from a file holds no scene", where="estimate", remedy=remedy)
     if e.objective == "paper":
-        remedy = "objective='likelihood'"
-        raise InputError("the paper's objective is no likelihood", where="estimate", remedy=remedy)
+        raise InputError("the paper's objective is no likelihood", where="estimate", remedy="objective='likelihood'")
     if e.trial_rmse and len(scenes) != len(e.trial_rmse):
         found = f"fitted to {len(e.trial_rmse)} trials, and {len(scenes)} of their scenes given"
         raise InputError(found, where="estimate", expected="the scene of each: Estimate.load(path, [scene, ...])")
@@ -262,8 +259,7 @@ def _computed(scene: Scene, target: Objective, wanted: Sequence[str] | None) -> 
     known = with_readings(scene)
     names = {wanted} if isinstance(wanted, str) else set(wanted)
     if strange := names - set(known):
-        found = f"no channel {min(strange)!r}"
-        raise InputError(found, where="computed", expected=f"some of: {', '.join(known)}")
+        raise InputError(f"no channel {min(strange)!r}", where="computed", expected=f"some of: {', '.join(known)}")
     if missing := set(target.channels) - names:
         expected = "what is compared, and what else the program is to compute"
         found = f"without {', '.join(sorted(missing))}, which the fit compares"
@@ -284,16 +280,13 @@ def _method(name: str, problem: Problem, seed: int, options: dict[str, Any]) -> 
 def _check_options(name: str, known: tuple[str, ...], options: Mapping[str, Any]) -> None:
     for key, value in options.items():
         if key not in known:
-            raise InputError(
-                f"method {name!r} has no option {key!r}", where="options", expected=f"one of: {', '.join(known)}"
-            )
+            expected = f"one of: {', '.join(known)}"
+            raise InputError(f"method {name!r} has no option {key!r}", where="options", expected=expected)
         if not (isinstance(value, int) and 1 <= value <= _MOST):
             raise InputError(f"found {value!r}", where=key, expected=f"a whole number, at least 1, at most {_MOST:,}")
 
 
-def _run(
-    search: Method, state: State | None, identity: str, tell: Callable[[Progress], None], path: Path | None
-) -> State:
+def _run(search: Method, state: State | None, identity: str, tell: Tell, path: Path | None) -> State:
     """Iterates until the method stops or someone interrupts."""
     if state is None:
         state = {**search.begin(), "iteration": 0, "evaluations": 0, "history": [], "interrupted": False}

@@ -155,11 +155,12 @@ def estimate_of(
     assert seen.slopes is not None
     scenes, names = problem.evaluator.scenes, trial_names(problem.evaluator.scenes)
     shifts: dict[str, TimeShift] = {}
-    late, of_trials = list[str](), {}
+    late: list[str] = []
+    of_trials: dict[str, dict[str, float]] = {}
     for scene, name, rows, own in zip(scenes, names, target.frames, target.trials, strict=True):
         of_trials[name] = _rmse(own, r[rows])
-        found_here = time_shifts(own, scene.motion.times, seen.values[0][rows], seen.slopes[0][rows])
-        named = {channel if len(scenes) == 1 else f"{channel} of {name}": s for channel, s in found_here.items()}
+        late_by = time_shifts(own, scene.motion.times, seen.values[0][rows], seen.slopes[0][rows])
+        named = {channel if len(scenes) == 1 else f"{channel} of {name}": s for channel, s in late_by.items()}
         late += late_channels(named, own.source, limits)
         shifts |= named
     noise = None if target.noise is None else noise_beside(target.noise, nuisance, target)
@@ -169,41 +170,32 @@ def estimate_of(
     if draws is not None:
         random = np.random.default_rng(found.facts["seed"])
         draws = draws + sum(np.outer(random.standard_normal(len(draws)), change) for change in moved)
+    of_parameters = ("names", "lower", "upper", "nominal", "varies", "differences", "coordinates")
+    of_target = ("channels", "share", "synthetic", "source", "readings", "covariances")
     return Estimate(
-        names=parameters.names,
+        **{name: getattr(parameters, name) for name in of_parameters},
+        **{name: getattr(target, name) for name in of_target},
+        **found.facts,
         units=tuple(p.unit for p in parameters.items),
         values=found.theta,
         covariance=found.covariance + sum(np.outer(change, change) for change in moved),
         draws=draws,
-        lower=parameters.lower,
-        upper=parameters.upper,
-        nominal=parameters.nominal,
         objective=target.kind,
         objective_value=float(target.value(seen)[0] + parameters.prior_terms(found.theta)[0]),
         objective_unit=target.unit,
-        channels=target.channels,
         noise={k: float(v) for k, v in found.noise.items()},
         noise_known=target.noise is not None,
-        share=target.share,
         rmse=rmse,
         method=method,
-        **found.facts,
         seconds=time.perf_counter() - began,
-        synthetic=target.synthetic,
-        source=target.source,
         scene_name=" + ".join(names),
         priors={p.name: p.prior for p in parameters.items if p.prior is not None},
         springs=dict(springs),
         nuisance=nuisance,
         besides=parameters.names[parameters.asked :],
         kinds=tuple(p.kind for p in parameters.items),
-        varies=parameters.varies,
-        differences=parameters.differences,
         doubts=[*doubts, *late, *left, *found.doubts, *unresolved(found.steps, rmse, target.readings)],
         time_shifts={channel: (s.seconds, s.deviation) for channel, s in shifts.items()},
-        coordinates=parameters.coordinates,
-        readings=target.readings,
-        covariances=target.covariances,
         step_error={channel: e.rms for channel, e in found.steps.items()},
         trial_rmse=of_trials if len(scenes) > 1 else {},
         trials=tuple(FittedTrial(*each) for each in zip(scenes, measured, strict=True)),

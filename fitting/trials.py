@@ -202,21 +202,9 @@ def with_differences(
     for p in parameters.items:
         if p.name in varies:
             sd = _deviation(scene, p, varies[p.name])
-            items += [
-                Parameter(
-                    f"{p.name} difference in {name}",
-                    p.place,
-                    0.0,
-                    -REACH * sd,
-                    REACH * sd,
-                    (0.0, sd),
-                    p.unit,
-                    coordinate=True,
-                    kind=BETWEEN_TRIALS,
-                    trial=trial,
-                )
-                for trial, name in enumerate(trials)
-            ]
+            own = replace(p, nominal=0.0, lower=-REACH * sd, upper=REACH * sd, prior=(0.0, sd), kind=BETWEEN_TRIALS)
+            named = [(trial, f"{p.name} difference in {name}") for trial, name in enumerate(trials)]
+            items += [replace(own, name=name, coordinate=True, trial=trial) for trial, name in named]
     return Parameters(tuple(items))
 
 
@@ -243,30 +231,28 @@ def joined_objective(trials: Sequence[Objective]) -> Objective:
         return trials[0]
     pose = [c for c in (POSITION, ORIENTATION) if any(c in t.channels for t in trials)]
     channels = tuple(dict.fromkeys([*pose, *(c for t in trials for c in t.channels)]))
-    measured, present = [], []
-    for trial in trials:
-        n = len(trial.measured)
-        data = np.full((n + 1, sum(channel_widths(channels))), np.nan)
-        data[:n, columns_of(trial.channels, channels)] = trial.measured
-        measured.append(data)
-        there = {c: trial.present[:, rows.start] for c, _, rows in trial.columns()}
-        rows = [np.append(there.get(c, np.zeros(n, bool)), False) for c in channels]
-        present.append(np.stack(rows, axis=1))
-    first, sources = trials[0], dict.fromkeys(t.source for t in trials)
-    noise = None if first.noise is None else {c: v for t in trials for c, v in (t.noise or {}).items()}
-    stated = {c: v for t in trials for c, v in t.covariances.items()}
+    lengths, sources = [len(t.measured) for t in trials], tuple(t.source for t in trials)
+    frames, column_channel = frames_of(lengths), channel_of_columns(channels)
+    measured = np.full((frames[-1].stop, sum(channel_widths(channels))), np.nan)
+    present = np.zeros((frames[-1].stop, len(channels)), bool)
+    for trial, rows in zip(trials, frames, strict=True):
+        measured[rows][:, columns_of(trial.channels, channels)] = trial.measured
+        for channel, _, columns in trial.columns():
+            present[rows, channels.index(channel)] = trial.present[:, columns.start]
     whole = replace(
-        first,
+        trials[0],
         channels=channels,
-        measured=np.concatenate(measured)[:-1],
+        measured=measured,
+        present=present[:, column_channel],
         synthetic=any(t.synthetic for t in trials),
-        source="; ".join(sources),
-        frames=frames_of([len(t.measured) for t in trials]),
-        sources=tuple(t.source for t in trials),
-        metric=Metric.joined([t.metric for t in trials], [len(t.measured) for t in trials]),
-        covariances=stated,
+        source="; ".join(dict.fromkeys(sources)),
+        frames=frames,
+        sources=sources,
+        metric=Metric.joined([t.metric for t in trials], lengths),
+        covariances={c: v for t in trials for c, v in t.covariances.items()},
         readings={c: unit for t in trials for c, unit in t.readings.items()},
     )
-    column_channel = channel_of_columns(channels)
-    whole = replace(whole, present=np.concatenate(present)[:-1][:, column_channel])
-    return whole if first.kind == "paper" else replace(whole, groups=channels, group_of=column_channel, noise=noise)
+    if whole.kind == "paper":
+        return whole
+    noise = None if whole.noise is None else {c: v for t in trials for c, v in (t.noise or {}).items()}
+    return replace(whole, groups=channels, group_of=column_channel, noise=noise)

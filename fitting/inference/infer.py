@@ -62,8 +62,7 @@ def check_size(parameters: Parameters, simulations: int, numbers: int) -> None:
         found = f"{asked} parameters beside nuisance"
         raise InputError(found, where="free", expected=f"at most {_MOST_ASKED} for simulations")
     if simulations < _FEWEST_SIMULATIONS:
-        expected = f"at least {_FEWEST_SIMULATIONS}"
-        raise InputError(f"found {simulations}", where="simulations", expected=expected)
+        raise InputError(f"found {simulations}", where="simulations", expected=f"at least {_FEWEST_SIMULATIONS}")
     if simulations * numbers > MOST_NUMBERS:
         found = f"{simulations:,} recordings of {numbers:,} numbers"
         expected = f"at most {MOST_NUMBERS // numbers:,} simulations of this recording"

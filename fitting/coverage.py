@@ -1,9 +1,5 @@
-"""How often intervals, bands and plans held the truth where it was known: less often than they say.
-
-Measured by independent repeats of the virtual rig's whole chain (markers' noise, filter, poses of the segments, fit),
-with plants like the twin and with plants that differ from it. What is printed beside a 95 % interval or band comes from
-here, so that no text says more.
-"""
+"""How often intervals, bands and plans held the truth where it was known (docs/fitting.md): less often than they say.
+What is printed beside a 95 % interval or band comes from here, so that no text says more."""
 
 from __future__ import annotations
 
@@ -21,7 +17,6 @@ class Coverage(NamedTuple):
 
 _NO_BANDS = "How often bands predicted from such fits hold was not measured"
 _NO_PLANS = "how many plans from such fits are safe was not measured"
-
 _NO_WORD = "how often they hold was not measured"
 
 NOT_KNOWN = Coverage("How often intervals of such fits hold was not measured", _NO_BANDS, _NO_PLANS, _NO_WORD)
@@ -56,10 +51,9 @@ SIMULATIONS_WITH_NUISANCE = Coverage(
 )
 
 
-def coverage_of(simulated: bool, besides: bool, trials: bool = False) -> Coverage:
+def coverage_of(simulated: bool, besides: bool, trials: bool) -> Coverage:
     """Of fits by simulations or by least squares, with nuisance or without, of several trials or of one."""
-    if simulated:
-        if trials:
-            return NOT_KNOWN
-        return SIMULATIONS_WITH_NUISANCE if besides else SIMULATIONS
-    return QUICK_WITH_NUISANCE if besides else QUICK
+    if simulated and trials:
+        return NOT_KNOWN
+    alone, with_nuisance = (SIMULATIONS, SIMULATIONS_WITH_NUISANCE) if simulated else (QUICK, QUICK_WITH_NUISANCE)
+    return with_nuisance if besides else alone

@@ -1,11 +1,9 @@
 """From where a search ended to its answer: steps that are short enough, and one more search from there.
 
 Where contacts begin and end, an objective computed in long steps is rough: it has many lowest places near one another,
-and its curvature is not that of the motion. On the rig's case 1, in which the patella falls into its groove, steps of
-1.7 ms leave jumps of 5 nats within a per cent of the springs' stiffness, those of 0.8 ms jumps of 0.4, and those of
-0.4 ms none. Searches use long steps nevertheless, for they have far to go. Then the steps are halved until the
-estimate, with the covariance that is reported, no longer changes; and where there are priors, the measurements are
-weighed against them (`share_of_independent`).
+and its curvature is not that of the motion (on the rig's case 1 steps of 1.7 ms leave jumps of 5 nats). Searches use
+long steps nevertheless, for they have far to go. Then steps are halved until the estimate, with the covariance that is
+reported, no longer changes; and where there are priors, the measurements are weighed against them.
 """
 
 from __future__ import annotations

@@ -1,8 +1,5 @@
 """`train_posterior`: simulations and networks once for a set-up, and then an answer at once for each recording.
 
-    trained = fitting.train_posterior(scene, nuisance="rig", use=("position", "quadriceps"))
-    estimate = trained.estimate(another_recording)
-
 It is the first round of `fit_tendons(method="simulations")`, with more simulations, for any recording of the set-up and
 not for one alone. So its intervals are wider than those of later rounds, and hold no less often.
 """

@@ -134,19 +134,17 @@ def in_words(
     poses and forces, with their units."""
     rel = relative(sizes(names, span, values, coordinates), covariance)
     sd = np.sqrt(np.maximum(np.diagonal(rel), 0))
-    subject = "positions" if channels == (POSITION,) else f"{', '.join(channels)}"
+    subject = "positions" if channels == (POSITION,) else ", ".join(channels)
     verb = "fix" if channels == (POSITION,) or len(channels) > 1 else "fixes"
     plain = [n.partition("[")[0] for n in names]
     stiff = [i for i, n in enumerate(plain) if n.endswith(".stiffness") or (n[:1] == "K" and n[1:].isdigit())]
-    parts, rest = [], list(range(len(sd)))
-    weak = ""
+    parts, rest, weak = [], list(range(len(sd))), ""
     if len(stiff) == 2:
         a, b = stiff
         ratio = np.sqrt(max(rel[a, a] + rel[b, b] - 2 * rel[a, b], 0))
         common = 0.5 * np.sqrt(max(rel[a, a] + rel[b, b] + 2 * rel[a, b], 0))
         if common > 3 * ratio:
-            pair = f"{names[a]}/{names[b]}"
-            parts.append(f"{pair} to {percent(ratio)}")
+            parts.append(f"{names[a]}/{names[b]} to {percent(ratio)}")
             rest = [i for i in rest if i not in stiff]
             weak = f", the common scale of {names[a]} and {names[b]} only to {percent(common)}"
             forces = [c for c in channels if unit_of(c, readings or {}) == "N"]
@@ -154,7 +152,7 @@ def in_words(
                 weak += ": measure one force to fix both"
     width = np.sqrt(np.maximum(np.diagonal(covariance), 0))
     parts += [f"{names[i]} to {_length(width[i]) if names[i] in coordinates else percent(sd[i])}" for i in rest]
-    text = f"{subject} {verb} {_listed(parts)}{weak}" if parts else f"{subject} {verb} nothing{weak}"
+    text = f"{subject} {verb} {_listed(parts)}{weak}"
     if not weak and len(sd) > 1:
         values_, vectors = np.linalg.eigh(rel)
         if np.sqrt(values_[-1]) > POORLY and np.sqrt(values_[-1]) > 1.3 * sd.max():
@@ -176,4 +174,4 @@ def _length(deviation: float) -> str:
 
 
 def _listed(parts: list[str]) -> str:
-    return parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])} and {parts[-1]}"
+    return f"{', '.join(parts[:-1])} and {parts[-1]}" if len(parts) > 1 else "".join(parts) or "nothing"

@@ -1,14 +1,10 @@
 """The posterior of a scene's parameters from simulated recordings, in rounds.
 
-    estimate = fitting.fit_tendons(scene, method="simulations", nuisance="rig")
-
 1. Parameters are drawn from their priors (what is asked for uniformly within its bounds), nuisance included, and
    simulated as recordings: motions with noise. The noise is like what no simulation explains of the measurements.
 2. Networks learn the posterior of what is asked for from summaries of these recordings (`fitting.inference.network`);
    nuisance, given what is asked for, follows from knees simulated there (`fitting.inference.besides`).
 3. The next round draws from where this posterior lies (`fitting.inference.region`), until that changes no more.
-
-So what is asked for depends on no linearisation and no best fit, and nuisance is integrated out.
 """
 
 from __future__ import annotations

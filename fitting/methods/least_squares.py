@@ -1,9 +1,7 @@
 """Multi-start Levenberg-Marquardt: all starts at once, coarse steps first, the wanted accuracy last.
 
-Written out rather than optimistix's solver: that runs one start inside one compiled program, its trial points, its
-residuals and their Jacobian with it. Mapped over starts it takes the Jacobian of every start as often as the slowest
-needs, in the slower order of loops, with the number of time steps fixed; and nothing of it can be seen, saved or
-interrupted on the way. Here the host asks for a batch with derivatives and does the small algebra itself.
+Written out rather than optimistix's solver, which mapped over starts takes the Jacobian of each as often as the slowest
+needs, with the number of time steps fixed, and of which nothing can be seen, saved or interrupted on the way.
 
 Parameters are shares of their ranges, and bounds are bounds: steps end there, a ten-millionth of the range before them
 (`bounded_steps`). Mapped to all real numbers, valleys bend, and a best point at a bound is approached for ever.

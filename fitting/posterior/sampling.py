@@ -1,7 +1,5 @@
-"""Samples the posterior of a few parameters, to check the intervals that an estimate reports.
-
-    posterior = fitting.sample_posterior(estimate)
-    print(posterior.sentence())
+"""Samples the posterior of a few parameters, to check the intervals that an estimate reports. Needs the extra
+`posterior`.
 
 A density exp(-|f|^2 / 2) of few parameters (`fitting.posterior.density`) is often thin and bent: a stiffer tendon with
 more slack moves the patella alike. So proposals are not drawn from a distribution about the estimate, but solved for.
@@ -14,8 +12,6 @@ the posterior itself for linear f, and curved like the posterior otherwise: "ran
 Solonen, Haario and Laine 2014; arXiv:1903.00870 explains the geometry). First derivatives suffice. Proposals do not
 depend on where a chain is, so all are simulated side by side; blackjax's independence sampler then accepts or rejects
 them one after the other. An eta whose solution lies outside the bounds, or is not found, is dropped.
-
-Needs the extra `posterior`.
 """
 
 from __future__ import annotations
@@ -137,7 +133,7 @@ def proposals(
         eta = random.standard_normal((BLOCK, len(density.centre)))
         ended, good, spent = _solved(density, start, eta)
         inside = ((ended.theta >= lower) & (ended.theta <= upper)).all(axis=1)
-        found.append(_rows(ended, np.flatnonzero(good & inside)))
+        found.append(jax.tree.map(lambda a, kept=good & inside: a[kept], ended))
         have, tried = have + len(found[-1].theta), tried + len(eta)
         outside, evaluations = outside + int(np.sum(good & ~inside)), evaluations + spent
         if have < _FEWEST * tried:
@@ -149,8 +145,7 @@ def proposals(
             )
         if progress is not None:
             progress(min(have, count))
-    columns: Any = zip(*found, strict=True)
-    seen = Seen(*(np.concatenate(a)[:count] for a in columns))
+    seen = jax.tree.map(lambda *a: np.concatenate(a)[:count], *found)
     log_proposal = np.linalg.slogdet(seen.slope)[1] - 0.5 * np.sum(seen.along**2, axis=1)
     return Proposals(seen.theta, seen.log_density, log_proposal, outside, tried - have - outside, evaluations)
 
@@ -163,7 +158,7 @@ def _solved(density: Density, start: Seen, eta: Floats) -> tuple[Seen, NDArray[n
     """
     lower, upper = density.bounds
     span = upper - lower
-    now, size, evaluations = _rows(start, np.zeros(len(eta), dtype=np.intp)), np.ones(len(eta)), 1
+    now, size, evaluations = jax.tree.map(lambda a: np.repeat(a, len(eta), axis=0), start), np.ones(len(eta)), 1
     for _ in range(_ITERATIONS):
         off = now.along - eta
         open_ = np.flatnonzero(np.linalg.norm(off, axis=1) > _TOLERANCE)
@@ -193,11 +188,6 @@ def _inverses(slope: Floats) -> Floats:
     scale = np.linalg.norm(slope, axis=1)
     scale = np.where(scale > 0, scale, 1.0)
     return np.linalg.pinv(slope / scale[:, None, :]) / scale[:, :, None]
-
-
-def _rows(seen: Seen, rows: NDArray[np.intp]) -> Seen:
-    columns: Any = seen
-    return Seen(*(a[rows] for a in columns))
 
 
 class Draws(NamedTuple):

@@ -132,10 +132,8 @@ def readings(objective: Objective, trials: Floats) -> Iterator[Reading]:
             yield Reading((channel,), words, off[""] / off[words])
     single = [(channel, at.start, rows.start) for channel, at, rows in objective.columns() if channel not in _FLOOR]
     for (one, i, j), (other, k, m) in itertools.combinations(single, 2):
-        if unit_of(one, objective.readings) != unit_of(other, objective.readings):
-            continue
         keep = _some(objective.present[:, j] & objective.present[:, m])
-        if not keep.size:
+        if not keep.size or unit_of(one, objective.readings) != unit_of(other, objective.readings):
             continue
         data, seen = objective.measured[keep][:, [i, k]], trials[:, keep][..., [i, k]]
         straight, swapped = (max(_up_to_scale(d, seen), _FORCE_FLOOR) for d in (data, data[:, ::-1]))
@@ -183,13 +181,8 @@ def bounded(
 
 
 def unresolved(errors: Mapping[str, StepError], left: Mapping[str, float], readings: Mapping[str, str]) -> list[str]:
-    """Channels in which the fit's steps are off, in words: too much, and by half of what the fit leaves or more.
-
-    Args:
-        errors: of the steps at the estimate; none where a run in half the step is not usable.
-        left: what the fit leaves of each channel, rms.
-        readings: units of channels that are no poses and forces.
-    """
+    """Channels in which the fit's steps are off, in words: too much, and by half of what the fit leaves (rms) or more;
+    no `errors`: a run in half the step is not usable. `readings` are units of channels that are no poses and forces."""
     if not errors:
         return ["in half of the fit's time step no motion comes out, so the error of its steps is not known"]
     found = []

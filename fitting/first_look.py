@@ -16,6 +16,7 @@ _UNFELT = 1e-7  # smallest effect of a parameter's whole range that can be measu
 _FAR = 0.1  # distance between measured and predicted positions that indicates another frame [m]
 _SMALL = 0.02  # share of a parameter's range by which it is moved to see what reacts
 _TRIALS, _COLUMNS = 16, 256  # motions that measurements are held against, at most; the same times parameters
+_EXPECTED = "the button's centre in the femur frame, in metres"
 _SEED = 20240418  # of trial motions that measurements are held against: the same for every fit
 
 
@@ -60,10 +61,8 @@ def plain_look(problem: Problem, limits: Limits) -> list[str]:
 def _misread(problem: Problem, trials: Prediction, limits: Limits) -> list[str]:
     if not trials.usable.any():
         return []
-    values = trials.values[trials.usable]
-    return said_of_trials(
-        problem.evaluator.scenes, problem.objective, lambda own, at: misread(own, values[:, at], limits)
-    )
+    values, scenes = trials.values[trials.usable], problem.evaluator.scenes
+    return said_of_trials(scenes, problem.objective, lambda own, at: misread(own, values[:, at], limits))
 
 
 def _judged(problem: Problem, trials: Prediction, nominal: Floats, effect: Floats, limits: Limits) -> list[str]:
@@ -77,15 +76,8 @@ def _judged(problem: Problem, trials: Prediction, nominal: Floats, effect: Float
         raise InputError(found, where="free", expected="parameters that make a difference", remedy=remedy)
     if problem.objective.channels[0] == POSITION:
         for own, rows in zip(problem.objective.trials, problem.objective.frames, strict=True):
-            if not own.present[:, 0].any():
-                continue
-            off = nominal[rows, :3] - own.measured[:, :3]
-            far = float(np.nanmedian(np.linalg.norm(off, axis=1)))
-            if far > _FAR:
-                raise InputError(
-                    f"measured positions lie {1e3 * far:.0f} mm from the scene's",
-                    where=own.source,
-                    expected="the button's centre in the femur frame, in metres",
-                    remedy="the frame and units of the scene",
-                )
+            off = np.linalg.norm(nominal[rows, :3] - own.measured[:, :3], axis=1)
+            if own.present[:, 0].any() and (far := float(np.nanmedian(off))) > _FAR:
+                found, expected = f"measured positions lie {1e3 * far:.0f} mm from the scene's", _EXPECTED
+                raise InputError(found, where=own.source, expected=expected, remedy="the frame and units of the scene")
     return doubts

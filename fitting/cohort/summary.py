@@ -94,21 +94,12 @@ def read_store(path: Path) -> tuple[dict[str, Any], Dataset | None, Dataset | No
 
 
 # Columns of every summary; those of parameters, amounts and outcomes follow, all float64.
-FIXED = {
-    "patient": "string",
-    "status": "string",  # done, failed, pending
-    "failed_at": "string",
-    "reason": "string",
-    "scene": "string",
-    "synthetic": "bool",
-    "fit_method": "string",
-    "fit_stopped": "string",
-    "at_bounds": "string",
-    "variant": "int64",
-    "treatment": "string",
-    "verdict": "string",
-    "variant_failed": "bool",
-}
+_TYPES = {"synthetic": "bool", "variant": "int64", "variant_failed": "bool"}  # of those that are no strings
+_NAMES = (
+    *("patient", "status", "failed_at", "reason", "scene", "synthetic"),  # status: done, failed, pending
+    *("fit_method", "fit_stopped", "at_bounds", "variant", "treatment", "verdict", "variant_failed"),
+)
+FIXED = {name: _TYPES.get(name, "string") for name in _NAMES}
 _IN_THE_STORE_ALONE = ("status", "status_frames")  # `verdict` sums them up; `status` here is the patient's
 Row = dict[str, Any]
 Units = dict[str, str]

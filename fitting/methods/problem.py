@@ -147,16 +147,13 @@ def refuse_moved_point(scene: Scene, parameters: Parameters) -> None:
 
 
 def bounded_steps(matrix: Floats, gradient: Floats, lowest: Floats, highest: Floats) -> Floats:
-    """The steps to the minima of quadratics within bounds, by a primal active-set method, many at once.
+    """The steps to the minima of quadratics within bounds, by a primal active-set method, many at once: of Hessians
+    (..., p, p), positive definite, from gradients (..., p) at the beginning and the steps to the bounds (..., p), the
+    lowest at most 0 and the highest at least 0.
 
     Goes towards the minimum over what is free, stops at its bound what meets one first, goes on with the others, and
     lets go again what is pulled inwards once they have arrived: lower all the way. Source: Nocedal & Wright 2006,
     Numerical Optimization, section 16.5.
-
-    Args:
-        matrix: Hessians (..., p, p), positive definite.
-        gradient: at the beginning (..., p).
-        lowest: the steps to the bounds (..., p), at most 0, and `highest`, at least 0.
     """
     count, shape = matrix.shape[-1], matrix.shape[:-1]
     lowest, highest = np.minimum(lowest, 0.0), np.maximum(highest, 0.0)  # a bound may be passed by rounding

@@ -126,10 +126,10 @@ def share_at(problem: Problem, theta: Floats) -> float:
     """w of a problem's measurements at the least of its quadratic model at parameters (p,); 1 where it is nearly 1."""
     target = problem.objective
     seen = problem.prediction(theta, problem.evaluator.fine)
-    if not seen.usable[0] or seen.slopes is None:
+    if not seen.usable[0]:
         return 1.0
-    j = target.slopes(seen.slopes, seen.values)[0]
-    r = target.residuals(seen.values)[0] + j @ problem.ahead(theta, problem.evaluator.fine)
+    r, j = (a[0] for a in target.linear(seen))
+    r = r + j @ problem.ahead(theta, problem.evaluator.fine)
     share = share_of_independent(target.known(target.noise or target.noise_of(r, len(theta))), r, j)
     return 1.0 if share > _WHOLE else share
 
@@ -156,9 +156,9 @@ class Told(NamedTuple):
 def told_at(problem: Problem, theta: Floats, substeps: int) -> Told | None:
     """By the quadratic model at these parameters; None where no motion comes out."""
     seen, target, p = problem.prediction(theta, substeps), problem.objective, problem.parameters
-    if not seen.usable[0] or seen.slopes is None:
+    if not seen.usable[0]:
         return None
-    r, j = target.residuals(seen.values)[0], target.slopes(seen.slopes, seen.values)[0]
+    r, j = (a[0] for a in target.linear(seen))
     known = target.known(target.noise or target.noise_of(r, len(p)))
     asked, span = slice(p.asked), p.upper - p.lower
     mean = p.share(theta + problem.ahead(theta, substeps))

@@ -182,6 +182,13 @@ class Objective:
         """Derivatives (N, n, m, p) of the residuals from those of the predictions (N, n, c, p)."""
         return self._compared(slopes, offset=False, values=values)
 
+    def linear(self, prediction: Prediction) -> tuple[Floats, Floats]:
+        """Residuals (N, n, m) and their derivatives (N, n, m, p); those of nothing where it is not usable."""
+        assert prediction.slopes is not None
+        values = np.where(prediction.usable[:, None, None], prediction.values, 0.0)
+        slopes = np.where(prediction.usable[:, None, None, None], prediction.slopes, 0.0)
+        return self.residuals(values), self.slopes(slopes, values)
+
     def mean_squares(self, residuals: Floats) -> Floats:
         """Of every group, over what was measured (N, groups)."""
         return self._by_group(np.sum(residuals**2, axis=1)) / self._counts
@@ -194,13 +201,8 @@ class Objective:
 
     def normal(self, prediction: Prediction) -> Normal:
         """The objective with gradient and Gauss-Newton Hessian by the parameters."""
-        assert prediction.slopes is not None
-        usable = prediction.usable
-        values = np.where(usable[:, None, None], prediction.values, 0.0)
-        r = self.residuals(values)
-        j = self.slopes(np.where(usable[:, None, None, None], prediction.slopes, 0.0), values)
-        weights = self._weights(r)
-        n, p = len(r), j.shape[-1]
+        usable, (r, j) = prediction.usable, self.linear(prediction)
+        weights, n, p = self._weights(r), len(r), j.shape[-1]
         flat, weighted = j.reshape(n, -1, p), (weights[..., None] * j).reshape(n, -1, p)
         gradient = np.einsum("ikp,ik->ip", weighted, r.reshape(n, -1))
         hessian = np.swapaxes(weighted, 1, 2) @ flat

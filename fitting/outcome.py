@@ -54,8 +54,7 @@ class Outcome(NamedTuple):
         problem, theta = search.problem, np.asarray(state["best_theta"])
         seen, target = problem.prediction(theta, problem.evaluator.fine), problem.objective
         _check_usable(seen, "the best parameters found with long time steps give no finite motion with short ones")
-        assert seen.slopes is not None
-        r, j = target.residuals(seen.values)[0], target.slopes(seen.slopes, seen.values)[0]
+        r, j = (a[0] for a in target.linear(seen))
         noise = target.noise or target.noise_of(r, len(problem.parameters))
         sure = uncertainty(target.known(noise), problem.parameters, r, j, theta)
         return Outcome(

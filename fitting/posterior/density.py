@@ -90,13 +90,8 @@ def _residuals(problem: Problem, theta: Floats) -> tuple[Floats, Floats, NDArray
     """Residuals in units of their noise, priors' last (N, k), derivatives (N, k, p), and which are usable (N,)."""
     target, parameters = problem.objective, problem.parameters
     seen = problem.evaluator.with_slopes(theta, problem.evaluator.fine)
-    assert seen.slopes is not None
-    sigma = target.noise_columns / np.sqrt(target.share)
-    values = np.where(seen.usable[:, None, None], seen.values, 0.0)
-    n, p = theta.shape
-    r = (target.residuals(values) / sigma).reshape(n, -1)
-    j = target.slopes(np.where(seen.usable[:, None, None, None], seen.slopes, 0.0), values) / sigma[:, None]
-    j = j.reshape(n, -1, p)
+    sigma, (n, p), (r, j) = target.noise_columns / np.sqrt(target.share), theta.shape, target.linear(seen)
+    r, j = (r / sigma).reshape(n, -1), (j / sigma[:, None]).reshape(n, -1, p)
     known = [i for i, item in enumerate(parameters.items) if item.prior is not None]
     if known:
         mean, sd = np.array([parameters.items[i].prior for i in known], dtype=np.float64).T

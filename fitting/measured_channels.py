@@ -17,19 +17,20 @@ _SAME_TIME = 0.1  # of a frame's interval: allows for the rounding of printed ti
 _OF_FORCES = ("force", "tension")  # what the channel is that has an effect's name
 
 
+def force_fields(scene: Scene, springs: Mapping[str, str]) -> dict[str, str]:
+    """Channels of a scene whose forces are fields of `Measured`, and which."""
+    names = {e.name for e in scene.effects}
+    own = {} if scene.contact is None else {scene.contact.name: "contact_force"}
+    return own | {springs[s]: f"{s}_spring_force" for s in ("femoral", "tibial") if springs.get(s) in names}
+
+
 def measured_channels(
     scene: Scene, measured: Measured, springs: Mapping[str, str]
 ) -> tuple[dict[str, Floats], tuple[str, ...]]:
     """What was measured of a scene's channels, (n, columns) each, and all channels that could be. Raises InputError: a
     reading that no effect reports, or that is measured as a force already."""
     available: dict[str, Any] = {POSITION: measured.center, ORIENTATION: measured.quaternion}
-    contact = scene.contact
-    names = {e.name for e in scene.effects}
-    if contact is not None:
-        available[contact.name] = measured.contact_force
-    for spring, force in (("femoral", measured.femoral_spring_force), ("tibial", measured.tibial_spring_force)):
-        if springs.get(spring) in names:
-            available[springs[spring]] = force
+    available |= {channel: getattr(measured, name) for channel, name in force_fields(scene, springs).items()}
     for name, values in measured.readings.items():
         told = scene.reported(name)
         if told.key in _OF_FORCES and available.get(told.effect) is not None:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from fitting.measured_channels import force_fields
 from fitting.nuisance import OF_SENSORS
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
@@ -111,14 +112,12 @@ class Laboratory:
             scaled = np.interp(times - late, times, value) * (1 + constant.normal(0.0, self.force_scale))
             zero = random.normal(0.0, self.force_bias)
             forces[name] = scaled + zero + random.normal(0.0, self.force_noise, value.shape)
-        contact = scene.contact
+        told: dict[str, Any] = {field: forces.get(name) for name, field in force_fields(scene, springs).items()}
         measured = Measured(
             times,
             center,
             relative.quaternions,
-            contact_force=None if contact is None else forces[contact.name],
-            femoral_spring_force=forces.get(springs.get("femoral", "")),
-            tibial_spring_force=forces.get(springs.get("tibial", "")),
+            **told,
             synthetic=True,
             source="a plant",
             readings={name: self._read(seen, name, random) for name in self.readings},

@@ -12,7 +12,7 @@ from fitting.channel_checks import Limits
 from fitting.estimate import Estimate
 from fitting.fit import METHODS, SIMULATIONS, SPRING_PARAMETERS, fit_tendons
 from fitting.inference.infer import DRAWS
-from fitting.measured_channels import measured_channels
+from fitting.measured_channels import force_fields, measured_channels
 from fitting.methods.problem import Problem
 from fitting.metric import StatedNoise
 from fitting.nuisance import Nuisance
@@ -103,11 +103,6 @@ class QuickFit(NamedTuple):
 
 def _only(channels: Sequence[str], scene: Scene, data: Measured, springs: Mapping[str, str]) -> Measured:
     """The measurements without forces and readings of other channels."""
-    contact = "" if scene.contact is None else scene.contact.name
-    forces = {
-        "contact_force": contact,
-        "femoral_spring_force": springs.get("femoral", ""),
-        "tibial_spring_force": springs.get("tibial", ""),
-    }
-    absent: dict[str, Any] = {field: None for field, channel in forces.items() if channel not in channels}
+    forces = force_fields(scene, springs).items()
+    absent: dict[str, Any] = {name: None for channel, name in forces if channel not in channels}
     return replace(data, **absent, readings={name: v for name, v in data.readings.items() if name in channels})

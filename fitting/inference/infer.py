@@ -98,20 +98,19 @@ def infer(
     try:
         for number in range(rounds):
             random = np.random.default_rng([seed, number])
-            one = _round(problem, nuisance, region, noise, substeps, simulations, random)
-            draws, dropped = one.answer.draws, dropped + one.dropped
-            smaller = whole.around(draws)
-            best = min(one.best, history[-1]["best"]) if history else one.best
+            learned, answer, lost, best = _round(problem, nuisance, region, noise, substeps, simulations, random)
+            dropped, smaller = dropped + lost, whole.around(answer.draws)
+            best = min(best, history[-1]["best"]) if history else best
             entry = {"iteration": number + 1, "evaluations": (number + 1) * simulations, "best": best}
             history.append({**entry, "spread": float(np.exp(smaller.size - region.widest))})
-            needed = _steps_needed(problem, one, substeps, [seed, number])
+            needed = _steps_needed(problem, learned, answer, substeps, [seed, number])
             settled = smaller.like(region, _SETTLED) and (needed == substeps or problem.objective.noise is None)
             reason = "the posterior no longer changes" if settled else f"still changing after round {number + 1}"
-            found = Inferred(one.answer, one.noise, (number + 1) * simulations, dropped, substeps, history, reason)
+            found = Inferred(answer, learned.noise, (number + 1) * simulations, dropped, substeps, history, reason)
             report(history[-1], rounds)
             if settled:
                 break
-            region, noise, substeps = smaller, one.noise, needed
+            region, noise, substeps = smaller, learned.noise, needed
     except KeyboardInterrupt:
         if found is None:
             raise
@@ -120,13 +119,13 @@ def infer(
     return found
 
 
-def _steps_needed(problem: Problem, one: _Round, substeps: int, seed: list[int]) -> int:
+def _steps_needed(problem: Problem, learned: Learned, answer: Answer, substeps: int, seed: list[int]) -> int:
     """Steps between two frames that the next round needs: half as long ones leave the posterior where it is.
 
     Where the noise is not stated but found in what simulations leave, the error of their steps is part of it: they are
     halved once a round there, while the motion is off by more than an answer may be.
     """
-    evaluator, there = problem.evaluator, one.answer.draws.mean(axis=0)
+    evaluator, there = problem.evaluator, answer.draws.mean(axis=0)
     if problem.objective.noise is None:
         errors = evaluator.step_errors(there, substeps, slopes=False)
         large = any(e.large for e in errors.values())
@@ -136,21 +135,11 @@ def _steps_needed(problem: Problem, one: _Round, substeps: int, seed: list[int])
         if not all(run.usable[0] for run in runs):
             break
         apart = (problem.objective.residuals(run.values)[0].astype(np.float32) for run in runs)
-        long, short = (one.learned.answer(each, DRAWS, np.random.default_rng(seed)).draws for each in apart)
+        long, short = (learned.answer(each, DRAWS, np.random.default_rng(seed)).draws for each in apart)
         if (np.abs(short.mean(axis=0) - long.mean(axis=0)) <= _MOVED * long.std(axis=0)).all():
             break
         substeps *= 2
     return substeps
-
-
-class _Round(NamedTuple):
-    """One round's posterior."""
-
-    learned: Learned
-    answer: Answer
-    noise: Noise
-    dropped: int  # simulations without an equilibrium or a finite motion
-    best: float  # least objective of a simulation
 
 
 def _round(
@@ -161,7 +150,8 @@ def _round(
     substeps: int,
     simulations: int,
     random: np.random.Generator,
-) -> _Round:
+) -> tuple[Learned, Answer, int, float]:
+    """One round's posterior, how many simulations found no equilibrium or finite motion, and their least objective."""
     theta = region.drawn(simulations, random)
     seen = problem.evaluator.values(theta, substeps)
     theta, values = theta[seen.usable], seen.values[seen.usable]
@@ -173,4 +163,4 @@ def _round(
     best = float(np.min(cost + problem.parameters.prior_terms(theta)[0]))
     answer = learned.answer(nothing, DRAWS, random)
     draws = with_nuisance(problem, nuisance, problem.objective, learned, nothing, answer.draws, substeps, random)
-    return _Round(learned, answer._replace(draws=draws), learned.noise, simulations - len(theta), best)
+    return learned, answer._replace(draws=draws), simulations - len(theta), best

@@ -154,10 +154,7 @@ class EstimatePlots:
 
         drawn: dict[str, Any] = {"fit": self.fit, "correlation": self.correlation, "history": self.history}
         drawn |= {f"fit_{n}": partial(self.fit, n) for n in range(2, len(self._estimate.trials) + 1)}
-        written: list[Path] = []
-        for name, draw in drawn.items():
-            written += save_figure(draw(), stem.with_name(f"{stem.name}_{name}"))
-        return written
+        return [p for name, draw in drawn.items() for p in save_figure(draw(), stem.with_name(f"{stem.name}_{name}"))]
 
     def _scene(self, scene: Scene | None) -> Scene:
         found = self._estimate.nominal_scene if scene is None else scene

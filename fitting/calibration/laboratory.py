@@ -112,7 +112,7 @@ class Laboratory:
             scaled = np.interp(times - late, times, value) * (1 + constant.normal(0.0, self.force_scale))
             zero = random.normal(0.0, self.force_bias)
             forces[name] = scaled + zero + random.normal(0.0, self.force_noise, value.shape)
-        told: dict[str, Any] = {field: forces.get(name) for name, field in force_fields(scene, springs).items()}
+        told: dict[str, Any] = {kind: forces.get(name) for name, kind in force_fields(scene, springs).items()}
         measured = Measured(
             times,
             center,

@@ -123,7 +123,7 @@ def test_errors_of_sensors_stay_the_same_throughout():
 def test_a_femur_that_moves_is_recorded_too():
     scene = pftwin.rig.case(1)
     n = scene.motion.n_frames
-    moving = SimpleNamespace(motion=scene.motion, contact=scene.contact, tracked_point=scene.tracked_point)
+    moving = SimpleNamespace(motion=scene.motion, contact=scene.contact, tracked_point=scene.tracked_point, effects=())
     motion, _ = Laboratory(marker_noise=0.0, cutoff=None).recorded(moving, seen(n), SPRINGS, np.random.default_rng(0))
     assert (motion.femur is None) is (scene.motion.femur is None)
 

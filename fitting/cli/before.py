@@ -7,35 +7,16 @@ from typing import Annotated
 
 from typer import Option
 
-from fitting.cli.fit import (
-    BoundsOption,
-    FreeOption,
-    LimitOption,
-    NoiseOption,
-    NuisanceOption,
-    UseOption,
-    VariesOption,
-    bounds_of,
-    channels_in,
-    check_limits,
-    deviations_between,
-    names_in,
-    noise_levels,
-)
+from fitting.cli.fit_options import ExperimentOptions, FitOptions
 from pftwin.base.sheet import Sheet
-from pftwin.cli.scenes import TrialsOptions, on_scene
+from pftwin.cli.scenes import on_scene
 from pftwin.cli.terminal import JsonOption, check_outputs, check_suffix, present, progress, spinner, written_line
 
 
 @on_scene
 def plan_experiment(
     *,
-    knee: TrialsOptions,
-    free: FreeOption = "K1,L1,K2,L2",
-    use: UseOption = "position",
-    noise: NoiseOption = None,
-    nuisance: NuisanceOption = None,
-    varies: VariesOption = None,
+    knee: ExperimentOptions,
     json: JsonOption = None,
 ) -> None:
     """Say how precisely an experiment could determine the parameters, before it is made, and what else to measure.
@@ -46,16 +27,15 @@ def plan_experiment(
     `pftwin plan-experiment walk.toml stairs.toml`
     """
     check_outputs(json)
-    levels, apart = noise_levels(noise), deviations_between(varies)
+    asked = knee.asked()
     chosen, *further = knee.load()
     from fitting.identifiability import plan_experiment as plan
     from fitting.programs import channels_of
 
-    channels = channels_of(chosen.scene) if use.strip() == "all" else names_in(use)
+    if asked["use"] == "all":
+        asked["use"] = channels_of(chosen.scene)
     with spinner("linearising the motion"):
-        others = [each.scene for each in further]
-        asked = {"free": names_in(free), "use": channels, "noise": levels, "nuisance": nuisance}
-        found = plan(chosen.scene, **asked, further=others, varies=apart)
+        found = plan(chosen.scene, **asked, further=[each.scene for each in further])
     deviations = {", ".join(found.channels): found.relative, **{f"and {c}": v for c, v in found.additions.items()}}
     sheet = Sheet(
         f"{chosen.scene.name}: smallest possible standard deviations [%]",
@@ -70,15 +50,8 @@ def plan_experiment(
 def train_posterior(
     *,
     output: Annotated[Path, Option("-o", "--output", metavar="FILE.npz", help="The trained posterior.")],
-    knee: TrialsOptions,
-    free: FreeOption = "K1,L1,K2,L2",
-    bounds: BoundsOption = None,
-    use: UseOption = "position",
-    noise: NoiseOption = None,
-    nuisance: NuisanceOption = None,
-    varies: VariesOption = None,
+    knee: FitOptions,
     simulations: Annotated[int | None, Option(min=1000, help="To learn from; 30,000 if left out.")] = None,
-    limit: LimitOption = None,
     seed: Annotated[int, Option(min=0, help="Of all random choices.")] = 0,
     json: JsonOption = None,
 ) -> None:
@@ -89,21 +62,16 @@ def train_posterior(
     """
     check_suffix(output, [".npz"], "trained posteriors are files of NumPy's")
     check_outputs(output, json)
-    levels, apart, scenes = noise_levels(noise), deviations_between(varies), [trial.scene for trial in knee.load()]
+    asked, limits, scenes = knee.asked(), knee.limits(), [trial.scene for trial in knee.load()]
     from fitting.training import train_posterior as train
 
     with progress("compiling") as shown:
         found = train(
             scenes,
-            free=names_in(free),
-            bounds=bounds_of(bounds),
-            nuisance=nuisance,
-            varies=apart,
+            **asked,
             seed=seed,
-            use=channels_in(use),
-            noise=levels,
             simulations=simulations,
-            limits=check_limits(limit),
+            limits=limits,
             progress=lambda done, of: shown(done, of, what="simulations" if done < of else "networks"),
         )
     files = [str(found.save(output))]

@@ -8,27 +8,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Option
 
 from fitting.cli.amounts import Given, show_limits, treatment_of, treatment_within, with_amounts
-from fitting.cli.fit import (
-    BoundsOption,
-    FreeOption,
-    LimitOption,
-    NoiseOption,
-    NuisanceOption,
-    UseOption,
-    VariesOption,
-    bounds_of,
-    channels_in,
-    check_limits,
-    deviations_between,
-    names_in,
-    noise_levels,
-    refuse_settled,
-)
+from fitting.cli.fit_options import FitOptions, deviations, names_in, refuse_settled
 from pftwin.base.errors import InputError
 from pftwin.base.sheet import Sheet
 from pftwin.base.written_amounts import amount
 from pftwin.cli.exit_codes import exit_flagged
-from pftwin.cli.scenes import TrialsOptions, on_scene
+from pftwin.cli.scenes import on_scene
 from pftwin.cli.terminal import JsonOption, check_outputs, check_suffix, present, progress, spinner, written_line
 
 if TYPE_CHECKING:
@@ -41,7 +26,7 @@ if TYPE_CHECKING:
 def calibrate(
     *,
     output: Annotated[Path, Option("-o", "--output", metavar="OUT.json", help="What was found.")],
-    knee: TrialsOptions,
+    knee: FitOptions,
     trained: Annotated[
         Path | None, Option(metavar="FILE.npz", help="A posterior that `pftwin train-posterior` trained.")
     ] = None,
@@ -53,12 +38,6 @@ def calibrate(
             " --use, --noise, --nuisance and --varies belong to it.",
         ),
     ] = None,
-    free: FreeOption = "K1,L1,K2,L2",
-    bounds: BoundsOption = None,
-    use: UseOption = "position",
-    noise: NoiseOption = None,
-    nuisance: NuisanceOption = None,
-    varies: VariesOption = None,
     plants: Annotated[int, Option(metavar="N", min=1, help="Of each kind.")] = 100,
     kinds: Annotated[
         str | None,
@@ -73,7 +52,6 @@ def calibrate(
         Option(metavar="READING=SD", help="Of another reading by its name in the scene; may be repeated."),
     ] = None,
     cutoff: Annotated[float, Option(metavar="HERTZ", help="Of the markers' low-pass; 0: none.")] = 12.0,
-    limit: LimitOption = None,
     amounts: Given,
     meet: Annotated[
         list[str] | None,
@@ -108,8 +86,7 @@ def calibrate(
     check_suffix(output, [".json"], "calibrations are JSON")
     if widen is not None:
         check_suffix(widen, [".npz"], "trained posteriors are files of NumPy's")
-    asked = {"free": names_in(free), "bounds": bounds_of(bounds), "noise": noise_levels(noise), "nuisance": nuisance}
-    asked |= {"use": channels_in(use), "varies": deviations_between(varies)}
+    asked = knee.asked()
     errors = {
         "marker_noise": amount(marker_noise, "m", "--marker-noise", least=0),
         "force_noise": amount(force_noise, "N", "--force-noise", least=0),
@@ -129,9 +106,9 @@ def calibrate(
     lab = Laboratory(
         **errors,
         cutoff=cutoff or None,
-        readings=noise_levels(reading_noise, "--reading-noise", "contact.force_medial=0.2") or {},
+        readings=deviations(reading_noise, "--reading-noise", "contact.force_medial=0.2") or {},
     )
-    allowed, scenes = check_limits(limit), [trial.scene for trial in knee.load()]
+    allowed, scenes = knee.limits(), [trial.scene for trial in knee.load()]
     operation = _operation(amounts, meet or [], samples, confidence)
     posterior = None if trained is None else TrainedPosterior.load(trained, scenes)
     answering = posterior or QuickFit.of(scenes, method=str(method), **asked)

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Option
 
+from fitting.cli.fit_options import DuringOption, FitOptions, refuse_settled, time_spans, within
 from pftwin.base.errors import InputError
 from pftwin.base.sheet import Sheet
 from pftwin.cli.exit_codes import Interrupted, exit_flagged, report_written_on_interrupt
-from pftwin.cli.named_numbers import numbers_between_colons, numbers_by_name
-from pftwin.cli.scenes import TrialsOptions, on_scene
+from pftwin.cli.scenes import on_scene
 from pftwin.cli.terminal import JsonOption, check_outputs, check_suffix, present, progress, spinner, written_line
 
 if TYPE_CHECKING:
@@ -21,96 +20,18 @@ if TYPE_CHECKING:
     from fitting.posterior.sampling import Posterior
     from pftwin.model.scene import Scene
 
-FreeOption = Annotated[str, Option("--free", metavar="NAMES", help="Parameters, with commas: K1,L1 and the like.")]
-BoundsOption = Annotated[
-    list[str] | None,
-    Option(
-        "--bounds",
-        metavar="BOUNDS",
-        help="To either side, as a share of the nominal value (0.3 if left out); or NAME=LOW:HIGH of one parameter,"
-        " in its unit, as in K1=100:200: may be repeated.",
-    ),
-]
-UseOption = Annotated[
-    str,
-    Option("--use", metavar="CHANNELS", help="What is compared: position, orientation, effects' forces; or all."),
-]
-NoiseOption = Annotated[
-    list[str] | None,
-    Option("--noise", metavar="CHANNEL=SD", help="Standard deviation in m, rad or N; may be repeated."),
-]
-
-
-NuisanceOption = Annotated[
-    str | None,
-    Option(
-        "--nuisance",
-        metavar="NAME",
-        help="What the scene lacks or knows roughly, fitted besides: rig, mocap, mri; or standard deviations by name,"
-        " as in friction=0.05; several with commas, as in rig,damping=0.5.",
-    ),
-]
-VariesOption = Annotated[
-    list[str] | None,
-    Option(
-        "--varies",
-        metavar="NAME=SD",
-        help="Of several trials: by how much a parameter differs from trial to trial, in its unit; may be repeated.",
-    ),
-]
-LimitOption = Annotated[
-    list[str] | None,
-    Option(
-        "--limit",
-        metavar="NAME=A:B",
-        help="Of a check of what was measured, from where it is named (A) and refused (B): reading,"
-        " position, orientation, force, noise, shift, simulated,"
-        " trained_noise or set_up.",
-    ),
-]
-DuringOption = Annotated[
-    list[str] | None,
-    Option(
-        "--during",
-        metavar="FROM:TO",
-        help="Only what was measured in this span of time [s] is compared; may be repeated.",
-    ),
-]
-_SHARE = 0.3  # of bounds, by default
-_AS_TRAINED: dict[str, Any] = {  # defaults of what is settled by training
-    "method": "least_squares",
-    "objective": "likelihood",
-    "free": ("K1", "L1", "K2", "L2"),
-    "bounds": _SHARE,
-    "use": ("position",),
-    "loss": "linear",
-    "resume": False,
-    "seed": 0,
-}
-
 
 @on_scene
 def fit(
     *,
     output: Annotated[Path, Option("-o", "--output", metavar="FIT.json", help="The estimate.")],
-    knee: TrialsOptions,
+    knee: FitOptions,
     method: Annotated[
-        str,
-        Option(
-            metavar="NAME",
-            help='One of the methods that stand at the top of this help, behind "Methods".',
-        ),
+        str, Option(metavar="NAME", help='One of the methods that stand at the top of this help, behind "Methods".')
     ] = "least_squares",
     objective: Annotated[str, Option(metavar="NAME", help="likelihood or paper.")] = "likelihood",
-    free: FreeOption = "K1,L1,K2,L2",
-    bounds: BoundsOption = None,
-    use: UseOption = "position",
-    noise: NoiseOption = None,
     loss: Annotated[str, Option(metavar="NAME", help="linear, huber or soft_l1.")] = "linear",
-    nuisance: NuisanceOption = None,
-    varies: VariesOption = None,
     during: DuringOption = None,
-    limit: LimitOption = None,
     seed: Annotated[int, Option(min=0, help="Of all random choices.")] = 0,
     starts: Annotated[int | None, Option(min=1, help="Starting points (least squares, gradient).")] = None,
     checkpoint: Annotated[Path | None, Option(metavar="FILE", help="Where the state of the fit is kept.")] = None,
@@ -135,31 +56,22 @@ def fit(
     """
     check_suffix(output, [".json"], "estimates are JSON")
     check_outputs(output, checkpoint, json)
-    levels, allowed, apart = noise_levels(noise), check_limits(limit), deviations_between(varies)
-    spans = time_spans(during)
+    asked: dict[str, Any] = {"method": method, "objective": objective, **knee.asked(), "loss": loss}
+    asked |= {
+        "checkpoint": checkpoint,
+        "resume": resume,
+        "seed": seed,
+        **({} if starts is None else {"starts": starts}),
+    }
+    limits, spans = knee.limits(), time_spans(during)
     trials = knee.load()
     for path, trial in zip(knee.scene or [], trials, strict=False):
         if trial.measured is None:
             raise InputError("nothing to compare with", where=path, expected="a table [measured] in the scene file")
     if posterior is not None:
         _check_posterior(objective)
-    asked: dict[str, Any] = {
-        "method": method,
-        "objective": objective,
-        "free": names_in(free),
-        "bounds": bounds_of(bounds),
-        "use": channels_in(use),
-        "noise": levels,
-        "loss": loss,
-        "nuisance": nuisance,
-        "varies": apart,
-        "checkpoint": checkpoint,
-        "resume": resume,
-        "seed": seed,
-        **({} if starts is None else {"starts": starts}),
-    }
     scenes = [within(trial.scene, spans) for trial in trials]
-    estimate = _fitted(scenes, asked, allowed) if trained is None else _answered(trained, scenes, asked, allowed)
+    estimate = _fitted(scenes, asked, limits) if trained is None else _answered(trained, scenes, asked, limits)
     interrupted = estimate.reason.startswith("interrupted")
     with report_written_on_interrupt(output, checkpoint):
         draws = None if interrupted else posterior
@@ -170,7 +82,7 @@ def fit(
         exit_flagged(estimate.sentence())
 
 
-def _fitted(scenes: list[Scene], asked: dict[str, Any], limits: dict[str, tuple[float, float]] | None) -> Estimate:
+def _fitted(scenes: list[Scene], asked: dict[str, Any], limits: dict[str, Any] | None) -> Estimate:
     """Fits with progress on stderr."""
     from fitting.fit import fit_tendons
 
@@ -183,9 +95,7 @@ def _fitted(scenes: list[Scene], asked: dict[str, Any], limits: dict[str, tuple[
         return fit_tendons(scenes, progress=tell, limits=limits, **asked)
 
 
-def _answered(
-    trained: Path, scenes: list[Scene], asked: dict[str, Any], limits: dict[str, tuple[float, float]] | None
-) -> Estimate:
+def _answered(trained: Path, scenes: list[Scene], asked: dict[str, Any], limits: dict[str, Any] | None) -> Estimate:
     """What a trained posterior says; refuses options that were settled when it was trained."""
     from fitting.trained import TrainedPosterior
 
@@ -252,68 +162,3 @@ def _sample_posterior(estimate: Estimate, draws: int, output: Path) -> Posterior
         found = sample_posterior(estimate, draws=draws, seed=estimate.seed, progress=shown)
     write_text(output, json.dumps({**estimate.to_dict(), "posterior": found.to_dict()}, indent=2) + "\n")
     return found
-
-
-def refuse_settled(asked: dict[str, Any]) -> None:
-    """Refuses options, by their names, that a trained posterior has settled; InputError for any but their defaults."""
-    if settled := [f"--{name}" for name, value in asked.items() if value != _AS_TRAINED.get(name)]:
-        found = f"a trained posterior beside {', '.join(settled)}"
-        raise InputError(found, where="--trained", expected="it alone: the rest is as it was in training")
-
-
-def channels_in(text: str) -> str | tuple[str, ...]:
-    """Names between commas, or "all"."""
-    return "all" if text.strip() == "all" else names_in(text)
-
-
-def names_in(text: str) -> tuple[str, ...]:
-    """Names between commas."""
-    return tuple(name.strip() for name in text.split(",") if name.strip())
-
-
-def bounds_of(given: list[str] | None) -> float | dict[str, tuple[float, float]]:
-    """A share, or bounds by name, from "0.3" or "name=low:high"; InputError for anything else."""
-    if not given:
-        return _SHARE
-    if len(given) == 1 and len(share := numbers_between_colons(given[0])) == 1:
-        return share[0]
-    return _pairs(given, "--bounds", 'a share, such as 0.3; or "L1=0.03:0.05"')
-
-
-def noise_levels(
-    given: list[str] | None, option: str = "--noise", example: str = "position=2e-4"
-) -> dict[str, float] | None:
-    """Standard deviations from "channel=sd"; InputError for anything else."""
-    return {name: sd for name, (sd,) in numbers_by_name(given, option, f'such as "{example}"').items()} or None
-
-
-def deviations_between(given: list[str] | None) -> dict[str, float] | None:
-    """The same of numbers that differ between trials."""
-    return noise_levels(given, "--varies", "L1=5e-4")
-
-
-def time_spans(given: list[str] | None) -> list[tuple[float, float]]:
-    """Spans from "from:to"; InputError for anything else."""
-    found = []
-    for text in given or []:
-        numbers = numbers_between_colons(text)
-        if len(numbers) != 2:
-            raise InputError(f"found {text!r}", where="--during", expected='such as "0:0.5"')
-        found.append(numbers)
-    return found
-
-
-def within(scene: Scene, spans: list[tuple[float, float]]) -> Scene:
-    """The scene with measurements in these spans alone; with all of them where there are none."""
-    if not spans or scene.measured is None:
-        return scene
-    return replace(scene, measured=scene.measured.during(spans))
-
-
-def check_limits(given: list[str] | None) -> dict[str, tuple[float, float]] | None:
-    """Pairs from "name=named:refused"; InputError for anything else."""
-    return _pairs(given, "--limit", 'such as "force=0.2:0.8"') or None
-
-
-def _pairs(given: list[str] | None, option: str, expected: str) -> dict[str, tuple[float, float]]:
-    return {name: (one, other) for name, (one, other) in numbers_by_name(given, option, expected, (2,)).items()}

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from typer import Option
 
-from fitting.cli.fit import DuringOption, time_spans, within
+from fitting.cli.fit_options import DuringOption, time_spans, within
 from fitting.cli.treat import SeedOption, StepOption
 from pftwin.base.errors import InputError
 from pftwin.base.sheet import Sheet

@@ -14,7 +14,7 @@ from lifted_trials import BOUNDS, COMPUTED, FREE, MOVED, POINT, STEPS, nominal, 
 
 import fitting
 import pftwin
-from fitting.cli.fit import deviations_between
+from fitting.cli.fit_options import deviations
 from fitting.cli.report import tables
 from fitting.cli.report.material import Material
 from fitting.coverage import NOT_KNOWN, QUICK
@@ -184,14 +184,14 @@ def test_the_papers_objective_has_nothing_to_weigh_them_against():
 
 
 def test_the_command_line_takes_them():
-    assert deviations_between(["L2=1e-3", " contact.friction.coefficient = 0.01"]) == {
+    assert deviations(["L2=1e-3", " contact.friction.coefficient = 0.01"], "--varies", "L1=5e-4") == {
         "L2": 1e-3,
         "contact.friction.coefficient": 0.01,
     }
     with pytest.raises(InputError, match="--varies: found 'L2'"):
-        deviations_between(["L2"])
+        deviations(["L2"], "--varies", "L1=5e-4")
     with pytest.raises(InputError, match="--varies: 'L2' is given twice"):
-        deviations_between(["L2=1e-3", "L2=2e-3"])
+        deviations(["L2=1e-3", "L2=2e-3"], "--varies", "L1=5e-4")
 
 
 @pytest.mark.slow

@@ -1,0 +1,151 @@
+"""Options of the commands that fit: what is fitted, to which measurements, and how exact these are."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Annotated, Any
+
+from typer import Option
+
+from pftwin.base.errors import InputError
+from pftwin.cli.named_numbers import numbers_between_colons, numbers_by_name
+from pftwin.cli.scenes import TrialsOptions
+
+if TYPE_CHECKING:
+    from pftwin.model.scene import Scene
+
+DuringOption = Annotated[
+    list[str] | None,
+    Option(
+        "--during",
+        metavar="FROM:TO",
+        help="Only what was measured in this span of time [s] is compared; may be repeated.",
+    ),
+]
+_SHARE = 0.3  # of bounds, by default
+_AS_TRAINED: dict[str, Any] = {  # defaults of what is settled by training
+    "method": "least_squares",
+    "objective": "likelihood",
+    "free": ("K1", "L1", "K2", "L2"),
+    "bounds": _SHARE,
+    "use": ("position",),
+    "loss": "linear",
+    "resume": False,
+    "seed": 0,
+}
+
+
+@dataclass(frozen=True)
+class ExperimentOptions(TrialsOptions):
+    """Trials, and what is to be known from which of their measurements."""
+
+    free: Annotated[str, Option("--free", metavar="NAMES", help="Parameters, with commas: K1,L1 and the like.")] = (
+        "K1,L1,K2,L2"
+    )
+    use: Annotated[
+        str,
+        Option("--use", metavar="CHANNELS", help="What is compared: position, orientation, effects' forces; or all."),
+    ] = "position"
+    noise: Annotated[
+        list[str] | None,
+        Option("--noise", metavar="CHANNEL=SD", help="Standard deviation in m, rad or N; may be repeated."),
+    ] = None
+    nuisance: Annotated[
+        str | None,
+        Option(
+            "--nuisance",
+            metavar="NAME",
+            help="What the scene lacks or knows roughly, fitted besides: rig, mocap, mri; or standard deviations by"
+            " name, as in friction=0.05; several with commas, as in rig,damping=0.5.",
+        ),
+    ] = None
+    varies: Annotated[
+        list[str] | None,
+        Option(
+            "--varies",
+            metavar="NAME=SD",
+            help="Of several trials: by how much a parameter differs from trial to trial, in its unit; may be"
+            " repeated.",
+        ),
+    ] = None
+
+    def asked(self) -> dict[str, Any]:
+        """Arguments of what fits, by name; InputError for what cannot be read."""
+        return {
+            "free": names_in(self.free),
+            "use": "all" if self.use.strip() == "all" else names_in(self.use),
+            "noise": deviations(self.noise, "--noise", "position=2e-4"),
+            "nuisance": self.nuisance,
+            "varies": deviations(self.varies, "--varies", "L1=5e-4"),
+        }
+
+
+@dataclass(frozen=True)
+class FitOptions(ExperimentOptions):
+    """Also in which bounds, and which checks the measurements must pass."""
+
+    bounds: Annotated[
+        list[str] | None,
+        Option(
+            "--bounds",
+            metavar="BOUNDS",
+            help="To either side, as a share of the nominal value (0.3 if left out); or NAME=LOW:HIGH of one parameter,"
+            " in its unit, as in K1=100:200: may be repeated.",
+        ),
+    ] = None
+    limit: Annotated[
+        list[str] | None,
+        Option(
+            "--limit",
+            metavar="NAME=A:B",
+            help="Of a check of what was measured, from where it is named (A) and refused (B): reading, position,"
+            " orientation, force, noise, shift, simulated, trained_noise or set_up.",
+        ),
+    ] = None
+
+    def asked(self) -> dict[str, Any]:
+        """Arguments of what fits, by name; InputError for what cannot be read."""
+        given = self.bounds or []
+        share = numbers_between_colons(given[0]) if len(given) == 1 else ()
+        if len(share) == 1 or not given:
+            bounds: Any = share[0] if given else _SHARE
+        else:
+            bounds = numbers_by_name(given, "--bounds", 'a share, such as 0.3; or "L1=0.03:0.05"', (2,))
+        return super().asked() | {"bounds": bounds}
+
+    def limits(self) -> dict[str, Any] | None:
+        """From where each check names and refuses; InputError for anything else."""
+        return numbers_by_name(self.limit, "--limit", 'such as "force=0.2:0.8"', (2,)) or None
+
+
+def names_in(text: str) -> tuple[str, ...]:
+    """Names between commas."""
+    return tuple(name.strip() for name in text.split(",") if name.strip())
+
+
+def deviations(given: list[str] | None, option: str, example: str) -> dict[str, float] | None:
+    """Standard deviations from "name=sd"; InputError for anything else."""
+    return {name: sd for name, (sd,) in numbers_by_name(given, option, f'such as "{example}"').items()} or None
+
+
+def refuse_settled(asked: dict[str, Any]) -> None:
+    """Refuses options, by their names, that a trained posterior has settled; InputError for any but their defaults."""
+    if settled := [f"--{name}" for name, value in asked.items() if value != _AS_TRAINED.get(name)]:
+        found = f"a trained posterior beside {', '.join(settled)}"
+        raise InputError(found, where="--trained", expected="it alone: the rest is as it was in training")
+
+
+def time_spans(given: list[str] | None) -> list[tuple[float, ...]]:
+    """Spans from "from:to"; InputError for anything else."""
+    spans = [numbers_between_colons(text) for text in given or []]
+    for text, numbers in zip(given or [], spans, strict=True):
+        if len(numbers) != 2:
+            raise InputError(f"found {text!r}", where="--during", expected='such as "0:0.5"')
+    return spans
+
+
+def within(scene: Scene, spans: list[Any]) -> Scene:
+    """The scene with measurements in these spans alone; with all of them where there are none."""
+    if not spans or scene.measured is None:
+        return scene
+    return replace(scene, measured=scene.measured.during(spans))

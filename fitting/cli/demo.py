@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Option
 
-from fitting.demo.cells import number_cell
+from fitting.demo.cases import number_cell
 from pftwin.base.sheet import Sheet
 from pftwin.cli.exit_codes import report_written_on_interrupt
 from pftwin.cli.terminal import (
@@ -65,7 +65,7 @@ def _paper_study(folder: Path, json: str | None) -> dict[str, Any]:
 
 
 def _table_2(study: PaperStudy, case: int) -> Sheet:
-    from fitting.demo.paper_study import PATHOLOGY
+    from fitting.demo.paper_study import FITS, PATHOLOGY
     from fitting.demo.paper_study_tables import table_2
 
     what = "pathology, fitted" if case == PATHOLOGY else f"treatment, by what was fitted to case {PATHOLOGY}"
@@ -78,10 +78,10 @@ def _table_2(study: PaperStudy, case: int) -> Sheet:
     )
     rows = []
     for row in table_2(study):
-        own = [value for (n, _), value in row.values.items() if n == case]
+        own = [row[f"case{case}_by_{fit}"] for fit in FITS]
         if any(value is not None for value in own):
-            cells = [number_cell(v, signed=row.unit == "%") for v in own]
-            rows.append((f"{row.label}, {row.unit}", *cells, number_cell(row.paper[case])))
+            cells = [number_cell(v, signed=row["unit"] == "%") for v in own]
+            rows.append((f"{row['row']}, {row['unit']}", *cells, number_cell(row[f"case{case}_published"])))
     return Sheet(title, ("", "A", "B", "C", "paper"), tuple(rows), words=(0,))
 
 
@@ -94,11 +94,12 @@ def _springs(study: PaperStudy, fit: str) -> Sheet:
     headings += ["paper\noff,\n%"] if fit == "paper" else []
     rows = []
     for row in spring_rows(study, fit):
-        cells = [f"{v:.4g}" for v in (row.nominal, row.line, row.fitted)]
-        covered = "both" if " and " in row.covered else row.covered
-        cells += [f"{row.low:.4g} to {row.high:.4g}", covered, f"{row.error:+.1f}", f"{row.error_of_line:+.1f}"]
-        cells += [] if row.paper_error is None else [f"{row.paper_error:.0f}"]
-        rows.append((f"{row.name}, {row.unit}", *cells))
+        cells = [f"{row[what]:.4g}" for what in ("nominal", "line", "fitted")]
+        covered = "both" if " and " in row["covered"] else row["covered"]
+        cells += [f"{row['low']:.4g} to {row['high']:.4g}", covered]
+        cells += [f"{row['error']:+.1f}", f"{row['error_of_line']:+.1f}"]
+        cells += [] if row["paper_error"] is None else [f"{row['paper_error']:.0f}"]
+        rows.append((f"{row['name']}, {row['unit']}", *cells))
     return Sheet(f"{title}\n({about})", tuple(headings), tuple(rows), words=(0,))
 
 
@@ -112,5 +113,5 @@ def _outcomes(study: PaperStudy) -> Sheet:
         f"\n(the paper, measured and predicted: {published})"
     )
     agrees = {None: "", True: "yes", False: "NO"}
-    rows = tuple((str(r.case), r.springs, r.text, agrees[r.as_measured]) for r in outcome_rows(study))
+    rows = tuple((str(r["case"]), r["springs"], r["text"], agrees[r["as_measured"]]) for r in outcome_rows(study))
     return Sheet(title, ("case", "springs", "outcome", "as measured"), rows)

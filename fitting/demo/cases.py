@@ -4,11 +4,12 @@ rig's (synthetic) measurements.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import csv
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from fitting.demo.cells import number_cell, write_csv
+from pftwin.base.output import written_whole
 from pftwin.base.sheet import Sheet
 
 if TYPE_CHECKING:
@@ -70,9 +71,12 @@ def run_demo(
         SHARED,
         f"results, figures and table1.csv are in {folder}",
     ]
-    headings = ["row", "unit", *(name for c in means for name in (c, f"paper_{c}"))]
-    lines = [[r[0].label, r[0].unit, *(v for row in r for v in (row.value, row.paper))] for r in _rows(means)]
-    write_csv(folder / "table1.csv", headings, lines)
+    lines = [{"row": rows[0].label, "unit": rows[0].unit} for rows in _rows(means)]
+    for line, rows in zip(lines, _rows(means), strict=True):
+        line |= {
+            k: v for c, row in zip(means, rows, strict=True) for k, v in ((c, row.value), (f"paper_{c}", row.paper))
+        }
+    write_csv(folder / "table1.csv", lines)
     facts = {
         "label": rig.measured(1).source,
         "synthetic": True,
@@ -151,3 +155,20 @@ def _fit_note(r_squared: dict[str, float]) -> str:
         f"R^2 of the fits to the femoral component: {ours}. The virtual component was tuned to these figures of the"
         " paper's: that they are near each other shows nothing."
     )
+
+
+def number_cell(value: float | None, *, signed: bool = False) -> str:
+    """A number with as many digits as tell something; "-" where there is none."""
+    if value is None:
+        return "-"
+    digits = ".1g" if abs(value) < 0.1 else ".3g" if abs(value) < 1000 else ".0f"
+    return f"{value:{'+' if signed else ''}{digits}}"
+
+
+def write_csv(path: Path, rows: Sequence[dict[str, Any]]) -> Path:
+    """Writes a table, whole or not at all (OutputError): numbers with six digits, and empty cells for None."""
+    with written_whole(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in row.items()} for row in rows)
+    return path

@@ -75,7 +75,6 @@ class Run(NamedTuple):
     """A simulation of a case with some springs, compared with the measurements of that case."""
 
     case: int
-    springs: str  # "paper", "positions" or "force": those of that fit; "nominal"; "straight lines"
     result: Result
     validation: Validation
     predicted: Tracking
@@ -84,21 +83,14 @@ class Run(NamedTuple):
     @property
     def as_measured(self) -> bool:
         """Whether the patella dislocates and comes back as it was measured to."""
-        return same_outcome(self.predicted, self.measured)
+        one, other = self.predicted, self.measured
+        return bool(one.events) == bool(other.events) and one.re_engaged == other.re_engaged
 
     @property
     def objective(self) -> float:
         """The paper's: the sum of the root mean square errors in X, Y and Z [mm]."""
-        v = self.validation
-        assert v.x is not None
-        assert v.y is not None
-        assert v.z is not None
-        return v.x + v.y + v.z
-
-
-def same_outcome(one: Tracking, other: Tracking) -> bool:
-    """Whether both dislocate, or neither does, and both have come back when the recording ends, or neither has."""
-    return bool(one.events) == bool(other.events) and one.re_engaged == other.re_engaged
+        off = (self.validation.x, self.validation.y, self.validation.z)
+        return sum(error for error in off if error is not None)  # a recording of the rig has all three
 
 
 @dataclass(frozen=True, eq=False)
@@ -208,11 +200,7 @@ def compile_fit() -> float:
 
 
 def with_springs(scene: Scene, theta: np.ndarray) -> Scene:
-    """With K1, L1, K2, L2 = theta (4,) [N/m, m].
-
-    Raises:
-        InputError: values that no spring can have.
-    """
+    """With K1, L1, K2, L2 = theta (4,) [N/m, m]; InputError for values that no spring can have."""
     import jax.numpy as jnp
 
     from fitting.parameters import free_parameters
@@ -221,12 +209,7 @@ def with_springs(scene: Scene, theta: np.ndarray) -> Scene:
 
 
 def simulated(case: int, springs: str, scene: Scene, dt: float = STEP) -> Run:
-    """A case of the rig with these springs, compared with its measurements.
-
-    Raises:
-        InputError: no such case.
-        PftwinError: a motion that may not be spoken of.
-    """
+    """A case of the rig with these springs, compared with its measurements; PftwinError for an invalid motion."""
     from pftwin import LinearImplicit, rig, simulate, validate
 
     measured = rig.measured(case)
@@ -237,4 +220,4 @@ def simulated(case: int, springs: str, scene: Scene, dt: float = STEP) -> Run:
     assert result.surface is not None
     _, offset = groove_offset(result.surface, measured.center)
     seen = find_dislocations(measured.times, offset, result.knee.flexion)
-    return Run(case, springs, result, validate(result, measured), predicted, seen)
+    return Run(case, result, validate(result, measured), predicted, seen)

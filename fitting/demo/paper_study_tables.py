@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fitting.demo.cells import write_csv
+from fitting.demo.cases import write_csv
 from fitting.demo.paper_study import (
     CASES,
     FITS,
@@ -16,6 +16,7 @@ from fitting.demo.paper_study import (
     LINES,
     NOMINAL,
     PAPER,
+    PAPERS,
     PATHOLOGY,
     TREATMENT,
     PaperStudy,
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 SPRINGS = {
-    "paper": "fitted, paper's objective",
+    PAPERS: "fitted, paper's objective",
     "positions": "fitted by simulations",
     "force": "fitted by simulations, and one force",
     NOMINAL: "nominal",
@@ -36,98 +37,75 @@ SPRINGS = {
 }
 
 
-class Row(NamedTuple):
-    """A row of Table 2. Values are None where there are none."""
+def table_2(study: PaperStudy) -> Iterator[dict[str, Any]]:
+    """Errors of the fitted springs, the time of the fit, and both cases' errors against the measurements.
 
-    label: str
-    unit: str
-    values: dict[tuple[int, str], float | None]  # by case and fit
-    paper: dict[int, float | None]  # by case
-
-
-class SpringRow(NamedTuple):
-    """A parameter of the springs, in the units shown; errors and shares in percent."""
-
-    name: str
-    unit: str
-    nominal: float
-    line: float  # of the straight line nearest to the plant's spring
-    fitted: float
-    low: float  # 95 % interval
-    high: float
-    error: float  # against the nominal value
-    error_of_line: float
-    paper_error: float | None  # without its sign
-    covered: str  # which of both the interval covers
-
-
-class OutcomeRow(NamedTuple):
-    """Whether the patella dislocates in a case."""
-
-    case: int
-    springs: str
-    text: str
-    as_measured: bool | None  # None: the measurement itself
-
-
-def table_2(study: PaperStudy) -> Iterator[Row]:
-    """Errors of the fitted springs, the time of the fit, and both cases' errors against the measurements."""
-    none: dict[int, float | None] = dict.fromkeys(CASES)
+    A row has its name ("row") and "unit"; "case2_by_paper" and the like for all cases and fits; "case2_published" and
+    "case1_published". What there is no value of is None.
+    """
     fitted = {fit: study.errors(fit) for fit in FITS}
-    for i, name in enumerate(study.fits[FITS[0]].names):  # the paper's: springs alone
+    for i, name in enumerate(study.fits[PAPERS].names):  # the paper's: springs alone
         errors = {(PATHOLOGY, fit): float(fitted[fit][i]) for fit in FITS}
-        yield Row(f"{name} error of nominal", "%", _filled(errors), none | {PATHOLOGY: PAPER.errors[name]})
+        yield _row(f"{name} error of nominal", "%", errors, {PATHOLOGY: PAPER.errors[name]})
     seconds = {(PATHOLOGY, fit): study.fits[fit].seconds for fit in FITS}
-    yield Row("time of the fit (B, C: with compiling)", "s", _filled(seconds), none | {PATHOLOGY: PAPER.seconds})
-    yield Row("compiling before the paper's", "s", _filled({(PATHOLOGY, FITS[0]): study.compiling}), none)
+    yield _row("time of the fit (B, C: with compiling)", "s", seconds, {PATHOLOGY: PAPER.seconds})
+    yield _row("compiling before the paper's", "s", {(PATHOLOGY, PAPERS): study.compiling}, {})
     rows = {(n, fit): study.runs[fit][n].validation.to_rows() for n in CASES for fit in FITS}
-    for i, row in enumerate(rows[PATHOLOGY, FITS[0]]):
+    for i, row in enumerate(rows[PATHOLOGY, PAPERS]):
         values = {at: column[i].value for at, column in rows.items()}
-        yield Row(row.label, row.unit, values, {n: PAPER.table_2[n].get(row.key) for n in CASES})
+        yield _row(row.label, row.unit, values, {n: PAPER.table_2[n].get(row.key) for n in CASES})
 
 
-def _filled(values: dict[tuple[int, str], float]) -> dict[tuple[int, str], float | None]:
-    return {(n, fit): values.get((n, fit)) for n in CASES for fit in FITS}
+def _row(label: str, unit: str, values: dict[tuple[int, str], Any], published: dict[int, Any]) -> dict[str, Any]:
+    row = {"row": label, "unit": unit}
+    for n in CASES:
+        row |= {f"case{n}_by_{fit}": values.get((n, fit)) for fit in FITS}
+        row[f"case{n}_published"] = published.get(n)
+    return row
 
 
-def spring_rows(study: PaperStudy, fit: str) -> Iterator[SpringRow]:
-    """K1, L1, K2, L2 of one fit beside the nominal values and the straight lines."""
+def spring_rows(study: PaperStudy, fit: str) -> Iterator[dict[str, Any]]:
+    """K1, L1, K2, L2 of one fit, in the units shown, beside the nominal values and the nearest straight lines.
+
+    "low" and "high" are the ends of the 95 % interval, and "covered" says which of both it covers; errors are percent,
+    "error" of the nominal value, "paper_error" without its sign and only for the paper's fit.
+    """
     found, lines = study.fits[fit], values_of(study.nearest)
     errors, errors_of_line = study.errors(fit), study.errors_of_line(fit)
     for i, name in enumerate(found.names[: found.asked]):
         scale, unit = as_read(found.units[i])
         low, high = found.intervals[i]
         truths = {"nominal": found.nominal[i], "line": lines[i]}
-        covered = " and ".join(what for what, value in truths.items() if low <= value <= high)
-        yield SpringRow(
-            name,
-            unit,
-            nominal=scale * float(found.nominal[i]),
-            line=scale * float(lines[i]),
-            fitted=scale * float(found.values[i]),
-            low=scale * float(low),
-            high=scale * float(high),
-            error=float(errors[i]),
-            error_of_line=float(errors_of_line[i]),
-            paper_error=PAPER.errors[name] if fit == "paper" else None,
-            covered=covered or "neither",
-        )
+        numbers = {**truths, "fitted": found.values[i], "low": low, "high": high}
+        yield {
+            "name": name,
+            "unit": unit,
+            **{what: scale * float(value) for what, value in numbers.items()},
+            "error": float(errors[i]),
+            "error_of_line": float(errors_of_line[i]),
+            "paper_error": PAPER.errors[name] if fit == PAPERS else None,
+            "covered": " and ".join(w for w, value in truths.items() if low <= value <= high) or "neither",
+        }
 
 
-def outcome_rows(study: PaperStudy) -> Iterator[OutcomeRow]:
-    """Per case: as measured, with the springs of all fits, and with the nominal ones."""
+def outcome_rows(study: PaperStudy) -> Iterator[dict[str, Any]]:
+    """Per case, whether the patella dislocates: as measured, with the springs of all fits, and with the nominal ones.
+
+    "as_measured" is None of the measurement itself.
+    """
     for n in CASES:
-        yield OutcomeRow(n, "measured", study.runs[FITS[0]][n].measured.describe(), None)
+        measured = study.runs[PAPERS][n].measured.describe()
+        yield {"case": n, "springs": "measured", "text": measured, "as_measured": None}
         for springs in (*FITS, NOMINAL):
-            run = study.runs[springs][n]
-            yield OutcomeRow(n, SPRINGS[springs], run.predicted.describe(), run.as_measured)
+            run, who = study.runs[springs][n], SPRINGS[springs]
+            yield {"case": n, "springs": who, "text": run.predicted.describe(), "as_measured": run.as_measured}
 
 
 def notes(study: PaperStudy) -> Iterator[str]:
     """What the errors mean, one paragraph each."""
     from pftwin.rig.geometry import MISPLACED
 
-    names = study.fits[FITS[0]].names
+    names = study.fits[PAPERS].names
     nearest, recorded = (100 * (values_of(v) / study.nominal - 1) for v in (study.nearest, study.recorded))
     off = " and ".join(f"{line.misfit:.2f} N" for line in study.nearest.values())
     yield (
@@ -147,7 +125,7 @@ def notes(study: PaperStudy) -> Iterator[str]:
         " So the search did not miss the straight lines: other springs come closer. What the twin lacks besides "
         "(the plant's smooth trochlea, its friction, its attachments) can do that."
     )
-    least = least if sums["paper"] < sums[LINES] else ""
+    least = least if sums[PAPERS] < sums[LINES] else ""
     about = f"Sum of the errors in X, Y and Z in case {PATHOLOGY}, which the paper's fit makes least by springs alone"
     yield f"{about}: {listed}.{least}"
     for fit in LEARNED:
@@ -173,25 +151,17 @@ def facts(study: PaperStudy) -> dict[str, Any]:
     """Plain values, for JSON."""
     lines = {"nearest": study.nearest, "recorded": study.recorded}
     return {
-        "label": study.fits[FITS[0]].source,
-        "synthetic": study.fits[FITS[0]].synthetic,
+        "label": study.fits[PAPERS].source,
+        "synthetic": study.fits[PAPERS].synthetic,
         "pathology": PATHOLOGY,
         "treatment": TREATMENT,
         "compiling_s": study.compiling,
-        "table2": [
-            {
-                "row": row.label,
-                "unit": row.unit,
-                **{f"case{n}_by_{fit}": value for (n, fit), value in row.values.items()},
-                **{f"case{n}_published": row.paper[n] for n in CASES},
-            }
-            for row in table_2(study)
-        ],
-        "springs": {fit: [row._asdict() for row in spring_rows(study, fit)] for fit in FITS},
+        "table2": list(table_2(study)),
+        "springs": {fit: list(spring_rows(study, fit)) for fit in FITS},
         "straight_lines": {k: {name: line._asdict() for name, line in v.items()} for k, v in lines.items()},
         "objective_mm": {s: {n: run.objective for n, run in runs.items()} for s, runs in study.runs.items()},
         "runs": {s: {n: status_facts(run.result.flags) for n, run in runs.items()} for s, runs in study.runs.items()},
-        "outcomes": [row._asdict() for row in outcome_rows(study)],
+        "outcomes": list(outcome_rows(study)),
         "published_outcomes": PAPER.outcomes,
         "notes": list(notes(study)),
         "fits": {fit: found.to_dict() for fit, found in study.fits.items()},
@@ -201,37 +171,27 @@ def facts(study: PaperStudy) -> dict[str, Any]:
 def save(study: PaperStudy, folder: Path) -> list[Path]:
     """Writes table2.csv, springs.csv, fit.json (the paper's), fit_positions.json, fit_force.json, two figures.
 
-    Raises:
-        OutputError: the folder is missing or cannot be written to.
+    OutputError if the folder is missing or cannot be written to.
     """
     from pftwin.results.plots import save_figure
 
-    columns = [f"case{n}_{what}" for n in CASES for what in (*(f"by_{f}" for f in FITS), "published")]
-    lines = [
-        [r.label, r.unit, *(v for n in CASES for v in (*(r.values[n, fit] for fit in FITS), r.paper[n]))]
-        for r in table_2(study)
-    ]
-    springs = [[fit, *row] for fit in FITS for row in spring_rows(study, fit)]
-    written = [
-        write_csv(folder / "table2.csv", ["row", "unit", *columns], lines),
-        write_csv(folder / "springs.csv", ["fit", *SpringRow._fields], springs),
-    ]
+    springs = [{"fit": fit, **row} for fit in FITS for row in spring_rows(study, fit)]
+    written = [write_csv(folder / "table2.csv", list(table_2(study))), write_csv(folder / "springs.csv", springs)]
     for fit, found in study.fits.items():
-        written.append(found.save(folder / ("fit.json" if fit == "paper" else f"fit_{fit}.json")))
-    for n in CASES:
-        name = "pathology_fitted" if n == PATHOLOGY else "treatment_predicted"
-        written += save_figure(figure(study, n), folder / name)
+        written.append(found.save(folder / ("fit.json" if fit == PAPERS else f"fit_{fit}.json")))
+    for n, name in {PATHOLOGY: "pathology_fitted", TREATMENT: "treatment_predicted"}.items():
+        written += save_figure(_figure(study, n), folder / name)
     return written
 
 
-def figure(study: PaperStudy, case: int) -> Figure:
+def _figure(study: PaperStudy, case: int) -> Figure:
     """A case as measured, and simulated with fitted and with nominal springs."""
     from pftwin import rig
     from pftwin.results.plots import case_figure
 
     results = {SPRINGS[s]: study.runs[s][case].result for s in (*FITS, NOMINAL)}
-    what = "pathology, fitted to its motion" if case == PATHOLOGY else "treatment, predicted"
-    title = f"Case {case} of the virtual rig: {what}"
-    if case != PATHOLOGY:
-        title += f" with what was fitted to case {PATHOLOGY}"
-    return case_figure(results, rig.measured(case), title)
+    what = {
+        PATHOLOGY: "pathology, fitted to its motion",
+        TREATMENT: f"treatment, predicted with what was fitted to case {PATHOLOGY}",
+    }
+    return case_figure(results, rig.measured(case), f"Case {case} of the virtual rig: {what[case]}")

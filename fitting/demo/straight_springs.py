@@ -69,11 +69,7 @@ class Pull(NamedTuple):
 
 
 def recorded_pulls(case: int) -> dict[str, Pull]:
-    """Lengths and elastic forces of both springs in a case of the rig, by the springs' names.
-
-    Raises:
-        InputError: no such case.
-    """
+    """Lengths and elastic forces of both springs in a case of the rig, by the springs' names."""
     from pftwin import rig
     from pftwin.rig.cases import recording
 

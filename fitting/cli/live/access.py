@@ -113,7 +113,9 @@ def guarded_servers(allowed: Allowed) -> Iterator[None]:
         async def checked(connection: Any, request: Any) -> Any:
             origins, asked = request.headers.get_all("Origin"), request.headers.get_all("Host")
             if "Upgrade" in request.headers and not allowed(origins, asked[0] if asked else ""):
-                sys.stderr.write(_refusal(origins))
+                said = ", ".join(origins)[:120].encode("ascii", "backslashreplace").decode()
+                advice = f"if it is yours: pftwin app --origin {said}"
+                sys.stderr.write(f"a page of another origin was refused: {said}; {advice}\n")
                 return connection.respond(HTTPStatus.FORBIDDEN, "This page is of another origin.\n")
             answer = process_request(connection, request)
             return await answer if inspect.isawaitable(answer) else answer
@@ -127,8 +129,3 @@ def guarded_servers(allowed: Allowed) -> Iterator[None]:
         module.serve = real
     if not started:
         raise PftwinError("this version of viser starts its server in a way that pftwin cannot guard; try: viser 1.1.1")
-
-
-def _refusal(origins: list[str]) -> str:
-    said = ", ".join(origins)[:120].encode("ascii", "backslashreplace").decode()
-    return f"a page of another origin was refused: {said}; if it is yours: pftwin app --origin {said}\n"

@@ -73,10 +73,7 @@ class Curves:
         times = self._after.times
         mark = np.full_like(times, np.nan)
         mark[k] = series[1][k]
-        before = _interpolated(times, self._before.times, series[0]) if self._compared else np.full_like(times, np.nan)
+        before, own = series[0] if self._compared else np.full_like(times, np.nan), self._before.times
+        if self._compared and not (own.shape == times.shape and np.allclose(own, times)):
+            before = np.interp(times, own, before)
         return times, before, series[1], mark
-
-
-def _interpolated(times: Floats, own: Floats, values: Floats) -> Floats:
-    """Values at other times, interpolated where they differ."""
-    return values if own.shape == times.shape and np.allclose(own, times) else np.interp(times, own, values)

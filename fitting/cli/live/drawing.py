@@ -19,19 +19,13 @@ POINT = 1.8  # radius of a contact point [mm]
 SIDE = 55.0  # of the words "lateral" and "medial" from the middle [mm]
 
 
-def rgb(code: str) -> tuple[int, int, int]:
-    """ "#0072B2" as three numbers."""
-    red, green, blue = (int(code[i : i + 2], 16) for i in (1, 3, 5))
-    return red, green, blue
-
-
 def mesh(scene: SceneApi, name: str, shape: Shape, code: str, opacity: float = 1.0) -> Any:
     """Adds a mesh, in the place of one of the same name."""
     return scene.add_mesh_simple(
         name,
         shape.vertices,
         shape.triangles,
-        color=rgb(code),
+        color=tuple(bytes.fromhex(code[1:])),
         opacity=None if opacity >= 1 else opacity,
         side="double",
         cast_shadow=False,
@@ -39,29 +33,23 @@ def mesh(scene: SceneApi, name: str, shape: Shape, code: str, opacity: float = 1
     )
 
 
-def component_of(recorded: Recorded) -> Shape | None:
-    """The femoral component: its mesh, or its fitted surface made solid."""
-    return next((part.shape for part in bones.femoral_component(recorded)), None)
-
-
 class Bones:
     """Femur and tibia, drawn once for all treatments."""
 
-    def __init__(self, scene: SceneApi, recorded: Recorded, component: Shape | None) -> None:
+    def __init__(self, scene: SceneApi, recorded: Recorded) -> None:
         self._scene = scene
         shaft, shin = bones.femur(recorded), bones.tibia(recorded)
         mesh(scene, "/femur", shaft.shape, shaft.colour, shaft.opacity)
-        self.set_component(component)
         self._tibia = scene.add_frame("/tibia", show_axes=False)
         mesh(scene, "/tibia/shaft", shin.shape, shin.colour, shin.opacity)
         self._beyond: Any = None
         for words, y in (("lateral", SIDE), ("medial", -SIDE)):
             scene.add_label(f"/{words}", words, position=(0.0, y, 25.0), anchor="center-center")
 
-    def set_component(self, component: Shape | None) -> None:
-        """Draws the femoral component of another contact."""
-        if component is not None:
-            mesh(self._scene, "/component", component, METAL)
+    def set_component(self, recorded: Recorded) -> None:
+        """Draws the femoral component of another contact: its mesh, or its fitted surface made solid."""
+        for part in bones.femoral_component(recorded)[:1]:
+            mesh(self._scene, "/component", part.shape, METAL)
 
     def set_beyond(self, beyond: Shape | None) -> None:
         """Draws the fitted surface beyond its edge, as far as it is touched."""

@@ -37,7 +37,6 @@ class LiveModel:
     scene: Scene
     still: Still
     before: ShownMotion  # untreated
-    preparation: float  # time to compile, or to load a kept program [s]
 
 
 class Engine:
@@ -68,17 +67,15 @@ class Engine:
             if contact in self._models:
                 return self._models[contact]
             if contact not in self.contacts:
-                shown = repr(contact) if len(contact) < 40 else f"{contact[:37]!r}..."
-                raise InputError(f"found {shown}", where="contact", expected=f"one of: {', '.join(self.contacts)}")
-            began = time.perf_counter()
+                expected = f"one of: {', '.join(self.contacts)}"
+                raise InputError(f"found {contact!r:.40}", where="contact", expected=expected)
             scene = self._first if contact == self.contacts[0] else self._load(contact)
             rest, still = scene_with_knobs(scene, self.knobs, neutral(self.knobs)), Still(scene)
             _simulated(rest, UNTREATED, still)  # compiles this, and the small programs of what is shown
             prepare_relaxation(rest)
             before = _simulated(rest, UNTREATED, still)
             before.refuse_if_lost()
-            self._models[contact] = LiveModel(contact, scene, still, before, time.perf_counter() - began)
-            return self._models[contact]
+            return self._models.setdefault(contact, LiveModel(contact, scene, still, before))
 
     def run(self, contact: str, values: Mapping[str, float]) -> ShownMotion:
         """The whole motion with these values of the knobs and a contact that is ready.

@@ -33,15 +33,10 @@ class Knob:
         """The value as a number; InputError if it is none, not finite, or out of range."""
         expected = f"{self.least:g} to {self.most:g} {self.unit}"
         if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-            raise InputError(f"found {_short(value)}", where=self.label, expected=expected)
+            raise InputError(f"found {value!r:.40}", where=self.label, expected=expected)
         if not self.least - _ROUNDING <= value <= self.most + _ROUNDING:
             raise InputError(f"found {value:g} {self.unit}", where=self.label, expected=expected)
         return float(min(max(value, self.least), self.most))
-
-
-def _short(value: Any) -> str:
-    text = repr(value)
-    return text if len(text) <= 40 else f"{text[:37]}..."
 
 
 def _treated(kind: str, amount: str, scene: Scene, value: float) -> Scene:

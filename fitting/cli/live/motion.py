@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -106,61 +105,38 @@ class ShownTrack:
         return cls(matrices[:, :3, 3].astype(np.float64), wxyz, scale, there)
 
 
-@dataclass(frozen=True, eq=False)
 class Shown:
-    """The drawing of one motion; each array is computed when it is first asked for."""
+    """The drawing of one motion.
 
-    recorded: Recorded
-    newtons: float  # drawn as 10 mm of an arrow
+    tracks: of "patella" and "tibia"; of each facet's contact point, "at FACET", and force, "on FACET": an arrow of
+        length 1 along z.
+    paths: of each contact point, "way FACET".
+    lines: tendons, ligaments and muscles as tubes: vertices (n, v, 3) and triangles, by name.
+    origins: mean origin on the tibia of each effect's lines, tibia frame (3,) [mm].
+    touched: all contact points (k, 3) [m].
+    """
 
-    @cached_property
-    def tracks(self) -> dict[str, ShownTrack]:
-        """Of "patella" and "tibia"; of each facet's contact point, "at FACET", and force, "on FACET".
-
-        A force is drawn by an arrow of length 1 along z.
-        """
-        found = {"patella": ShownTrack.of(self.recorded.patella), "tibia": ShownTrack.of(self.recorded.tibia)}
-        for arrow in self.recorded.contact_arrows:
+    def __init__(self, recorded: Recorded, newtons: float) -> None:
+        """Forces are drawn by arrows of 10 mm for so many newtons."""
+        self.recorded = recorded
+        self.tracks = {"patella": ShownTrack.of(recorded.patella), "tibia": ShownTrack.of(recorded.tibia)}
+        self.paths: dict[str, Shape] = {}
+        for arrow in recorded.contact_arrows:
             here = arrow.present
             if not here.any():
                 continue
             points = gaps_filled(arrow.points, here)
             if arrow.touches:
-                found[f"at {arrow.name}"] = ShownTrack.of(at_points(points), here)
+                self.tracks[f"at {arrow.name}"] = ShownTrack.of(at_points(points), here)
+                way = MM * np.where(here[:, None], arrow.points, np.nan)
+                if (taken := spaced_points(way, REST)).sum() > 1:
+                    self.paths[f"way {arrow.name}"] = path(way[taken | ~here], 0.5)
             if arrow.forces is not None:
-                along = gaps_filled(arrow.forces, here) * (10 / self.newtons)
-                found[f"on {arrow.name}"] = ShownTrack.of(of_arrows(points, along), here)
-        return found
-
-    @cached_property
-    def lines(self) -> dict[str, tuple[NDArray[np.float32], NDArray[np.uint32]]]:
-        """Tendons, ligaments and muscles: vertices (n, v, 3) and triangles, by name."""
-        return {name: line_shape(lines) for name, lines in self.recorded.lines.items()}
-
-    @cached_property
-    def origins(self) -> dict[str, Floats]:
-        """Mean origin on the tibia of each effect's lines, tibia frame (3,) [mm]."""
-        on_tibia = {n: lines for n, lines in self.recorded.lines.items() if lines.body == "tibia"}
-        return {n: MM * lines.origin.reshape(-1, 3).mean(axis=0) for n, lines in on_tibia.items()}
-
-    @cached_property
-    def paths(self) -> dict[str, Shape]:
-        """The path of each contact point, "way FACET"."""
-        found = {}
-        for arrow in self.recorded.contact_arrows:
-            points = MM * np.where(arrow.present[:, None], arrow.points, np.nan)
-            taken = spaced_points(points, REST)
-            if arrow.touches and taken.sum() > 1:
-                found[f"way {arrow.name}"] = path(points[taken | ~arrow.present], 0.5)
-        return found
-
-    @cached_property
-    def touched(self) -> Floats:
-        """All contact points (k, 3) [m]."""
-        return np.concatenate([*(p.points for p in self.recorded.contact_arrows if p.touches), np.empty((0, 3))])
-
-    def drawn_now(self) -> Shown:
-        """The same with every array computed, so that the thread that simulates does it and not the one that draws."""
-        for name in ("tracks", "lines", "origins", "paths", "touched"):
-            getattr(self, name)
-        return self
+                along = gaps_filled(arrow.forces, here) * (10 / newtons)
+                self.tracks[f"on {arrow.name}"] = ShownTrack.of(of_arrows(points, along), here)
+        self.lines = {name: line_shape(lines) for name, lines in recorded.lines.items()}
+        schematic = recorded.mesh("tibia_bone") is None
+        on_tibia = {n: lines for n, lines in recorded.lines.items() if lines.body == "tibia" and schematic}
+        self.origins = {n: MM * lines.origin.reshape(-1, 3).mean(axis=0) for n, lines in on_tibia.items()}
+        touching = [p.points for p in recorded.contact_arrows if p.touches]
+        self.touched = np.concatenate([*touching, np.empty((0, 3))])

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from fitting.cli.live import words
 from fitting.cli.live.curves import Curves
-from fitting.cli.live.drawing import Bones, DrawnKnee, component_of
+from fitting.cli.live.drawing import Bones, DrawnKnee
 from fitting.cli.live.engine import TREATED, Engine, LiveModel
 from fitting.cli.live.knobs import Knob
 from fitting.cli.live.motion import Shown, ShownMotion
-from fitting.cli.live.words import AFTER, BEFORE, Clock
+from fitting.cli.live.words import AFTER, BEFORE
 from pftwin.results.viewer.assembly import per_centimetre, views
 from pftwin.results.viewer.page import legend, notes, readout
 
@@ -34,7 +36,7 @@ class Page:
         self._contact: str | None = None
         self._ghost: Shown | None = None
         self._after = self._before = model.before
-        self._bones = Bones(client.scene, model.before.recorded, None)
+        self._bones = Bones(client.scene, model.before.recorded)
         self._treated = DrawnKnee(client.scene, "/treated", AFTER)
         self.untreated = DrawnKnee(client.scene, "/untreated", BEFORE, GHOST)
         self._gui.main_panel.dock_right()
@@ -51,7 +53,7 @@ class Page:
             self._whole = self._gui.add_html("")
             self._curves = Curves(self._gui, model.before)
         with panel.add_tab("Times"):  # of the program: no matter of a treatment
-            self.pace = self._gui.add_html(words.pace_text(Clock(), Clock(), 0.0))
+            self.pace = self._gui.add_html(words.pace_text((), (), 0.0))
         panel.dock_left()
         panel.set_width(400)
 
@@ -65,7 +67,7 @@ class Page:
         """Draws another motion: the knee and its continued surface."""
         if self._contact != model.contact:
             self._contact = model.contact
-            self._bones.set_component(component_of(model.before.recorded))
+            self._bones.set_component(model.before.recorded)
             self._ghost = Shown(model.before.recorded, self.newtons)
             self.untreated.set(self._ghost)
         self._shown = shown
@@ -118,13 +120,16 @@ class Page:
         slider = self._gui.add_slider(
             knob.label, knob.least, knob.most, knob.step, knob.neutral, hint=knob.hint, marks=(knob.neutral,)
         )
-
-        @slider.on_update
-        async def _(event: Any) -> None:
-            if event.client is not None:  # else it was moved from here
-                self._session.turn(knob, slider.value)
-
+        self._tell_of(slider, partial(self._session.turn, knob))
         return slider
+
+    def _tell_of(self, element: Any, told: Callable[[Any], None]) -> None:
+        """Has every new value of an element told that comes from the client and not from here."""
+
+        @element.on_update
+        async def _(event: Any) -> None:
+            if event.client is not None:
+                told(element.value)
 
     def _model(self, engine: Engine) -> None:
         with self._gui.add_folder("Model"):
@@ -132,16 +137,8 @@ class Page:
             self._compared = self._gui.add_checkbox("compare with untreated", False)
             reset = self._gui.add_button("Reset")
         self.untreated.show(False)
-
-        @self.contacts.on_update
-        async def _(event: Any) -> None:
-            if event.client is not None:
-                self._session.choose(self.contacts.value)
-
-        @self._compared.on_update
-        async def _(event: Any) -> None:
-            if event.client is not None:
-                self._session.compare(bool(self._compared.value))
+        self._tell_of(self.contacts, self._session.choose)
+        self._tell_of(self._compared, self._session.compare)
 
         @reset.on_click
         async def _(_: Any) -> None:
@@ -152,11 +149,7 @@ class Page:
         begin, end = float(times[0]), float(times[-1])
         self.time = self._gui.add_slider("time [s]", begin, end, round(float(np.diff(times).min()), 4), begin)
         self.play = self._gui.add_button("Play")
-
-        @self.time.on_update
-        async def _(event: Any) -> None:
-            if event.client is not None:
-                self._session.seek(self.time.value)
+        self._tell_of(self.time, self._session.seek)
 
         @self.play.on_click
         async def _(_: Any) -> None:

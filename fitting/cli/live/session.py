@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from collections import deque
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -14,7 +15,6 @@ from fitting.cli.live.knobs import Knob, neutral
 from fitting.cli.live.motion import Shown, ShownMotion
 from fitting.cli.live.page import Page
 from fitting.cli.live.threads import Player, Worker
-from fitting.cli.live.words import Clock
 from pftwin.base.errors import InputError
 
 if TYPE_CHECKING:
@@ -37,14 +37,14 @@ class Session:
         self._closed, self._numbered = False, 0.0
         self._values = neutral(engine.knobs)
         self._wanted = self._contact = engine.contacts[0]
-        self.motions, self.drawings = Clock(), Clock()
+        self.motions, self.drawings = deque[float](maxlen=words.KEPT), deque[float](maxlen=words.KEPT)
         model = engine.model(self._contact)
         self._after, self._now = model.before.named(TREATED), float(model.before.times[0])
         with self._lock, client.atomic():
             self._page = Page(client, engine, model, self)
             self._player = Player(self._played, self._now, float(model.before.times[-1]))
             self._told(model, self._after)
-            self._drawn(model, Shown(model.before.recorded, self._page.newtons).drawn_now())
+            self._drawn(model, Shown(model.before.recorded, self._page.newtons))
 
     def turn(self, knob: Knob, value: Any) -> None:
         """Takes the value of a slider that was moved."""
@@ -109,12 +109,13 @@ class Session:
             if self._closed:
                 return
             with self._client.atomic():
-                self._page.compare(visible)
+                self._page.compare(bool(visible))
                 self._frame(self._now, numbers=True)
 
     def refuse(self, why: str) -> None:
         """Says why nothing new is drawn."""
-        self._say(words.refusal_text(why))
+        still = "The drawing and the curves are those of the last values that worked."
+        self._say(words.state("bad", f"Not drawn: {why}", still))
 
     def close(self) -> None:
         """Frees what belongs to the client, who has left."""
@@ -161,12 +162,12 @@ class Session:
             with self._client.atomic():
                 self._told(model, after)
             self._client.flush()
-            shown = Shown(after.recorded, self._page.newtons).drawn_now()
+            shown = Shown(after.recorded, self._page.newtons)
             with self._client.atomic():
                 self._drawn(model, shown)
             self._client.flush()
-            self.motions.add(moved - began)
-            self.drawings.add(time.perf_counter() - began)
+            self.motions.append(moved - began)
+            self.drawings.append(time.perf_counter() - began)
             self._page.pace.content = words.pace_text(self.motions, self.drawings, after.seconds)
             if self._wanted != contact:
                 self._page.state.content = words.waiting(self._wanted, contact)

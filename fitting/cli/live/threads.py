@@ -44,15 +44,13 @@ class Worker:
         if threading.current_thread() is not self._thread:
             self._thread.join(timeout)
 
-    def _next(self) -> Job | None:
-        with self._change:
-            self._change.wait_for(lambda: self._ends or bool(self._waiting))
-            if self._ends:
-                return None
-            return self._waiting.pop(next(iter(self._waiting)))
-
     def _work(self) -> None:
-        while (job := self._next()) is not None:
+        while True:
+            with self._change:
+                self._change.wait_for(lambda: self._ends or bool(self._waiting))
+                if self._ends:
+                    return
+                job = self._waiting.pop(next(iter(self._waiting)))
             try:
                 job()
             except Exception:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Sequence
 from statistics import median
 from typing import Any
@@ -14,37 +13,16 @@ from fitting.cli.pages import sentence, template
 from pftwin.results.plots import COLOURS
 
 BEFORE, AFTER = COLOURS[:2]
-KEPT = 50  # times whose median and worst are shown
+KEPT = 50  # times of answers of which the median and the worst are shown
 NOT_FOR_PATIENTS = "Research software: no treatment should be decided by it alone."
 
 
-class Clock:
-    """The last times that the page took to answer, in seconds."""
-
-    def __init__(self) -> None:
-        self._times: deque[float] = deque(maxlen=KEPT)
-
-    def add(self, seconds: float) -> None:
-        """Keeps a time [s]."""
-        self._times.append(seconds)
-
-    @property
-    def count(self) -> int:
-        """How many are kept."""
-        return len(self._times)
-
-    def milliseconds(self) -> tuple[float, float, float]:
-        """The last, the median and the worst [ms]; NaN before the first."""
-        if not self._times:
-            return float("nan"), float("nan"), float("nan")
-        return 1e3 * self._times[-1], 1e3 * median(self._times), 1e3 * max(self._times)
-
-    def words(self) -> str:
-        """In words."""
-        if not self._times:
-            return "none yet"
-        last, middle, worst = self.milliseconds()
-        return f"{last:.0f} ms (of the last {self.count}: median {middle:.0f}, worst {worst:.0f} ms)"
+def times_taken(times: Sequence[float]) -> str:
+    """The last times that the page took to answer [s], in words."""
+    if not times:
+        return "none yet"
+    last, middle, worst = (f"{1e3 * t:.0f}" for t in (times[-1], median(times), max(times)))
+    return f"{last} ms (of the last {len(times)}: median {middle}, worst {worst} ms)"
 
 
 def _written(macro: str, *content: Any) -> str:
@@ -67,11 +45,6 @@ def outcome(answer: ShownMotion) -> str:
     return state(tone, f"Dislocation: {word}", f"{sentence(answer.tracking)} {doubts}")
 
 
-def refusal_text(why: str) -> str:
-    """Why values gave no motion to draw."""
-    return state("bad", f"Not drawn: {why}", "The drawing and the curves are those of the last values that worked.")
-
-
 def waiting(contact: str, shown: str) -> str:
     """While a contact's program is compiled."""
     return state("wait", f"Preparing contact {contact} ...", f"Until then everything shown and turned is with {shown}.")
@@ -87,11 +60,11 @@ def whole_motion(motions: Sequence[ShownMotion], colours: Sequence[str]) -> str:
     return _written("whole_motion", rows)
 
 
-def pace_text(motions: Clock, drawings: Clock, seconds: float) -> str:
+def pace_text(motions: Sequence[float], drawings: Sequence[float], seconds: float) -> str:
     """How long the page takes."""
     rows = {
-        "slider to new motion": motions.words(),
-        "slider to drawing sent": drawings.words(),
+        "slider to new motion": times_taken(motions),
+        "slider to drawing sent": times_taken(drawings),
         "simulation and its numbers alone": "none yet" if not seconds else f"{1e3 * seconds:.0f} ms",
     }
     return _written("pace", rows)

@@ -95,7 +95,7 @@ def test_contacts_are_prepared_when_they_are_wanted(engine):
 
 def test_frames_are_those_of_the_result(engine):
     answer = engine.run("groove", MOVED)
-    shown = Shown(answer.recorded, 10.0).drawn_now()
+    shown = Shown(answer.recorded, 10.0)
     data = answer.recorded.data
     matrices = of_poses(data["patella_position"].values, data["patella_quaternion"].values)
     patella = shown.tracks["patella"]

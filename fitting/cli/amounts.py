@@ -37,6 +37,12 @@ class Amount(NamedTuple):
         """As Python spells the option."""
         return self.flag.removeprefix("--").replace("-", "_")
 
+    def in_si(self, values: Any) -> Any:
+        """Values in its unit, in SI units."""
+        from fitting.treatments import KINDS
+
+        return KINDS[self.kind].amounts[self.name].from_shown(values)
+
 
 def _tuberosity(flag: str, name: str, towards: str, former: str) -> Amount:
     words = f"Tibial tubercle osteotomy (TTO): tuberosity {towards}"
@@ -132,11 +138,11 @@ def limits(text: str, option: str, unit: str) -> tuple[float, float]:
     return parts[0], parts[1]
 
 
-def by_kind(given: Given) -> dict[str, list[tuple[Amount, str]]]:
-    """Treatments in the order of `AMOUNTS`, each with its amounts; InputError if there is none."""
+def by_kind(given: list[tuple[Amount, Any]]) -> dict[str, dict[str, Any]]:
+    """What is given for amounts, by treatment and name, in the order of `AMOUNTS`; InputError if there is nothing."""
     if not given:
         raise InputError("no treatment given", expected="at least one amount", remedy="--tto-medial 0:20")
-    return {k: [(a, t) for a, t in given if a.kind == k] for k in dict.fromkeys(a.kind for a, _ in given)}
+    return {k: {a.name: what for a, what in given if a.kind == k} for k in dict.fromkeys(a.kind for a, _ in given)}
 
 
 def treated(scene: Scene, given: Given) -> Scene:
@@ -149,26 +155,24 @@ def treated(scene: Scene, given: Given) -> Scene:
 
 def treatment_of(given: Given) -> Treatment:
     """The treatment with one value of every amount; InputError for several, or for none at all."""
-    from fitting.treatments import KINDS, Treatment
-
-    whole = Treatment()
-    for kind, amounts in by_kind(given).items():
-        own = {a.name: KINDS[kind].amounts[a.name].from_shown(_sole_amount(text, a)) for a, text in amounts}
-        whole = whole.then(Treatment.of(kind, own))
-    return whole
+    return _whole([(a, a.in_si(_sole_amount(text, a))) for a, text in given])
 
 
 def treatment_within(given: Given) -> tuple[Treatment, dict[str, tuple[float, float]]]:
     """A treatment that has these amounts, and their ranges by kind and name [SI]; InputError for single values."""
-    from fitting.treatments import KINDS, Treatment
+    ranges = {f"{a.kind}.{a.name}": a.in_si(limits(text, a.flag, a.unit)) for a, text in given}
+    return _whole([(a, 0.0) for a, _ in given]), {
+        name: (float(low), float(high)) for name, (low, high) in ranges.items()
+    }
 
-    whole, ranges = Treatment(), {}
-    for kind, amounts in by_kind(given).items():
-        whole = whole.then(Treatment.of(kind, dict.fromkeys((a.name for a, _ in amounts), 0.0)))
-        for a, text in amounts:
-            low, high = KINDS[kind].amounts[a.name].from_shown(limits(text, a.flag, a.unit))
-            ranges[f"{kind}.{a.name}"] = (float(low), float(high))
-    return whole, ranges
+
+def _whole(amounts: list[tuple[Amount, Any]]) -> Treatment:
+    from fitting.treatments import Treatment
+
+    whole = Treatment()
+    for kind, own in by_kind(amounts).items():
+        whole = whole.then(Treatment.of(kind, own))
+    return whole
 
 
 def _sole_amount(text: str, amount: Amount) -> float:

@@ -62,9 +62,8 @@ def treat(
 
     Example: `pftwin treat --case 2 --estimate fit.json --tto-medial 0:20:1 -o variants.nc`
     """
-    wanted = by_kind(amounts)
+    numbers = by_kind([(a, values(text, a.flag, a.unit)) for a, text in amounts])
     terminal.check_suffix(output, [".nc"], "results are NetCDF")
-    numbers = {k: {a.name: values(text, a.flag, a.unit) for a, text in v} for k, v in wanted.items()}
     pictures = [output.with_suffix(s) for s in (".png", ".svg")] if figure else []
     terminal.check_outputs(output, *pictures, json)
     terminal.start_computing(batches=True)
@@ -72,7 +71,7 @@ def treat(
     found = _loaded(estimate)
     chosen = knee.load()
     from fitting.prediction.band_sources import band_sources
-    from fitting.prediction.plots import facts, invalid_variants, main_finding, outcome_figure
+    from fitting.prediction.plots import facts, invalid_variants, main_finding, outcome_figure, outcome_sheet
     from pftwin.files.result_files import save_dataset
     from pftwin.results.plots import save_figure
 
@@ -89,7 +88,8 @@ def treat(
     said = main_finding(data)
     told = {**facts(data), "finding": said, "files": [str(p) for p in files]}
     doubt = invalid_variants(data)
-    parts = (said, _sheet(data)) if doubt else (_sheet(data), said)
+    sheet = outcome_sheet(data, _MOST_ROWS)
+    parts = (said, sheet) if doubt else (sheet, said)
     if "parameter_kind" in data.coords and "sample" in data.dims:
         sources = band_sources(data)
         told["bands_narrower_if_known"] = sources.facts()
@@ -231,17 +231,6 @@ def _variants(numbers: dict[str, dict[str, list[float]]]) -> Treatment:
     if count > _MOST_VARIANTS:
         raise InputError(f"{count} combinations", expected=f"at most {_MOST_VARIANTS}", remedy="longer steps")
     return combinations(numbers)
-
-
-def _sheet(data: Dataset) -> Sheet:
-    from fitting.prediction.plots import coverage_in, rows
-
-    headings, lines = rows(data)
-    hidden = len(lines) - _MOST_ROWS
-    title = data.attrs["title"] + (f" ({hidden} of {len(lines)} variants not shown)" if hidden > 0 else "")
-    notes = (f"in brackets: 95 % of the draws; {coverage_in(data)}",) if "sample" in data.dims else ()
-    shown, amounts = tuple(map(tuple, lines[:_MOST_ROWS])), headings.index("dislocation")
-    return Sheet(title, tuple(headings), shown, words=(), notes=notes, keys=amounts)
 
 
 def _loaded(path: Path | None) -> Estimate | None:

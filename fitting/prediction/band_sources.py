@@ -7,7 +7,7 @@ others: sources overlap, so that shares need not sum to one. What all together l
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -37,7 +37,10 @@ class BandSources(NamedTuple):
 
     def sheet(self) -> Sheet:
         """As a table."""
-        rows = ((name, *(_percent(v) for v in row)) for name, row in zip(self.sources, self.narrower, strict=True))
+        rows = (
+            (name, *(f"{100 * v:.0f}" if np.isfinite(v) else "-" for v in row))
+            for name, row in zip(self.sources, self.narrower, strict=True)
+        )
         heads = ("if it were known", *(name.replace("_", " ") for name in self.outcomes))
         few = (f"-: at least {_PER_NUMBER} draws for each number are needed",) if np.isnan(self.narrower).any() else ()
         return Sheet("bands would be narrower by [%]", heads, tuple(rows), words=(0,), notes=few)
@@ -53,19 +56,19 @@ class BandSources(NamedTuple):
         """Bars by source, a panel for each outcome."""
         from matplotlib.figure import Figure
 
-        from pftwin.results.plots.style import COLOURS, PAGE, SMALL, footer, house_style, title
+        from pftwin.results.plots import style
 
-        with house_style():
-            figure = Figure(figsize=(PAGE, 1.3 + 0.3 * len(self.sources)))
+        with style.house_style():
+            figure = Figure(figsize=(style.PAGE, 1.3 + 0.3 * len(self.sources)))
             panels = np.ravel(figure.subplots(1, len(self.outcomes), sharey=True))
             for ax, name, column in zip(panels, self.outcomes, self.narrower.T, strict=True):
-                ax.barh(self.sources, 100 * column, color=COLOURS[0])
-                ax.set_title(name.replace("_", " "), fontsize=SMALL)
+                ax.barh(self.sources, 100 * column, color=style.COLOURS[0])
+                ax.set_title(name.replace("_", " "), fontsize=style.SMALL)
                 ax.set_xlim(0, 100)
-                ax.set_xlabel("bands narrower,\nif it were known [%]", fontsize=SMALL)
+                ax.set_xlabel("bands narrower,\nif it were known [%]", fontsize=style.SMALL)
             panels[0].invert_yaxis()
-            title(figure, f"sources of the bands of {self.title}" if self.title else "sources of the bands")
-            footer(figure, self.note)
+            style.title(figure, f"sources of the bands of {self.title}" if self.title else "sources of the bands")
+            style.footer(figure, self.note)
         return figure
 
 
@@ -110,7 +113,3 @@ def _left(y: Floats, numbers: Floats) -> float:
         return np.nan
     rest = off - x @ np.linalg.lstsq(x, off, rcond=None)[0]
     return float((rest @ rest) / (n - 1 - q) / ((off @ off) / (n - 1)))
-
-
-def _percent(share: float) -> Any:
-    return f"{100 * share:.0f}" if np.isfinite(share) else "-"

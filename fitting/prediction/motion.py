@@ -86,7 +86,8 @@ def predict_motion(
     lost = int((~good[1:]).sum())
     if verdict == "valid" and lost > _MOST_FAILED * samples:
         verdict = f"INVALID: {lost} of {samples} draws have no motion that may be spoken of"
-    notes = [f"{samples} draws, and what the fit left: {_left_in_words(left)}"]
+    each = (f"{name} {value:.2g} {unit}" for (name, (unit, _)), value in zip(COORDINATES.items(), left, strict=True))
+    notes = [f"{samples} draws, and what the fit left: {', '.join(each)} (rms)"]
     notes += [f"{lost} draws without a motion left out"] if lost else []
     notes += [f"the fitted motion: {estimate.verdict}"] if estimate.verdict.startswith(INVALID) else []
     notes += reservations(estimate, scene.synthetic or (measured is not None and measured.synthetic))
@@ -98,26 +99,19 @@ def predict_motion(
 
 
 def _left_of(estimate: Estimate) -> Floats:
-    """Root mean squares (6,) of what the fit left of each coordinate, in its unit.
-
-    Raises:
-        InputError: positions or orientations were not fitted.
-    """
+    """Root mean squares (6,) of what the fit left of each coordinate, in its unit; InputError if they were not."""
     rmse = estimate.rmse
     if missing := {*"XYZ", *TURNS} - rmse.keys():
         if {POSITION, ORIENTATION} <= {*estimate.channels}:
             found, expected = f"nothing of what the fit left of {max(missing)}", "a fit by this pftwin or a later one"
             raise InputError(found, where="estimate", expected=expected, remedy="fit again")
-        found = f"a fit to {', '.join(estimate.channels)}"
-        expected = "one to positions and orientations: bands of both are told"
-        remedy = "pftwin fit --use position,orientation"
-        raise InputError(f"{found}, without {max(missing)}", where="estimate", expected=expected, remedy=remedy)
+        raise InputError(
+            f"a fit to {', '.join(estimate.channels)}, without {max(missing)}",
+            where="estimate",
+            expected="one to positions and orientations: bands of both are told",
+            remedy="pftwin fit --use position,orientation",
+        )
     return np.array([*(1e3 * rmse[axis] for axis in "XYZ"), *(np.degrees(rmse[n]) for n in list(COORDINATES)[3:])])
-
-
-def _left_in_words(left: Floats) -> str:
-    each = (f"{name} {value:.2g} {unit}" for (name, (unit, _)), value in zip(COORDINATES.items(), left, strict=True))
-    return f"{', '.join(each)} (rms)"
 
 
 def _with_values(

@@ -13,6 +13,7 @@ from fitting.coverage import NOT_KNOWN
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.base.quantities import as_read
+from pftwin.base.sheet import Sheet
 from pftwin.results.verdict import INVALID
 
 if TYPE_CHECKING:
@@ -90,43 +91,33 @@ def outcome_figure(data: Dataset, title: str | None = None, *, axes: Any = None)
     Raises:
         InputError: a prediction in which no amount varies; another number of axes.
     """
-    from pftwin.results.plots.style import (
-        SMALL,
-        TINY,
-        figure_of,
-        footer,
-        given_axes,
-        house_style,
-        legend_below,
-        panels_in_rows,
-    )
-    from pftwin.results.plots.style import title as name_figure
+    from pftwin.results.plots import style
 
     names = amount_names(data)
     if not names or np.ptp(data[names[0]].values) == 0:
         raise InputError("no amount varies", where="outcome_figure", expected="a grid of amounts")
-    own = given_axes(axes, len(PANELS), "one for each of " + ", ".join(p[0] for p in PANELS))
+    own = style.given_axes(axes, len(PANELS), "one for each of " + ", ".join(p[0] for p in PANELS))
     axis = f"{names[0].replace('_', ' ')} [{in_shown_unit(data, names[0])[1]}]"
-    with house_style():
+    with style.house_style():
         if own is None:
-            figure, own = panels_in_rows(len(PANELS), 2, height=2.45)
-            name_figure(figure, title or data.attrs["title"])
-            footer(figure, _note(data))
+            figure, own = style.panels_in_rows(len(PANELS), 2, height=2.45)
+            style.title(figure, title or data.attrs["title"])
+            style.footer(figure, _note(data))
         for ax, (outcome, scale, label) in zip(own, PANELS, strict=True):
             for i, (name, rows) in enumerate(_lines(data, names)):
                 _draw(ax, data, names[0], outcome, scale, rows, name, i)
-            ax.set_ylabel(label, fontsize=SMALL)
+            ax.set_ylabel(label, fontsize=style.SMALL)
             ax.set_xlabel(axis)
         threshold = 1e3 * data.attrs["threshold"]
         own[0].axhline(threshold, color="black", linewidth=0.8, linestyle=":")
         own[0].annotate(
             "dislocated above", (0.99, threshold), xycoords=("axes fraction", "data"), xytext=(0, 2),
-            textcoords="offset points", ha="right", fontsize=TINY,
+            textcoords="offset points", ha="right", fontsize=style.TINY,
         )  # fmt: skip
         handles, labels = own[0].get_legend_handles_labels()
         if axes is None and len(labels) > 1:
-            legend_below(figure_of(own[0]), handles, labels, most=3)
-    return figure_of(own[0])
+            style.legend_below(style.figure_of(own[0]), handles, labels, most=3)
+    return style.figure_of(own[0])
 
 
 def _note(data: Dataset) -> str:
@@ -141,7 +132,7 @@ def _note(data: Dataset) -> str:
 
 def _lines(data: Dataset, names: list[str]) -> list[tuple[str, NDArray[np.int64]]]:
     """Rows of each line, by the scene and the amounts that they share: all but the first."""
-    others = names[1:]
+    others = {n: in_shown_unit(data, n) for n in names[1:]}
     scenes = list(dict.fromkeys(data["scene"].values))
     kept = []
     for scene, *values in product(scenes, *(np.unique(data[n].values) for n in others)):
@@ -149,13 +140,9 @@ def _lines(data: Dataset, names: list[str]) -> list[tuple[str, NDArray[np.int64]
         for name, value in zip(others, values, strict=True):
             same = same & (data[name].values == value)
         if same.any():
-            said = [
-                f"{n.rpartition('_')[2]} {in_shown_unit(data, n)[0][same][0]:g} {in_shown_unit(data, n)[1]}"
-                for n in others
-            ]
-            kept.append(
-                (", ".join([*([str(scene)] if len(scenes) > 1 else []), *said]) or str(scene), np.flatnonzero(same))
-            )
+            said = [f"{n.rpartition('_')[2]} {shown[same][0]:g} {unit}" for n, (shown, unit) in others.items()]
+            label = ", ".join([str(scene), *said] if len(scenes) > 1 else said) or str(scene)
+            kept.append((label, np.flatnonzero(same)))
     if len(kept) > _MOST_LINES:  # a few throughout the range
         kept = [kept[i] for i in np.linspace(0, len(kept) - 1, _MOST_LINES).round().astype(int)]
     return kept
@@ -186,20 +173,24 @@ _COLUMNS = (
 )
 
 
-def rows(data: Dataset) -> tuple[list[str], list[list[str]]]:
-    """Headings and cells; with samples, each outcome with its 95 % band."""
+def outcome_sheet(data: Dataset, most: int) -> Sheet:
+    """A row for each variant, at most so many; with samples, each outcome with its 95 % band."""
     names = amount_names(data)
     headings = [f"{short_name(data, n)} [{in_shown_unit(data, n)[1]}]" for n in names]
     several = len(set(data["scene"].values)) > 1
     headings = [*(["scene"] if several else []), *headings, "dislocation", *(c[2] for c in _COLUMNS)]
     amounts = [in_shown_unit(data, n)[0] for n in names]
     outcomes = [(central_and_range(scale * data[name]), form) for name, scale, _, form in _COLUMNS]
-    lines = []
-    for i in range(data.sizes["variant"]):
+    lines, count = [], data.sizes["variant"]
+    for i in range(min(count, most)):
         cells = [_band(found, i, form) for found, form in outcomes]
         scene = [str(data["scene"].values[i])] if several else []
-        lines.append([*scene, *(f"{a[i]:.4g}" for a in amounts), _dislocation(data, i), *cells])
-    return headings, lines
+        lines.append((*scene, *(f"{a[i]:.4g}" for a in amounts), _dislocation(data, i), *cells))
+    title = str(data.attrs.get("title", "Treatment prediction"))
+    title += f" ({count - most} of {count} variants not shown)" if count > most else ""
+    notes = (f"in brackets: 95 % of the draws; {coverage_in(data)}",) if "sample" in data.dims else ()
+    keys = headings.index("dislocation")
+    return Sheet(title, tuple(headings), tuple(lines), words=(), notes=notes, keys=keys)
 
 
 def _band(found: Any, i: int, form: str) -> str:

@@ -55,13 +55,10 @@ class PredictedMotion:
         if self.measured is None or not self.compared.any():
             return {}
         off = (self.value - self.measured)[self.compared]
-        distance, found = np.linalg.norm(off[:, :3], axis=1), {}
-        if np.isfinite(distance).any():
-            found["mean_distance"] = float(np.nanmean(distance))
-        for k, name in enumerate(COORDINATES):
-            if np.isfinite(off[:, k]).any():
-                found[name] = float(np.sqrt(np.nanmean(off[:, k] ** 2)))
-        return found
+        distance = np.linalg.norm(off[:, :3], axis=1)
+        found = {"mean_distance": float(np.nanmean(distance))} if np.isfinite(distance).any() else {}
+        there = {name: own for name, own in zip(COORDINATES, off.T, strict=True) if np.isfinite(own).any()}
+        return found | {name: float(np.sqrt(np.nanmean(own**2))) for name, own in there.items()}
 
     @property
     def held(self) -> dict[str, float]:
@@ -69,11 +66,8 @@ class PredictedMotion:
         if self.measured is None:
             return {}
         seen, low, high = (a[self.compared] for a in (self.measured, self.low, self.high))
-        inside, found = (seen >= low) & (seen <= high), {}
-        for k, name in enumerate(COORDINATES):
-            if (there := np.isfinite(seen[:, k])).any():
-                found[name] = float(inside[there, k].mean())
-        return found
+        inside, there = (seen >= low) & (seen <= high), np.isfinite(seen)
+        return {n: float(inside[there[:, k], k].mean()) for k, n in enumerate(COORDINATES) if there[:, k].any()}
 
     @property
     def all_held(self) -> float | None:
@@ -128,27 +122,24 @@ class PredictedMotion:
     def figure(self) -> Figure:
         """Six panels over time: the band, the estimate's motion, and what was measured; frames that are not compared
         stand on grey."""
-        from pftwin.results.plots.style import MEASURED, SMALL, footer, house_style, legend_below, line, panels_in_rows
-        from pftwin.results.plots.style import title as name_figure
+        from pftwin.results.plots import style
 
-        with house_style():
-            figure, panels = panels_in_rows(len(COORDINATES), 3, height=2.1)
-            title = f"{self.scene_name}, predicted, with bands of {100 * LEVEL:.0f} %"
-            name_figure(figure, title)
-            footer(figure, "; ".join(self.notes))
+        with style.house_style():
+            figure, panels = style.panels_in_rows(len(COORDINATES), 3, height=2.1)
+            style.title(figure, f"{self.scene_name}, predicted, with bands of {100 * LEVEL:.0f} %")
+            style.footer(figure, "; ".join(self.notes))
+            look = style.line(0)
             for k, (ax, (unit, meaning)) in enumerate(zip(panels, COORDINATES.values(), strict=True)):
-                look = line(0)
                 ends = self.low[:, k], self.high[:, k]
                 ax.fill_between(self.times, *ends, alpha=0.25, color=look["color"], linewidth=0, label="band")
                 if self.measured is not None:
-                    ax.plot(self.times, self.measured[:, k], label=self.label, **MEASURED)
+                    ax.plot(self.times, self.measured[:, k], label=self.label, **style.MEASURED)
                 ax.plot(self.times, self.value[:, k], label="predicted", zorder=2, **look)
                 for first, last in self._not_compared():
                     ax.axvspan(first, last, color="black", alpha=0.08, linewidth=0)
                 ax.set(xlabel="time [s]", ylabel=f"{meaning} [{unit}]")
-                ax.yaxis.label.set_fontsize(SMALL)
-            handles, labels = panels[0].get_legend_handles_labels()
-            legend_below(figure, handles, labels, most=4)
+                ax.yaxis.label.set_fontsize(style.SMALL)
+            style.legend_below(figure, *panels[0].get_legend_handles_labels(), most=4)
         return figure
 
     def _not_compared(self) -> list[tuple[float, float]]:

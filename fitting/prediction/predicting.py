@@ -183,11 +183,7 @@ def _check(samples: int, dt: float, threshold: float, chunk: int, estimate: Fitt
 
 
 def check_draws(samples: int, estimate: Fitted | None) -> None:
-    """Refuses a number of draws that cannot be had.
-
-    Raises:
-        InputError: no whole number, or draws without an estimate.
-    """
+    """Refuses a number of draws that is no whole number, and draws without an estimate (InputError)."""
     if not (isinstance(samples, int) and samples >= 0):
         raise InputError(f"found {samples!r}", where="samples", expected="a whole number, at least 0")
     if samples and estimate is None:
@@ -220,82 +216,71 @@ def dataset(
         a = np.concatenate([p.reshape(len(b.places), many, *p.shape[1:]) for b, p in zip(batches, parts, strict=True)])
         return a[order] if sampled else a[order][:, 0]
 
-    flags = gathered([m.flags for m in found])
-    failed = gathered([_invalid(b, m) for b, m in zip(batches, found, strict=True)])
+    counted = [(m, b.scene.motion.times.size) for b, m in zip(batches, found, strict=True)]
+    failed = gathered([~m.sensible | is_invalid(m.flags, frames) for m, frames in counted])
     variables: Variables = {}
     for name, about in MEASURES.items():
         values, unit = _shown(gathered([m.outcomes[name] for m in found]), about.unit)
-        values = np.where(failed, np.nan, values)
-        variables[name] = (axes, values, {"units": unit, "long_name": about.long_name})
-    variables["failed"] = (axes, failed, {"units": "1", "long_name": "motion that may not be spoken of: see verdict"})
-    meaning = {"units": "1", "long_name": "recorded frames with each status", "flags": [f.describe() for f in FLAGS]}
-    variables["status_frames"] = ((*axes, "flag"), flags, meaning)
+        variables[name] = _named(axes, np.where(failed, np.nan, values), about.long_name, unit)
+    variables["failed"] = _named(axes, failed, "motion that may not be spoken of: see verdict", "1")
+    flags, meanings = gathered([m.flags for m in found]), [f.describe() for f in FLAGS]
+    variables["status_frames"] = _named((*axes, "flag"), flags, "recorded frames with each status", "1", flags=meanings)
     for name in found[0].courses:
         values, unit = _shown(gathered([m.courses[name] for m in found]), _COURSES[name][0])
         last = ("axis",) if name == "sphere_center" else ()
-        variables[name] = ((*axes, "time", *last), values, {"units": unit, "long_name": _COURSES[name][1]})
+        variables[name] = _named((*axes, "time", *last), values, _COURSES[name][1], unit)
     coordinates = _coordinates(batches, order, len(places), bool(found[0].courses))
-    words = [said for b, m in zip(batches, found, strict=True) for said in _verdicts(b, m, many)]
-    coordinates["verdict"] = (("variant",), np.array(words)[order], {"long_name": "verdict on the motion"})
+    words = np.array([said for m, frames in counted for said in _verdicts(m, frames, many)])
+    coordinates["verdict"] = _named(("variant",), words[order], "verdict on the motion")
+    told = {}
     if estimate is not None:
-        parameters = thetas if sampled else thetas[0]
-        coordinates["parameter"] = (("parameter",), list(estimate.names), {"long_name": "estimated parameter"})
-        coordinates["parameter_unit"] = (("parameter",), list(estimate.units), {"long_name": "its unit"})
+        coordinates["parameter"] = _named(("parameter",), list(estimate.names), "estimated parameter")
+        coordinates["parameter_unit"] = _named(("parameter",), list(estimate.units), "its unit")
         if estimate.kinds:
-            about = {"long_name": "what it was fitted as"}
-            coordinates["parameter_kind"] = (("parameter",), list(estimate.kinds), about)
-        about = {"units": "as parameter_unit", "long_name": "values that were used"}
-        variables["parameters"] = ((*(("sample",) if sampled else ()), "parameter"), parameters, about)
+            coordinates["parameter_kind"] = _named(("parameter",), list(estimate.kinds), "what it was fitted as")
+        along = ("sample", "parameter") if sampled else ("parameter",)
+        used = thetas if sampled else thetas[0]
+        variables["parameters"] = _named(along, used, "values that were used", "as parameter_unit")
+        if sampled:
+            told = {"coverage": estimate.coverage.bands, "coverage_briefly": estimate.coverage.briefly}
     if sampled:
-        about = {"long_name": "0: the estimate; then draws", "units": "1"}
-        coordinates["sample"] = (("sample",), np.arange(many), about)
-    told = (
-        {}
-        if estimate is None or not sampled
-        else {"coverage": estimate.coverage.bands, "coverage_briefly": estimate.coverage.briefly}
-    )
+        coordinates["sample"] = _named(("sample",), np.arange(many), "0: the estimate; then draws", "1")
     return Dataset(variables, coordinates, {**_attributes(batches, estimate, settings), **told})
+
+
+def _named(axes: tuple[str, ...], values: Any, long_name: str, unit: str = "", **more: Any) -> Any:
+    """A variable with its meaning, and its unit where it has one."""
+    return axes, values, {**({"units": unit} if unit else {}), "long_name": long_name, **more}
 
 
 def _coordinates(batches: list[VariantBatch], order: NDArray[np.int64], count: int, timed: bool) -> Variables:
     """The variant axis: number, scene, words, and each amount; 0 where a variant's treatment has no such amount."""
     words, scenes = [], []
     amounts: dict[str, tuple[NDArray[np.float64], str]] = {}
-    first = 0
     for batch in batches:
-        rows = slice(first, first + len(batch.places))
-        first = rows.stop
+        rows = slice(len(words), len(words) + len(batch.places))
         words += [batch.treatment.with_values(row).describe() for row in batch.amounts]
         scenes += [batch.scene.name] * len(batch.places)
-        named = zip(batch.treatment.names, batch.treatment.ways, batch.amounts.T, strict=True)
-        for name, way, column in named:
+        for name, way, column in zip(batch.treatment.names, batch.treatment.ways, batch.amounts.T, strict=True):
             values, unit = _shown(column, way.unit)
             amounts.setdefault(name.replace(".", "_"), (np.zeros(count), unit))[0][rows] = values
+    along = ("variant",)
     out: Variables = {
-        "variant": (("variant",), np.arange(count), {"units": "1", "long_name": "variant"}),
-        "scene": (("variant",), np.array(scenes)[order], {"long_name": "scene"}),
-        "treatment": (("variant",), np.array(words)[order], {"long_name": "treatment"}),
-        "flag": (("flag",), [str(f.name).lower() for f in FLAGS], {"long_name": "status flag"}),
+        "variant": _named(along, np.arange(count), "variant", "1"),
+        "scene": _named(along, np.array(scenes)[order], "scene"),
+        "treatment": _named(along, np.array(words)[order], "treatment"),
+        "flag": _named(("flag",), [str(f.name).lower() for f in FLAGS], "status flag"),
     }
     for name, (values, unit) in amounts.items():
-        long_name = name.replace("_", " ")
-        out[name] = (("variant",), values[order], {"units": unit, "long_name": long_name})
+        out[name] = _named(along, values[order], name.replace("_", " "), unit)
     if timed:
-        motion = batches[0].scene.motion
-        out["time"] = (("time",), motion.times, {"units": "s", "long_name": "time"})
-        axis = {"long_name": "femur axis: x proximal, y lateral, z anterior", "units": "1"}
-        out["axis"] = (("axis",), ["x", "y", "z"], axis)
+        out["time"] = _named(("time",), batches[0].scene.motion.times, "time", "s")
+        out["axis"] = _named(("axis",), ["x", "y", "z"], "femur axis: x proximal, y lateral, z anterior", "1")
     return out
 
 
-def _invalid(batch: VariantBatch, found: Members) -> NDArray[np.bool_]:
-    """(n,): members whose motion may not be spoken of."""
-    return ~found.sensible | is_invalid(found.flags, batch.scene.motion.times.size)
-
-
-def _verdicts(batch: VariantBatch, found: Members, many: int) -> list[str]:
+def _verdicts(found: Members, frames: int, many: int) -> list[str]:
     """Of every variant, for the estimate itself."""
-    frames = batch.scene.motion.times.size
     own = zip(found.flags[::many], found.sensible[::many], strict=True)
     senseless = Verdict(("a parameter that makes no sense",))
     return [(verdict_of_counts(counts, frames) if good else senseless).describe() for counts, good in own]
@@ -312,14 +297,13 @@ def _attributes(batches: list[VariantBatch], estimate: Fitted | None, settings: 
     from pftwin import __version__
 
     names = list(dict.fromkeys(b.scene.name for b in batches))
-    synthetic = estimate is not None and estimate.synthetic
     said = reservations(estimate, any(b.scene.synthetic for b in batches))
     return {
         "title": f"predicted outcomes: {', '.join(names)}",
         "source": f"pftwin {__version__}",
         "jax_version": jax.__version__,
         "parameters": "of the scene" if estimate is None else f"estimated from {estimate.source or 'measurements'}",
-        "synthetic": int(synthetic),
+        "synthetic": int(estimate is not None and estimate.synthetic),
         **({"note": "; ".join(said)} if said else {}),
         **{k: float(v) for k, v in settings.items()},
     }

@@ -13,13 +13,7 @@ _MOST_VALUES = 1_000_000
 def values(text: str, where: str, unit: str = "") -> list[float]:
     """Numbers from "0:20:1" (the end included), "0,5,10" or "7"; with a unit also "0:2:0.5 cm", "0 mm:2 cm:5 mm".
 
-    Args:
-        text: as written.
-        where: the option or field, for messages.
-        unit: of the numbers, where the text may have others; empty where it may have none.
-
-    Raises:
-        InputError: anything else.
+    InputError, which names the option or field, for anything else, and for units where `unit` is empty.
     """
     parts = amounts_in(text.split(":"), unit) if ":" in text else listed(text, unit, where)
     if not parts or (":" in text and len(parts) not in (2, 3)):

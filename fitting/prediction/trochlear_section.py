@@ -37,14 +37,9 @@ class TrochlearSection:
 
 
 def section(surface: Surface, level: float) -> TrochlearSection:
-    """The cut at one place along the groove, at constant chart coordinate u.
+    """The cut at one place along the groove, from 0, its proximal end, to 1, its distal one; at constant chart u.
 
-    Args:
-        surface: the trochlea.
-        level: 0 the groove's proximal end, 1 its distal end.
-
-    Raises:
-        InputError: a surface without a groove.
+    InputError for a surface without a groove.
     """
     line = groove_line(surface)
     if line is None:
@@ -67,10 +62,9 @@ def section(surface: Surface, level: float) -> TrochlearSection:
     low, high = (np.asarray(chart.point(jnp.asarray(u), jnp.asarray(bottom_v), jnp.asarray(h)).array()) for h in _LIFT)
     outward = (high - low) / np.linalg.norm(high - low)
     across = host_array(chart.axes.ey)
-    bottom, note = _points(surface, np.array([u]), np.array([bottom_v]))[0], f"section at {level:.0%} of the groove"
-    note += " from its proximal end"
-    (medial_ridge, lateral_ridge), normal = ridges, np.cross(across, outward)
-    return TrochlearSection(bottom, medial_ridge, lateral_ridge, facets[1], normal, outward, note)
+    bottom = _points(surface, np.array([u]), np.array([bottom_v]))[0]
+    note = f"section at {level:.0%} of the groove from its proximal end"
+    return TrochlearSection(bottom, *ridges, facets[1], np.cross(across, outward), outward, note)
 
 
 def _points(surface: Surface, u: Floats, v: Floats) -> Floats:

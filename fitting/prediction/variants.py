@@ -57,13 +57,9 @@ def grid(treatment: str | Treatment, amounts: Mapping[str, ArrayLike] | None = N
 
 
 def combinations(shown: Mapping[str, Mapping[str, Sequence[float]]]) -> Treatment:
-    """All combinations of amounts of one treatment, or of several after each other.
+    """All combinations of amounts of one treatment, or of several after each other; InputError as `grid`.
 
-    Args:
-        shown: values by the treatment's name and the amount's, as people write them: mm, degrees and percent.
-
-    Raises:
-        InputError: as `grid`.
+    Values are by the treatment's name and the amount's, as people write them: mm, degrees and percent.
     """
     whole, axes = Treatment(), {}
     for kind, amounts in shown.items():
@@ -76,8 +72,7 @@ def combinations(shown: Mapping[str, Mapping[str, Sequence[float]]]) -> Treatmen
 def batches(scenes: Sequence[Scene], variants: Treatment | Sequence[Treatment] | None) -> list[VariantBatch]:
     """Every scene with every variant, those of one scene and form together; scenes vary slowest.
 
-    Raises:
-        InputError: no scenes, no variants, something that is no treatment, a scene that lacks what is to be changed.
+    InputError for no scenes, no variants, what is no treatment, and a scene that lacks what is to be changed.
     """
     listed = [variants or Treatment()] if isinstance(variants, Treatment | None) else list(variants)
     if not scenes or not listed:
@@ -102,11 +97,7 @@ def batches(scenes: Sequence[Scene], variants: Treatment | Sequence[Treatment] |
 
 
 def amounts_of(treatment: Treatment) -> Floats:
-    """(n, k): one row per variant; a treatment of plain numbers is one variant.
-
-    Raises:
-        InputError: amounts of different lengths.
-    """
+    """(n, k): one row per variant; a treatment of plain numbers is one. InputError for amounts of several lengths."""
     columns = [np.atleast_1d(np.asarray(v, dtype=np.float64)) for v in treatment.values]
     if not columns:
         return np.zeros((1, 0))

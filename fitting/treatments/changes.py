@@ -91,10 +91,8 @@ def button_position(
     Raises:
         InputError: a scene without a button.
     """
-    contact = contact_of(scene, "button_position")
-    return scene.with_effect(
-        contact.with_button_moved(direction_in_knee(medialisation, distalisation, anteriorisation))
-    )
+    shift = direction_in_knee(medialisation, distalisation, anteriorisation)
+    return scene.with_effect(contact_of(scene, "button_position").with_button_moved(shift))
 
 
 def lateral_release(scene: Scene, release: Amount = 0.0, *, strands: str | tuple[str, ...] = LATERAL) -> Scene:
@@ -177,16 +175,11 @@ def _basis(degree: int, a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArr
 
 
 def patch_of(scene: Scene, treatment: str) -> PolynomialPatch:
-    """The trochlea as a polynomial patch.
-
-    Raises:
-        InputError: no contact, or a surface of another kind.
-    """
+    """The trochlea as a polynomial patch; InputError without contact, and for a surface of another kind."""
     surface = fitted_surface(scene, treatment)
     if not isinstance(surface, PolynomialPatch):
-        raise InputError(
-            f"the trochlea is a {type(surface).__name__}", where=treatment, expected="a polynomial patch (P4, P5, ...)"
-        )
+        found = f"the trochlea is a {type(surface).__name__}"
+        raise InputError(found, where=treatment, expected="a polynomial patch (P4, P5, ...)")
     return surface
 
 
@@ -248,9 +241,8 @@ def femoral_component_translation(
         InputError: a scene without a trochlea.
     """
     chart = fitted_surface(scene, "femoral_component_translation").chart
-    return _with_chart(
-        scene, chart.origin + direction_in_knee(medialisation, distalisation, anteriorisation), chart.axes
-    )
+    shift = direction_in_knee(medialisation, distalisation, anteriorisation)
+    return _with_chart(scene, chart.origin + shift, chart.axes)
 
 
 def _with_chart(scene: Scene, origin: Vec3, axes: Rotation) -> Scene:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -90,8 +90,7 @@ def limitable() -> list[tuple[str, tuple[str, ...], str]]:
 
 
 def smallest_margin(data: Dataset, limits: Sequence[Limit]) -> Floats:
-    """Smallest scaled margin over all limits, of every variant (and draw) of a prediction; minus infinity without a
-    value."""
+    """Smallest scaled margin over all limits, of every variant (and draw); minus infinity without a value."""
     rooms = np.stack([lim.room(in_si(data[lim.outcome])) / lim.size for lim in limits]).min(axis=0)
     return np.where(np.isfinite(rooms), rooms, -np.inf)
 
@@ -133,10 +132,9 @@ class TreatmentPlan:
                 f"({self.confidence:.0%} asked for); {self.coverage}"
             )
         if self.met:
-            said = [
-                f"{x.outcome.replace('_', ' ')} {in_units(x.outcome, self.outcomes[x.outcome])}" for x in self.limits
-            ]
-            return f"smallest that meets the limits: {self.treatment.describe()} ({', '.join(said)}){drawn}"
+            reached = {x.outcome: in_units(x.outcome, self.outcomes[x.outcome]) for x in self.limits}
+            said = ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in reached.items())
+            return f"smallest that meets the limits: {self.treatment.describe()} ({said}){drawn}"
         broken = [lim.describe() for lim in self.limits if not lim.room(self.outcomes[lim.outcome]) >= 0]
         fault = f"which breaks {'; '.join(broken)}" if broken else "which is not sure enough"
         return f"no amount within the range meets the limits; nearest: {self.treatment.describe()}, {fault}{drawn}"
@@ -152,9 +150,7 @@ class TreatmentPlan:
             "amounts": {name: {"value": float(value), "unit": way.unit} for name, value, way in amounts},
             "limits": [
                 {
-                    "outcome": x.outcome,
-                    "at_most": x.at_most,
-                    "at_least": x.at_least,
+                    **asdict(x),
                     "unit": MEASURES[x.outcome].unit,
                     "words": x.describe(),
                     "value": self.outcomes[x.outcome],

@@ -100,15 +100,20 @@ def optimise_treatment(
     fine = np.flatnonzero(room >= 0)
     simulated = len(amounts)
 
-    doubt = invalid_variants(coarse) if coarse["failed"].all() else ""
-
     def plan(met: bool, at: Floats) -> TreatmentPlan:
-        share = search.share(at) if samples else None
-        outcomes = search.outcomes(at)
-        count = simulated + search.count
-        treated, trust = search.treated(at), search.trust(at)
-        sure = (NOT_KNOWN if estimate is None else estimate.coverage).plans
-        return TreatmentPlan(met, treated, outcomes, wanted, count, samples, confidence, share, doubt, sure, trust)
+        return TreatmentPlan(
+            met,
+            search.treated(at),
+            search.outcomes(at),
+            wanted,
+            samples=samples,
+            confidence=confidence,
+            share=search.share(at) if samples else None,
+            invalid=invalid_variants(coarse) if coarse["failed"].all() else "",
+            coverage=(NOT_KNOWN if estimate is None else estimate.coverage).plans,
+            trust=search.trust(at),
+            simulations=simulated + search.count,  # with those of the share and the outcomes
+        )
 
     if not fine.size:
         return plan(False, amounts[int(np.argmax(room))])
@@ -141,33 +146,21 @@ def _next_smaller(amounts: Floats, k: int, lower: Floats, upper: Floats) -> Floa
 
 
 def check_confidence(confidence: float) -> None:
-    """Refuses what is no share of draws.
-
-    Raises:
-        InputError: no number above 0 and up to 1.
-    """
+    """Refuses what is no share of draws: no number above 0 and up to 1 (InputError)."""
     if not (isinstance(confidence, int | float) and 0 < confidence <= 1):
         expected = "a share above 0 and up to 1, such as 0.9"
         raise InputError(f"found {confidence!r}", where="confidence", expected=expected)
 
 
 def check_limits(limits: Sequence[Limit]) -> None:
-    """Refuses what are no limits.
-
-    Raises:
-        InputError: none, or something else.
-    """
+    """Refuses no limits at all, and what are none (InputError)."""
     if not limits or not all(isinstance(lim, Limit) for lim in limits):
         expected = 'limits such as Limit("largest_offset", at_most=0.01)'
         raise InputError(f"found {limits!r}", where="limits", expected=expected)
 
 
 def check_ranges(ranges: Mapping[str, tuple[float, float]]) -> tuple[Floats, Floats]:
-    """The least and the most (k,) of each amount, from pairs by their names.
-
-    Raises:
-        InputError: four amounts or more; a pair that is no range.
-    """
+    """The least and the most (k,) of each amount, from pairs by name; InputError for four or more, and for no range."""
     if len(ranges) > max(_GRID):
         raise InputError(f"{len(ranges)} amounts", where="ranges", expected=f"at most {max(_GRID)}")
     for name, pair in ranges.items():
@@ -179,6 +172,3 @@ def check_ranges(ranges: Mapping[str, tuple[float, float]]) -> tuple[Floats, Flo
             raise InputError(f"found {pair!r}", where=f"ranges: {name}", expected="(least, most), in SI units")
     low, high = np.array([[float(a), float(b)] for a, b in ranges.values()]).T
     return low, high
-
-
-__all__ = ["Limit", "TreatmentPlan", "optimise_treatment"]

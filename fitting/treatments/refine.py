@@ -58,11 +58,7 @@ def _outcomes_and_derivatives(
 
 
 def places_of(treatment: Treatment, names: Collection[str]) -> tuple[int, ...]:
-    """Places of amounts among a treatment's own, by their names, with or without the kind's.
-
-    Raises:
-        InputError: one that the treatment does not have.
-    """
+    """Places of amounts among a treatment's own, by names with or without the kind's; InputError for unknown ones."""
     own = treatment.names
     places = {n.rpartition(".")[2]: i for i, n in enumerate(own)} | {n: i for i, n in enumerate(own)}
     if stray := [n for n in names if n not in places]:
@@ -71,31 +67,19 @@ def places_of(treatment: Treatment, names: Collection[str]) -> tuple[int, ...]:
 
 
 class Search:
-    """Simulations with derivatives, remembered by their amounts.
-
-    Args:
-        scene: untreated.
-        treatment: with amounts that are not searched for at their values.
-        names: of those that are.
-        estimate: parameters in the place of the scene's own.
-        limits: to be kept.
-        thetas: parameters (1 + draws, p): the estimate's, then draws as uncertain as it is.
-        confidence: share of the draws in which all limits have to hold.
-        dt: longest time step [s]; None: as `predict` has it.
-        threshold: beyond which the button counts as dislocated [m].
-    """
+    """Simulations with derivatives, remembered by their amounts."""
 
     def __init__(
         self,
-        scene: Scene,
-        treatment: Treatment,
-        names: tuple[str, ...],
-        estimate: Fitted | None,
+        scene: Scene,  # untreated
+        treatment: Treatment,  # with amounts that are not searched for at their values
+        names: tuple[str, ...],  # of those that are
+        estimate: Fitted | None,  # parameters in the place of the scene's own
         limits: tuple[Limit, ...],
-        thetas: Floats,
-        confidence: float,
-        dt: float | None,
-        threshold: float,
+        thetas: Floats,  # parameters (1 + draws, p): the estimate's, then draws as uncertain as it is
+        confidence: float,  # share of the draws in which all limits have to hold
+        dt: float | None,  # longest time step [s]; None: as `predict` has it
+        threshold: float,  # beyond which the button counts as dislocated [m]
     ) -> None:
         self._places = places_of(treatment, names)
         self._fixed = jnp.stack([jnp.asarray(v, dtype=float) for v in treatment.values])

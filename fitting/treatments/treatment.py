@@ -192,7 +192,12 @@ class Treatment(eqx.Module):
 
     def describe(self) -> str:
         """In words, with amounts as people read them."""
-        return "; ".join(_step_text(step) for step in self.steps) or "no treatment"
+        said = []
+        for step in self.steps:
+            ways = (KINDS[step.kind].amounts[name] for name in step.names)
+            amounts = ", ".join(filter(None, map(_amount, ways, step.amounts)))
+            said.append(f"{KINDS[step.kind].part} {amounts or 'as it is'}")
+        return "; ".join(said) or "no treatment"
 
     __str__ = describe
 
@@ -209,14 +214,8 @@ def _number(value: ArrayLike, where: str) -> Scalar:
     return jnp.asarray(value, dtype=float)
 
 
-def _step_text(step: TreatmentStep) -> str:
-    """One step: "tibial tuberosity 10 mm medially, 5 mm distally"."""
-    kind = KINDS[step.kind]
-    said = [_amount(kind.amounts[name], value) for name, value in zip(step.names, step.amounts, strict=True)]
-    return f"{kind.part} {', '.join(s for s in said if s) or 'as it is'}"
-
-
 def _amount(way: Way, value: Scalar) -> str:
+    """ "10 mm medially"; empty where it is zero."""
     shown = way.shown(value)
     if shown.ndim:
         return f"{shown.min():g} to {shown.max():g} {way.shown_unit} {way.more}"

@@ -10,10 +10,10 @@ from made_estimates import made_estimate
 from typer.testing import CliRunner
 
 from fitting.cli.amounts import AMOUNTS, values
-from fitting.cli.treat import _sheet
 from fitting.coverage import QUICK
 from fitting.parameters import ASKED
 from fitting.prediction.band_sources import band_sources
+from fitting.prediction.plots import outcome_sheet
 from pftwin.base.errors import InputError
 from pftwin.cli import app
 from pftwin.cli.terminal import show
@@ -55,7 +55,7 @@ def test_table_says_from_where_on_nothing_dislocates(treated):
 def test_the_table_is_whole_at_80_columns(treated, capsys, monkeypatch):
     """Outcomes with their bands take more: they go on below, again with the amount."""
     monkeypatch.setenv("COLUMNS", "80")
-    sheet = _sheet(load_dataset(treated[1] / "v.nc"))
+    sheet = outcome_sheet(load_dataset(treated[1] / "v.nc"), 40)
     show(sheet)
     shown = capsys.readouterr().out
     assert max(map(len, shown.splitlines()[: -len(sheet.notes)])) <= 80

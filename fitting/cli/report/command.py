@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from typer import Argument, Option
@@ -20,13 +20,6 @@ if TYPE_CHECKING:
     from fitting.cli.report.material import Material
 
 MOST_BYTES = 12_000_000  # of a page
-
-
-class ReportPage(NamedTuple):
-    """The page, and whether the knee in three dimensions is in it."""
-
-    page: str
-    viewer: bool
 
 
 def report(
@@ -71,8 +64,8 @@ def report(
         exit_flagged("; ".join(doubts))
 
 
-def report_page(material: Material, command: str) -> ReportPage:
-    """Renders the page of a report.
+def report_page(material: Material, command: str) -> tuple[str, bool]:
+    """Renders the page of a report; says also whether the knee in three dimensions is in it.
 
     Args:
         material: what the page shows.
@@ -90,13 +83,13 @@ def report_page(material: Material, command: str) -> ReportPage:
     try:
         view = figures.viewer(material)
     except (MissingExtraError, InputError) as error:
-        return ReportPage(page("", f"Not drawn: {error}"), False)
+        return page("", f"Not drawn: {error}"), False
     text = page(view)
     size = len(text.encode("utf-8"))
     if size <= MOST_BYTES:
-        return ReportPage(text, True)
+        return text, True
     why = (
         f"Left out: with it this page would have {size / 1e6:.0f} MB, more than the {MOST_BYTES / 1e6:.0f} MB that "
         "mail lets through. `pftwin view` draws it as a page of its own."
     )
-    return ReportPage(page("", why), False)
+    return page("", why), False

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -19,15 +19,6 @@ if TYPE_CHECKING:
     from pftwin.results.result import Result
 
 _ANGLES = ("flexion", "rotation", "tilt")
-
-
-class Mark(NamedTuple):
-    """A flag, and the number of frames that have it."""
-
-    name: str
-    frames: int
-    words: str
-    remark: bool  # of no consequence for what is said of the motion
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,19 +91,13 @@ class ReportedRun:
         return next((n for n in names if f"{n}_force" in self.data), None)
 
     @property
-    def marks(self) -> list[Mark]:
-        """The flags that any frame has."""
+    def marks(self) -> list[tuple[int, str]]:
+        """How many frames have a flag, and the flag in words; last those of no consequence for what is said."""
         status, about = self.data["status"].values, self.data["status"].attrs
-        names = str(about.get("flag_meanings", "")).split()
-        words = np.atleast_1d(about.get("flag_descriptions", names))
-        masks = np.atleast_1d(about.get("flag_masks", []))
-        counts = [int(np.count_nonzero(status & int(m))) for m in masks]
-        marks = (
-            Mark(n, c, str(w), bool(int(m) & REMARKS))
-            for n, c, w, m in zip(names, counts, words, masks, strict=True)
-            if c
-        )
-        return sorted(marks, key=lambda mark: mark.remark)  # remarks last
+        words = np.atleast_1d(about.get("flag_descriptions", str(about.get("flag_meanings", "")).split()))
+        flags = sorted(zip(np.atleast_1d(about.get("flag_masks", [])), words, strict=True), key=_is_remark)
+        counts = ((int(np.count_nonzero(status & int(mask))), str(said)) for mask, said in flags)
+        return [(count, said) for count, said in counts if count]
 
     @cached_property
     def result(self) -> Any:
@@ -134,3 +119,7 @@ class ReportedRun:
             scene=SimpleNamespace(synthetic="synthetic" in self.note),
             dislocations=lambda: SimpleNamespace(dislocated=data["dislocated"].values > 0) if known else None,
         )
+
+
+def _is_remark(flag: tuple[Any, str]) -> bool:
+    return bool(int(flag[0]) & REMARKS)

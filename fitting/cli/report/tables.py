@@ -53,7 +53,6 @@ SIMULATED = {
     "jax_version": "JAX",
 }
 PREDICTED = {"source": "made by", "jax_version": "JAX", "dt": "longest time step [s]", "seed": "seed of the draws"}
-_MOST_ROWS = 60  # of a prediction
 
 
 def parameters(scene: Scene) -> Sheet:
@@ -188,12 +187,10 @@ def meaning(scene: Scene | None, name: str) -> str:
 
 
 def predicted(data: Dataset) -> Sheet:
-    """A row for each variant of a prediction, at most `_MOST_ROWS`."""
-    from fitting.prediction.plots import rows
+    """A row for each variant of a prediction, at most 60."""
+    from fitting.prediction.plots import outcome_sheet
 
-    headings, lines = rows(data)
-    title = str(data.attrs.get("title", "Treatment prediction"))
-    return Sheet(title, tuple(headings), tuple(map(tuple, lines[:_MOST_ROWS])))
+    return outcome_sheet(data, 60)
 
 
 def reservations(data: Dataset) -> list[str]:
@@ -208,8 +205,6 @@ def reservations(data: Dataset) -> list[str]:
         said.append(f"{doubt}: their rows are empty.")
     if left := data.attrs.get("variants_missing"):
         said.append(f"The prediction was interrupted: {int(left)} variants are missing.")
-    if (hidden := data.sizes["variant"] - _MOST_ROWS) > 0:
-        said.append(f"{hidden} of {data.sizes['variant']} variants are not shown in the table.")
     return said
 
 

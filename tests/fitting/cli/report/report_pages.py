@@ -61,7 +61,7 @@ def words_of(material: Material, command: str = "") -> Seen:
     """A report whose pictures and viewer, which take most of the time, are left out."""
     no_viewer = mock.patch.object(figures, "viewer", side_effect=InputError("left out"))
     with no_viewer, mock.patch.object(figures.Picture, "source", "data:image/png;base64,"):
-        return Seen(report_page(material, command).page)
+        return Seen(report_page(material, command)[0])
 
 
 def estimate(values=VALUES, **more) -> Estimate:

@@ -30,7 +30,7 @@ def file(tmp_path_factory):
     folder = tmp_path_factory.mktemp("page")
     material = fitted(folder)
     material.treatment = prediction()
-    (folder / "report.html").write_text(report(material, "pftwin report").page, encoding="utf-8")
+    (folder / "report.html").write_text(report(material, "pftwin report")[0], encoding="utf-8")
     return folder / "report.html"
 
 

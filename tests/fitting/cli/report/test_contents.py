@@ -34,7 +34,7 @@ def of_file(path, **more):
 def fit_page(tmp_path_factory):
     material = fitted(tmp_path_factory.mktemp("fit"))
     material.treatment = prediction()
-    return report(material, "pftwin report fit.json").page
+    return report(material, "pftwin report fit.json")[0]
 
 
 @pytest.fixture(scope="module")
@@ -45,9 +45,9 @@ def fit_seen(fit_page):
 @pytest.fixture(scope="module")
 def page(file):
     pytest.importorskip("k3d")
-    made = report(of_file(file), "pftwin report knee.nc")
-    assert made.viewer
-    return made.page
+    page, viewer = report(of_file(file), "pftwin report knee.nc")
+    assert viewer
+    return page
 
 
 @pytest.fixture(scope="module")
@@ -91,9 +91,9 @@ def test_flagged_frames_are_counted(file):
     run.data["status"].values[:] = 0
     run.data["status"].values[3:6] = flag
     material = Material(file, "flagged", runs=[run], files=[file])
-    (mark,) = run.marks
-    assert mark.frames == 3
-    assert f"3 of 41 frames: {mark.words}" in words_of(material).text
+    ((frames, words),) = run.marks
+    assert frames == 3
+    assert f"3 of 41 frames: {words}" in words_of(material).text
 
 
 def test_the_fit_with_its_intervals_and_sentence(fit_seen):
@@ -190,15 +190,15 @@ def test_a_page_is_accessible(seen, fit_seen):
 
 def test_without_k3d_the_page_says_how_to_get_it(file, monkeypatch):
     monkeypatch.setitem(sys.modules, "k3d", None)
-    made = report(of_file(file), "")
-    assert not made.viewer
-    assert "python -m pip install 'pftwin[viewer]'" in Seen(made.page).text
+    page, viewer = report(of_file(file), "")
+    assert not viewer
+    assert "python -m pip install 'pftwin[viewer]'" in Seen(page).text
 
 
 def test_a_page_too_large_goes_without_the_drawing(file, page, monkeypatch):
     assert len(page.encode()) < command.MOST_BYTES == 12_000_000
     monkeypatch.setattr(command, "MOST_BYTES", 1_000_000)
-    made = report(of_file(file), "")
-    assert not made.viewer
-    assert len(made.page.encode()) < 1_000_000
-    assert "Left out: with it this page would have" in made.page
+    page, viewer = report(of_file(file), "")
+    assert not viewer
+    assert len(page.encode()) < 1_000_000
+    assert "Left out: with it this page would have" in page

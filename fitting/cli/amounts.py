@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 import typer
 from typer import Option
 
-from fitting.prediction.ranges import units_in_words, values
 from pftwin.base.errors import InputError
 from pftwin.base.sheet import Sheet
-from pftwin.base.written_amounts import amounts_in
+from pftwin.base.written_amounts import amounts_in, several_amounts, units_in_words
 from pftwin.cli.plugins import with_former_names, with_options
 from pftwin.cli.terminal import show
 
@@ -100,13 +99,9 @@ Given = list[tuple[Amount, str]]  # what the user wrote, in the order of `AMOUNT
 def with_amounts(
     metavar: str, more: str = "", *, argument: str = "amounts", made: Callable[[Given], Any] = lambda given: given
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Gives a command an option for every amount in the place of one of its arguments.
+    """Gives a command an option for every amount in the place of one of its arguments, made of what the user wrote.
 
-    Args:
-        metavar: form of the options' values.
-        more: about them, behind the unit.
-        argument: the command's name of it.
-        made: what the command gets, from what the user wrote.
+    Their values have the form `metavar`, and their help says `more` behind the unit.
     """
     options = [
         inspect.Parameter(
@@ -176,7 +171,7 @@ def _whole(amounts: list[tuple[Amount, Any]]) -> Treatment:
 
 
 def _sole_amount(text: str, amount: Amount) -> float:
-    found = values(text, amount.flag, amount.unit)
+    found = several_amounts(text, amount.flag, amount.unit)
     if len(found) > 1:
         raise InputError(
             f"{len(found)} values", where=amount.flag, expected="one", remedy="pftwin treat runs through many"

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Option
 
 from fitting.cli.amounts import Given, by_kind, show_limits, treatment_within, with_amounts
-from fitting.prediction.ranges import values
 from pftwin.base.errors import InputError
 from pftwin.base.sheet import Sheet
+from pftwin.base.written_amounts import several_amounts
 from pftwin.cli import terminal
 from pftwin.cli.exit_codes import Interrupted, exit_flagged
 from pftwin.cli.scenes import SceneOptions, on_scene
@@ -62,7 +62,7 @@ def treat(
 
     Example: `pftwin treat --case 2 --estimate fit.json --tto-medial 0:20:1 -o variants.nc`
     """
-    numbers = by_kind([(a, values(text, a.flag, a.unit)) for a, text in amounts])
+    numbers = by_kind([(a, several_amounts(text, a.flag, a.unit)) for a, text in amounts])
     terminal.check_suffix(output, [".nc"], "results are NetCDF")
     pictures = [output.with_suffix(s) for s in (".png", ".svg")] if figure else []
     terminal.check_outputs(output, *pictures, json)

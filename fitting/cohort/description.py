@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, create_model, model_validator
 
 from fitting.nuisance import Nuisance
-from fitting.prediction.ranges import values
 from fitting.treatments import KINDS
 from fitting.treatments.treatment import Way
 from pftwin.base.errors import InputError
+from pftwin.base.written_amounts import several_amounts
 from pftwin.files.scene_file.document import Document
 from pftwin.files.scene_file.problems import scene_error
 from pftwin.files.scene_file.section import FileName, Positive, Reading, Section, problem
@@ -34,7 +34,7 @@ def _amounts(given: Any) -> list[float]:
     """In the field's unit, from a number, a list of numbers, or text: "0:20:5"."""
     if isinstance(given, str):
         try:
-            return values(given, "")
+            return several_amounts(given, "")
         except InputError as error:
             raise problem(error.problem, expected=error.expected) from None
     listed = given if isinstance(given, list) else [given]

@@ -1,9 +1,8 @@
 """Section 2.6 of Michaud et al. 2024 on the virtual rig: springs fitted to a pathology, its treatment predicted.
 
-K1, L1, K2 and L2 are fitted to the patella's motion in case 2, where it dislocates. With the fitted values case 2 and
-case 1, the pathology and its treatment by medialising the tibial tuberosity, are simulated and compared with what was
-measured of each: the paper's Table 2. Fitted are, by the paper's objective, the springs alone; then what the twin lacks
-besides (friction, attachments, springs that stiffen), to the same positions, and to one force as well.
+K1, L1, K2 and L2 are fitted to case 2, where the patella dislocates: by the paper's objective; then with what the twin
+lacks (friction, attachments, springs that stiffen), to the same positions, and to one force as well. Case 2 and its
+treatment, case 1, are simulated with what was found and compared with what was measured of each: the paper's Table 2.
 """
 
 from __future__ import annotations
@@ -131,15 +130,8 @@ def paper_study(
 ) -> PaperStudy:
     """Fits case 2 by the paper's objective and by simulations, and simulates cases 2 and 1 with what was found.
 
-    Args:
-        dt: step of the simulations [s].
-        simulations: from which each posterior is learned.
-        progress: told what is being done.
-        options: of the paper's fit by `fit_tendons`, such as `starts` and `seed`.
-
-    Raises:
-        InputError: as `fit_tendons` and `train_posterior`.
-        PftwinError: a motion that may not be spoken of.
+    The step is in seconds, and options are those of `fit_tendons`, such as `starts` and `seed`. PftwinError for a
+    motion that may not be spoken of.
     """
     from pftwin import rig
 

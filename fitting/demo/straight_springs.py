@@ -28,14 +28,10 @@ class StraightSpring(NamedTuple):
 
 
 def straight_line(lengths: ArrayLike, forces: ArrayLike) -> StraightSpring:
-    """The line nearest to forces over lengths, by least squares in force.
+    """The line nearest to forces (n,) [N] over lengths (n,) [m], by least squares in force.
 
-    Args:
-        lengths: (n,) [m].
-        forces: (n,) [N]; missing ones (NaN) and those of a slack spring (0) are left out.
-
-    Raises:
-        InputError: fewer than two different lengths under load; forces that do not grow with length.
+    Missing forces (NaN) and those of a slack spring (0) are left out. InputError for fewer than two different lengths
+    under load, and for forces that do not grow with length.
     """
     x, f = np.asarray(lengths, dtype=np.float64), np.asarray(forces, dtype=np.float64)
     taut = np.isfinite(x) & np.isfinite(f) & (f > 0)

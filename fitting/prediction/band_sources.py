@@ -1,8 +1,7 @@
 """What makes a prediction's bands wide: by how much narrower each would be if one source of uncertainty were known.
 
-Outcomes of draws are regressed on the numbers of one source at a time: on what was asked for, on attachments, on
-friction. What such a regression leaves is what would be left if these numbers were known, with all that they tell of
-others: sources overlap, so that shares need not sum to one. What all together leave is no straight function of them.
+Outcomes of draws are regressed on the numbers of one source at a time (what was asked for, attachments, friction): what
+that leaves would be left if they were known, with all that they tell of others. So shares need not sum to one.
 """
 
 from __future__ import annotations

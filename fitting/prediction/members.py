@@ -120,11 +120,9 @@ def run(
 ) -> Members:
     """All members of amounts (n, k) and parameters (n, p). No member's failure stops the others.
 
-    With `care`, members whose estimated error is large are simulated again in a quarter of the step.
-
-    A chunk holds up to `chunk` members on each device; a study of fewer is one smaller chunk, filled up to `fewest`: at
-    the size of `chunk` all sizes share one program. So do members that are simulated again, few as they may be: to
-    compile takes longer than idle lanes do.
+    With `care`, members whose estimated error is large are simulated again in a quarter of the step. A chunk holds up
+    to `chunk` members on each device; a study of fewer, as those that are simulated again, is one smaller chunk, filled
+    up to `fewest`: to compile takes longer than idle lanes do.
     """
     recipe = recipe._replace(scene=recipe.scene.unnamed())
     chosen = chosen_devices(devices)

@@ -1,9 +1,7 @@
 """A fitted knee in a recording, with bands, beside what was measured there.
 
-A band holds what the estimate does not know, by draws, and what the model left of the measurements that it was fitted
-to: each draw is widened by a normal error with the root mean square of what the fit left of the same coordinate. So it
-is a band of what will be measured of a knee that the model fits in this recording as well as in the one before. It
-knows nothing of what this recording alone has, such as another load.
+A band holds what the estimate does not know, by draws, each widened by a normal error with the root mean square of what
+the fit left of the same coordinate. It knows nothing of what this recording alone has, such as another load.
 """
 
 from __future__ import annotations

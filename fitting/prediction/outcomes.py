@@ -28,20 +28,13 @@ from pftwin.results.verdict import is_invalid
 
 
 def groove_surface(scene: Scene) -> Surface:
-    """The surface that defines a scene's groove.
-
-    Raises:
-        InputError: a scene without contact between button and trochlea, or with meshes alone.
-    """
+    """The surface that defines a scene's groove; InputError without contact with a trochlea, or with meshes alone."""
     if scene.surface is None:
         found = "no contact between a button and a trochlea"
         if scene.contact is not None:
             found = f"the meshes of {scene.contact.name!r} do not tell where the groove is"
-        raise InputError(
-            found,
-            where=scene.name or "outcomes",
-            expected="a contact with a smooth surface, or a stand-in for one: outcomes count from its groove",
-        )
+        expected = "a contact with a smooth surface, or a stand-in for one: outcomes count from its groove"
+        raise InputError(found, where=scene.name or "outcomes", expected=expected)
     return scene.surface
 
 
@@ -53,11 +46,7 @@ class Groove(NamedTuple):
 
     @staticmethod
     def of(scene: Scene) -> Groove:
-        """The groove of a scene, on the host; for a surface without one, its middle.
-
-        Raises:
-            InputError: a scene without contact between button and trochlea.
-        """
+        """The groove of a scene, on the host; for a surface without one, its middle. InputError as `groove_surface`."""
         surface = groove_surface(scene)
         line = groove_line(surface)
         if line is None:

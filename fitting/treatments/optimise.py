@@ -1,12 +1,7 @@
-"""The smallest treatment that meets stated limits: a batched grid over the surgeon's range, then gradients.
+"""The smallest treatment that meets stated limits: a batched grid over the surgeon's range, then `refine`.
 
-The grid finds where limits can be met at all, also where outcomes jump (dislocation). A single amount is then found
-between the last that does not meet them and the first that does (Brent). From the best of several amounts sequential
-quadratic programming (scipy's SLSQP) goes on with forward-mode derivatives of the smooth outcomes; a step that leads
-nowhere better is not taken. So the answer always meets the limits by a simulation of its own.
-
-An estimate is uncertain. With draws from its uncertainty the limits have to hold for the estimate and, all of them
-together, for a stated share of the draws.
+The grid finds where limits can be met at all, also where outcomes jump (dislocation). With draws from an estimate's
+uncertainty the limits have to hold for the estimate and, all of them together, for a stated share of the draws.
 """
 
 from __future__ import annotations

@@ -1,9 +1,7 @@
-"""Refining a treatment: simulations with forward-mode derivatives, and sequential quadratic programming.
+"""Refining a treatment: simulations with forward-mode derivatives, and sequential quadratic programming (SLSQP).
 
-A single amount needs no derivatives, which take longer to compile than the whole search: it is bracketed (Brent).
-
-With draws from an estimate's uncertainty every point is simulated for the estimate and for all draws side by side; that
-limits hold in a share of the draws is a limit itself: on the quantile of the least room that a draw leaves.
+A single amount needs no derivatives, which take longer to compile than the whole search: it is bracketed (Brent). That
+limits hold in a share of an estimate's draws is a limit itself: on the quantile of the least room that a draw leaves.
 """
 
 from __future__ import annotations

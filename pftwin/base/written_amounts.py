@@ -15,6 +15,7 @@ UNITS = {  # by SI unit: the units that an amount may have, with their sizes
 }
 _WRITTEN = re.compile(r"\s*([-+.\deE]+)\s*([^\W\d_]*|%)\s*")
 _DECIMAL_COMMA = re.compile(r"\s*([-+]?\d+),(\d+)\s*([^\W\d_]+|%)\s*")
+_MOST_VALUES = 1_000_000
 _SMALL = str.maketrans("µμ", "uu")  # micro sign, Greek letter
 
 
@@ -81,6 +82,32 @@ def amount(text: str, unit: str, where: str, *, least: float = -math.inf, most: 
         low = f"at least {least:g}" if least > -math.inf else ""
         high = f"at most {most:g}" if most < math.inf else ""
         bounds = " and ".join(part for part in (low, high) if part)
-        expected = f"a number, in {unit} or with a unit: {', '.join(units_beside(unit))}"
+        expected = f"a number{units_in_words(unit)}"
         raise InputError(f"found {text!r}", where=where, expected=f"{expected}; {bounds}" if bounds else expected)
     return found[0]
+
+
+def several_amounts(text: str, where: str, unit: str = "") -> list[float]:
+    """Numbers from "0:20:1" (the end included), "0,5,10" or "7"; with a unit also "0:2:0.5 cm", "0 mm:2 cm:5 mm".
+
+    InputError, which names the option or field, for anything else, and for units where `unit` is empty.
+    """
+    parts = amounts_in(text.split(":"), unit) if ":" in text else listed(text, unit, where)
+    if not parts or (":" in text and len(parts) not in (2, 3)):
+        expected = f"FROM:TO:STEP, or values such as 0,5,10{units_in_words(unit)}"
+        raise InputError(f"found {text!r}", where=where, expected=expected)
+    if ":" not in text:
+        return parts
+    first, last = parts[:2]
+    step = parts[2] if len(parts) == 3 else 1.0  # of that unit
+    if step == 0 or (last - first) * step < 0:
+        raise InputError(f"found {text!r}", where=where, expected="a step that leads from the first to the last value")
+    span = (last - first) / step
+    if not span < _MOST_VALUES:
+        raise InputError(f"{span:.3g} values", where=where, expected=f"at most {_MOST_VALUES}")
+    return [first + i * step for i in range(math.floor(span + 1e-9) + 1)]
+
+
+def units_in_words(unit: str) -> str:
+    """For messages: the units that amounts in this one may have, behind what else is expected."""
+    return f", in {unit} or with a unit: {', '.join(units_beside(unit))}" if unit else ""

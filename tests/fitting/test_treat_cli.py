@@ -9,12 +9,13 @@ import pytest
 from made_estimates import made_estimate
 from typer.testing import CliRunner
 
-from fitting.cli.amounts import AMOUNTS, values
+from fitting.cli.amounts import AMOUNTS
 from fitting.coverage import QUICK
 from fitting.parameters import ASKED
 from fitting.prediction.band_sources import band_sources
 from fitting.prediction.plots import outcome_sheet
 from pftwin.base.errors import InputError
+from pftwin.base.written_amounts import several_amounts
 from pftwin.cli import app
 from pftwin.cli.terminal import show
 from pftwin.files.result_files import load_dataset
@@ -111,14 +112,14 @@ def test_files_hold_the_outcomes(treated):
     ],
 )
 def test_ranges_include_their_end(text, expected):
-    np.testing.assert_allclose(values(text, "--tto-medial"), expected)
+    np.testing.assert_allclose(several_amounts(text, "--tto-medial"), expected)
 
 
 @pytest.mark.parametrize("text", ["0:20:5 mm", "0:2:0.5 cm", "0:0.02:0.005 m", "0 mm:2 cm:5 mm", "0,5,10,15,20 mm"])
 def test_ranges_may_have_units(text):
-    np.testing.assert_allclose(values(text, "--tto-medial", "mm"), [0, 5, 10, 15, 20], atol=1e-12)
+    np.testing.assert_allclose(several_amounts(text, "--tto-medial", "mm"), [0, 5, 10, 15, 20], atol=1e-12)
     with pytest.raises(InputError, match="--angle"):
-        values(text, "--angle", "deg")
+        several_amounts(text, "--angle", "deg")
 
 
 def test_options_keep_their_former_names_and_show_those_of_surgeons(monkeypatch):
@@ -146,7 +147,7 @@ def test_options_keep_their_former_names_and_show_those_of_surgeons(monkeypatch)
 @pytest.mark.parametrize("text", ["", "a", "0:20:0", "20:0:1", "0:1:2:3", "nan", "0:inf:1", "0:1e9:1"])
 def test_ranges_that_are_none_are_refused(text):
     with pytest.raises(InputError, match="--tto-medial"):
-        values(text, "--tto-medial")
+        several_amounts(text, "--tto-medial")
 
 
 @pytest.mark.parametrize(

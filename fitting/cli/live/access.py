@@ -67,13 +67,9 @@ def checked_origins(given: Collection[str]) -> frozenset[str]:
 
 
 def own_pages(host: str, also: Collection[str] = ()) -> Allowed:
-    """Whether a connection is of this server's own page, by its `Origin` headers and its `Host`.
+    """Whether a connection is of this server's own page, or of one of the origins `also`, by `Origin` and `Host`.
 
     No browser leaves `Origin` out; other programs say what they like, and are let in.
-
-    Args:
-        host: the address that is served.
-        also: origins that are let in besides.
     """
     names = {"localhost", host.lower()}
     if not loopback(host):

@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fitting.cli.live import words
-from fitting.cli.live.curves import Curves
-from fitting.cli.live.drawing import Bones, DrawnKnee
+from fitting.cli.live.drawing import Bones, Curves, DrawnKnee
 from fitting.cli.live.engine import TREATED, Engine, LiveModel
 from fitting.cli.live.knobs import Knob
 from fitting.cli.live.motion import Shown, ShownMotion

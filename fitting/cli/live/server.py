@@ -35,12 +35,9 @@ class LiveServer:
     def __init__(
         self, engine: Engine, host: str = "127.0.0.1", port: int = 8080, origins: Collection[str] = ()
     ) -> None:
-        """Begins to serve an engine whose first contact is prepared.
+        """Begins to serve an engine whose first contact is prepared; its own pages may connect, and those of `origins`.
 
-        Args:
-            engine: what simulates.
-            host, port: where; a port in use is skipped. InputError if this machine has no such address.
-            origins: whose pages may connect, besides the server's own; see `fitting.cli.live.access`.
+        A port in use is skipped. InputError if this machine has no such address.
         """
         package = viser()
         check_address(host, port)

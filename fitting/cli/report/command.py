@@ -65,12 +65,7 @@ def report(
 
 
 def report_page(material: Material, command: str) -> tuple[str, bool]:
-    """Renders the page of a report; says also whether the knee in three dimensions is in it.
-
-    Args:
-        material: what the page shows.
-        command: the command line, which the page repeats.
-    """
+    """Renders the page, which repeats the command line; says also whether the knee in three dimensions is in it."""
     from fitting.cli.report import figures, tables
     from fitting.prediction.plots import main_finding
 

@@ -107,21 +107,12 @@ def gather_material(
 ) -> Material:
     """Reads everything; simulates the nominal and the fitted motion of an estimate.
 
-    Args:
-        source: fit.json, the demo's folder, or a result.
-        treatment: what `pftwin treat` wrote.
-        scene: file of the source's scene; by default the case of the rig that was fitted to its own measurements.
-        case: or the rig's case.
-        contact: patch in place of the scene's own.
-
-    Raises:
-        InputError: none of these files; a scene that cannot be found, or is another one.
+    Without a scene or a case it is the rig's case that was fitted to its own measurements. InputError for a source that
+    is neither an estimate, a demo's folder nor a result, and for a scene that cannot be found or is another one.
     """
-    given = None
-    if scene is not None or case is not None:
-        given = chosen_scene(scene, case, contact)
-    elif contact is not None:
+    if scene is None and case is None and contact is not None:
         raise InputError("--contact without a scene", expected=_NAME_IT)
+    given = None if scene is None and case is None else chosen_scene(scene, case, contact)
     predicted = None if treatment is None else _prediction(treatment)
     if source.is_dir():
         found = _of_demo(source, given)
@@ -162,12 +153,9 @@ def _of_demo(folder: Path, given: Chosen | None) -> Material:
     from fitting.estimate import Estimate
 
     if not (folder / DEMO_FIT).is_file():
-        raise InputError(
-            f"there is no {DEMO_FIT} in this folder",
-            where=folder,
-            expected="the folder of `pftwin demo`, or a file",
-            remedy="pftwin demo --out demo",
-        )
+        expected = "the folder of `pftwin demo`, or a file"
+        found = f"there is no {DEMO_FIT} in this folder"
+        raise InputError(found, where=folder, expected=expected, remedy="pftwin demo --out demo")
     fits = {
         "the paper's objective": folder / DEMO_FIT,
         "simulations, from positions": folder / "fit_positions.json",
@@ -192,12 +180,8 @@ def _scene_of(estimate: Estimate, given: Chosen | None, path: Path) -> Chosen:
     if given is None:
         named = _case_of(estimate)
         if named is None:
-            raise InputError(
-                f"the estimate is of the scene {estimate.scene_name!r}, which is not in its file",
-                where=path,
-                expected="the scene beside it",
-                remedy=_NAME_IT,
-            )
+            found = f"the estimate is of the scene {estimate.scene_name!r}, which is not in its file"
+            raise InputError(found, where=path, expected="the scene beside it", remedy=_NAME_IT)
         return chosen_scene(None, *named)
     _check_same(next(iter(estimate.trial_rmse), estimate.scene_name), given, path)  # of several trials, the first
     return given

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from fitting.cli import before, calibrate, cohort, demo, fit, predict, treat
+from fitting.cli import calibrate, cohort, demo, fit, predict, treat
 from fitting.cli.live import command as live
 from fitting.cli.report import command as report
 from pftwin.cli.plugins import Command, Job
@@ -16,10 +16,8 @@ COMMANDS = (
     Command("demo", demo.demo, "The whole story on the virtual rig, beside the paper", "Start", 10),
     Command("fit", fit.fit, "Tendons from motion capture, with intervals", "Fit", 10, FIT),
     Command("predict", predict.predict, "A fitted knee in another recording, with bands", "Fit", 15),
-    Command("plan-experiment", before.plan_experiment, "What an experiment can tell, before it is made", "Fit", 20),
-    Command(
-        "train-posterior", before.train_posterior, "Once for a set-up: a posterior that answers at once", "Fit", 30
-    ),
+    Command("plan-experiment", fit.plan_experiment, "What an experiment can tell, before it is made", "Fit", 20),
+    Command("train-posterior", fit.train_posterior, "Once for a set-up: a posterior that answers at once", "Fit", 30),
     Command("calibrate", calibrate.calibrate, "Do its intervals hold the truth? On simulated knees", "Fit", 40),
     Command("treat", treat.treat, "Predict outcomes of treatments, with bands", "Treat", 10, TREAT),
     Command("optimise", treat.optimise, "The smallest treatment that meets stated limits", "Treat", 20),

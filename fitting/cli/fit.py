@@ -1,4 +1,4 @@
-"""`pftwin fit`."""
+"""`pftwin fit`, and before a recording is fitted `pftwin plan-experiment` and `pftwin train-posterior`."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Option
 
-from fitting.cli.fit_options import DuringOption, FitOptions, refuse_settled, time_spans, within
+from fitting.cli.fit_options import DuringOption, ExperimentOptions, FitOptions, refuse_settled, time_spans, within
 from pftwin.base.errors import InputError
 from pftwin.base.sheet import Sheet
 from pftwin.cli.exit_codes import Interrupted, exit_flagged, report_written_on_interrupt
@@ -57,12 +57,7 @@ def fit(
     check_suffix(output, [".json"], "estimates are JSON")
     check_outputs(output, checkpoint, json)
     asked: dict[str, Any] = {"method": method, "objective": objective, **knee.asked(), "loss": loss}
-    asked |= {
-        "checkpoint": checkpoint,
-        "resume": resume,
-        "seed": seed,
-        **({} if starts is None else {"starts": starts}),
-    }
+    asked |= {"checkpoint": checkpoint, "resume": resume, "seed": seed} | ({} if starts is None else {"starts": starts})
     limits, spans = knee.limits(), time_spans(during)
     trials = knee.load()
     for path, trial in zip(knee.scene or [], trials, strict=False):
@@ -71,7 +66,14 @@ def fit(
     if posterior is not None:
         _check_posterior(objective)
     scenes = [within(trial.scene, spans) for trial in trials]
-    estimate = _fitted(scenes, asked, limits) if trained is None else _answered(trained, scenes, asked, limits)
+    if trained is None:
+        estimate = _fitted(scenes, asked, limits)
+    else:
+        from fitting.trained import TrainedPosterior
+
+        refuse_settled(asked)
+        with spinner("answering"):
+            estimate = TrainedPosterior.load(trained, scenes).estimate(scenes, limits=limits)
     interrupted = estimate.reason.startswith("interrupted")
     with report_written_on_interrupt(output, checkpoint):
         draws = None if interrupted else posterior
@@ -80,6 +82,73 @@ def fit(
         raise Interrupted(output, *([] if checkpoint is None else [checkpoint]))
     if estimate.invalid:
         exit_flagged(estimate.sentence())
+
+
+@on_scene
+def plan_experiment(
+    *,
+    knee: ExperimentOptions,
+    json: JsonOption = None,
+) -> None:
+    """Say how precisely an experiment could determine the parameters, before it is made, and what else to measure.
+
+    Of several scenes the first is recorded, and the others might be, as further trials of the same knee.
+
+    Example: `pftwin plan-experiment --case 2 --use position --noise position=2e-4`, or
+    `pftwin plan-experiment walk.toml stairs.toml`
+    """
+    check_outputs(json)
+    asked = knee.asked()
+    chosen, *further = knee.load()
+    from fitting.identifiability import plan_experiment as plan
+    from fitting.programs import channels_of
+
+    if asked["use"] == "all":
+        asked["use"] = channels_of(chosen.scene)
+    with spinner("linearising the motion"):
+        found = plan(chosen.scene, **asked, further=[each.scene for each in further])
+    deviations = {", ".join(found.channels): found.relative, **{f"and {c}": v for c, v in found.additions.items()}}
+    sheet = Sheet(
+        f"{chosen.scene.name}: smallest possible standard deviations [%]",
+        ("measured", *found.names),
+        tuple((words, *(f"{100 * v:.3g}" for v in values)) for words, values in deviations.items()),
+        words=(0,),
+    )
+    present({"scene": chosen.scene.name, **found.to_dict()}, sheet, found.sentence(), json=json)
+
+
+@on_scene
+def train_posterior(
+    *,
+    output: Annotated[Path, Option("-o", "--output", metavar="FILE.npz", help="The trained posterior.")],
+    knee: FitOptions,
+    simulations: Annotated[int | None, Option(min=1000, help="To learn from; 30,000 if left out.")] = None,
+    seed: Annotated[int, Option(min=0, help="Of all random choices.")] = 0,
+    json: JsonOption = None,
+) -> None:
+    """Train a posterior once for a set-up, which then answers each of its recordings in seconds.
+
+    Example: `pftwin train-posterior knee.toml --nuisance mri -o knee.npz`, then
+    `pftwin fit walk2.toml --trained knee.npz -o fit.json`
+    """
+    check_suffix(output, [".npz"], "trained posteriors are files of NumPy's")
+    check_outputs(output, json)
+    asked, limits, scenes = knee.asked(), knee.limits(), [trial.scene for trial in knee.load()]
+    from fitting.training import train_posterior as train
+
+    with progress("compiling") as shown:
+        found = train(
+            scenes,
+            **asked,
+            seed=seed,
+            simulations=simulations,
+            limits=limits,
+            progress=lambda done, of: shown(done, of, what="simulations" if done < of else "networks"),
+        )
+    files = [str(found.save(output))]
+    rows = tuple((name, f"{low:.6g} to {high:.6g}") for name, (low, high) in found.set_up.bounds.items())
+    sheet = Sheet(f"{found.set_up.scene_name}: posterior by {found.simulations} simulations", ("", "bounds"), rows)
+    present({**found.facts(), "files": files}, sheet, found.sentence(), written_line(files), json=json)
 
 
 def _fitted(scenes: list[Scene], asked: dict[str, Any], limits: dict[str, Any] | None) -> Estimate:
@@ -93,15 +162,6 @@ def _fitted(scenes: list[Scene], asked: dict[str, Any], limits: dict[str, Any] |
             shown(p.iteration, p.of, f"{p.iteration}/{p.of}  best {p.best:.6g}  spread {p.spread:.2g}", method)
 
         return fit_tendons(scenes, progress=tell, limits=limits, **asked)
-
-
-def _answered(trained: Path, scenes: list[Scene], asked: dict[str, Any], limits: dict[str, Any] | None) -> Estimate:
-    """What a trained posterior says; refuses options that were settled when it was trained."""
-    from fitting.trained import TrainedPosterior
-
-    refuse_settled(asked)
-    with spinner("answering"):
-        return TrainedPosterior.load(trained, scenes).estimate(scenes, limits=limits)
 
 
 def _report(estimate: Estimate, output: Path, json: str | None, *, figures: bool, posterior: int | None) -> None:

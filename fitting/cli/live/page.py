@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -33,8 +32,7 @@ class Page:
         self._client, self._gui, self._session = client, client.gui, session
         self.newtons = per_centimetre([model.before.recorded])
         self._contact: str | None = None
-        self._ghost: Shown | None = None
-        self._after = self._before = model.before
+        self._before, self._after = model.before, model.before.named(TREATED)
         self._bones = Bones(client.scene, model.before.recorded)
         self._treated = DrawnKnee(client.scene, "/treated", AFTER)
         self.untreated = DrawnKnee(client.scene, "/untreated", BEFORE, GHOST)
@@ -44,7 +42,7 @@ class Page:
         self.knobs = self._sliders(engine)
         self._model(engine)
         self._views(model)
-        self._legend = self._gui.add_html(self._legend_text(model.before))
+        self._legend = self._gui.add_html(self._legend_text())
         panel = self._gui.add_panel()
         with panel.add_tab("Motion"):
             self._playing(model)
@@ -59,16 +57,14 @@ class Page:
     def tell(self, model: LiveModel, after: ShownMotion) -> None:
         """Takes another motion into the table and the curves, which are redrawn with the next numbers."""
         self._before, self._after = model.before, after
-        self._curves.set(model.before, after, compared=self._compared.value)
-        self._whole.content = words.whole_motion(*self._shown_motions())
+        self._retell()
 
     def draw(self, model: LiveModel, shown: Shown) -> None:
         """Draws another motion: the knee and its continued surface."""
         if self._contact != model.contact:
             self._contact = model.contact
             self._bones.set_component(model.before.recorded)
-            self._ghost = Shown(model.before.recorded, self.newtons)
-            self.untreated.set(self._ghost)
+            self.untreated.set(Shown(model.before.recorded, self.newtons))
         self._shown = shown
         self._treated.set(shown)
         self._bones.set_beyond(model.still.continued(shown.touched))
@@ -89,21 +85,22 @@ class Page:
     def compare(self, visible: bool) -> None:
         """Shows or hides the untreated knee, its curves and its numbers, those of a time with the next ones."""
         self.untreated.show(visible)
-        self._curves.set(self._before, self._after, compared=visible)
+        self._legend.content = self._legend_text()
+        self._retell()
+
+    def _retell(self) -> None:
+        self._curves.set(self._before, self._after, compared=self._compared.value)
         self._whole.content = words.whole_motion(*self._shown_motions())
-        self._legend.content = self._legend_text(self._before)
 
     def _shown_motions(self) -> tuple[list[ShownMotion], list[str]]:
         """The motions that are shown, and their colours: the untreated one where it was asked for."""
         both = [self._before, self._after], [BEFORE, AFTER]
         return both if self._compared.value else (both[0][1:], both[1][1:])
 
-    def _legend_text(self, before: ShownMotion) -> str:
-        one = before.recorded
-        said = [*notes([one], self.newtons), words.NOT_FOR_PATIENTS]
-        names = [one, replace(one, name=TREATED)], [BEFORE, AFTER]
-        shown = names if self._compared.value else (names[0][1:], names[1][1:])
-        return words.with_margins(legend(*shown, said).replace("max-width:290px", ""))
+    def _legend_text(self) -> str:
+        motions, colours = self._shown_motions()
+        said = [*notes([self._before.recorded], self.newtons), words.NOT_FOR_PATIENTS]
+        return words.with_margins(legend([m.recorded for m in motions], colours, said).replace("max-width:290px", ""))
 
     def _sliders(self, engine: Engine) -> dict[str, Any]:
         found = {}

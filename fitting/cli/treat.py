@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from math import prod
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -67,7 +68,11 @@ def treat(
     pictures = [output.with_suffix(s) for s in (".png", ".svg")] if figure else []
     terminal.check_outputs(output, *pictures, json)
     terminal.start_computing(batches=True)
-    variants = _variants(numbers)
+    from fitting.prediction.variants import combinations
+
+    if (count := prod(len(v) for own in numbers.values() for v in own.values())) > _MOST_VARIANTS:
+        raise InputError(f"{count} combinations", expected=f"at most {_MOST_VARIANTS}", remedy="longer steps")
+    variants = combinations(numbers)
     found = _loaded(estimate)
     chosen = knee.load()
     from fitting.prediction.band_sources import band_sources
@@ -219,18 +224,6 @@ def _joined_blocks(blocks: list[Dataset], count: int) -> Dataset:
         data.attrs["title"] += f" (interrupted: {there} of {count} variants)"
         data.attrs["variants_missing"] = count - there
     return data
-
-
-def _variants(numbers: dict[str, dict[str, list[float]]]) -> Treatment:
-    """All combinations."""
-    import math
-
-    from fitting.prediction.variants import combinations
-
-    count = math.prod(len(v) for amounts in numbers.values() for v in amounts.values())
-    if count > _MOST_VARIANTS:
-        raise InputError(f"{count} combinations", expected=f"at most {_MOST_VARIANTS}", remedy="longer steps")
-    return combinations(numbers)
 
 
 def _loaded(path: Path | None) -> Estimate | None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -44,25 +45,16 @@ SIMULATIONS = 8_000  # of each
 STEP = 1e-3  # of the simulations, the paper's [s]
 
 
-class PaperFigures(NamedTuple):
-    """What the paper reports of its own rig."""
-
-    errors: dict[str, float]  # of the fitted springs, without signs [% of the nominal value]
-    seconds: float  # time of the fit
-    table_2: dict[int, dict[str, float]]  # by case, and by the fields of `pftwin.results.metrics.Validation`
-    outcomes: dict[int, str]
-
-
 def _column(*values: float) -> dict[str, float]:
     rows = ("tibial_spring", "femoral_spring", "internal_rotation", "flexion", "tilt", "x", "y", "z", "mean_distance")
     return dict(zip((*rows, "initial_configuration", "real_time_factor"), values, strict=True))
 
 
 # Michaud et al. 2024, section 3 and Table 2. The table has a row of contact forces too; we have no values of it.
-PAPER = PaperFigures(
-    errors={"K1": 8.0, "L1": 13.0, "K2": 5.0, "L2": 3.0},
-    seconds=1233.0,
-    table_2={
+PAPER = SimpleNamespace(
+    errors={"K1": 8.0, "L1": 13.0, "K2": 5.0, "L2": 3.0},  # of the fitted springs, without signs [% of nominal]
+    seconds=1233.0,  # time of the fit
+    table_2={  # by case, and by the fields of `pftwin.results.metrics.Validation`
         PATHOLOGY: _column(1.12, 2.45, 0.61, 2.07, 3.63, 1.75, 2.22, 0.96, 1.66, 0.75, 4.66),
         TREATMENT: _column(1.16, 2.51, 0.67, 0.88, 5.44, 1.64, 0.87, 2.17, 2.61, 0.73, 3.95),
     },

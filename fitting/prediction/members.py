@@ -61,13 +61,6 @@ class Recipe(NamedTuple):
         """The member's motion, with nothing said of its error."""
         return course_of(scene, *self.observed(scene, self.substeps), self.groove)
 
-    def course_with_error(self, scene: Scene) -> tuple[Course, CourseFrame]:
-        """The member's motion, flagged where its steps are too long, and its observations."""
-        (seen, status), error = run_with_error(
-            lambda n: self.observed(scene, n), lambda found: found[0].compared(), self.substeps, _INTEGRATOR.order
-        )
-        return course_of(scene, seen, status | error.flags.astype(status.dtype), self.groove), seen
-
 
 class Members(NamedTuple):
     """Results of members, (n, ...) arrays on the host."""
@@ -79,9 +72,12 @@ class Members(NamedTuple):
 
 
 def _member_outcomes(recipe: Recipe, a: Array, theta: Array, start: Pose) -> Any:
-    """A member's outcomes."""
+    """A member's outcomes, of a motion that is flagged where its steps are too long."""
     scene = eqx.tree_at(lambda s: s.start, recipe.made(a, theta), start)
-    at, seen = recipe.course_with_error(scene)
+    (seen, status), error = run_with_error(
+        lambda n: recipe.observed(scene, n), lambda found: found[0].compared(), recipe.substeps, _INTEGRATOR.order
+    )
+    at = course_of(scene, seen, status | error.flags.astype(status.dtype), recipe.groove)
     flags = frames_with_flags(at.status)
     courses = {}
     if recipe.trajectories:

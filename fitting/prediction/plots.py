@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from itertools import product
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,23 +31,19 @@ PANELS = (
 _MOST_LINES = 6
 
 
-class OutcomeBand(NamedTuple):
-    """An outcome over variants: for the estimate itself, and the band around it (None without samples)."""
+def central_and_range(values: DataArray) -> tuple[Floats, Floats, Floats]:
+    """Of an outcome over variants: sample 0, and the 2.5 and 97.5 % quantiles over all samples that did not fail.
 
-    value: Floats
-    low: Floats | None
-    high: Floats | None
-
-
-def central_and_range(values: DataArray) -> OutcomeBand:
-    """Sample 0, and the 2.5 and 97.5 % quantiles over all samples that did not fail."""
+    Quantiles are NaN where there are no samples.
+    """
     if "sample" not in values.dims:
-        return OutcomeBand(np.asarray(values.values, dtype=np.float64), None, None)
+        none = np.full(values.shape, np.nan)
+        return np.asarray(values.values, dtype=np.float64), none, none
     drawn = values.isel(sample=slice(1, None))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # no band where no draw has a value
         low, high = np.nanquantile(drawn.values, BAND, axis=drawn.get_axis_num("sample"))
-    return OutcomeBand(values.isel(sample=0).values, low, high)
+    return values.isel(sample=0).values, low, high
 
 
 def amount_names(data: Dataset) -> list[str]:
@@ -158,9 +154,9 @@ def _draw(
     part, colour = data.isel(variant=rows), COLOURS[which % len(COLOURS)]
     value, low, high = central_and_range(scale * part[outcome])
     axes.plot(x, value, color=colour, label=label, marker=".", markersize=4)
-    if low is not None and high is not None:
+    if np.isfinite(low).any():
         axes.fill_between(x, low, high, color=colour, **BAND)
-    out = central_and_range(part["dislocations"]).value > 0
+    out = central_and_range(part["dislocations"])[0] > 0
     axes.plot(x[out], value[out], linestyle="none", marker="x", markersize=7, color=colour)
 
 
@@ -193,13 +189,10 @@ def outcome_sheet(data: Dataset, most: int) -> Sheet:
     return Sheet(title, tuple(headings), tuple(lines), words=(), notes=notes, keys=keys)
 
 
-def _band(found: Any, i: int, form: str) -> str:
-    value = found.value[i]
-    if not np.isfinite(value):
-        return "-"
-    if found.low is None or not np.isfinite(found.low[i]):
-        return f"{value:{form}}"
-    return f"{value:{form}} ({found.low[i]:{form}} to {found.high[i]:{form}})"
+def _band(found: tuple[Floats, Floats, Floats], i: int, form: str) -> str:
+    value, low, high = (numbers[i] for numbers in found)
+    band = f" ({low:{form}} to {high:{form}})" if np.isfinite(low) else ""
+    return f"{value:{form}}{band}" if np.isfinite(value) else "-"
 
 
 def _dislocation(data: Dataset, i: int) -> str:

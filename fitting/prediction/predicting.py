@@ -118,7 +118,12 @@ def predict(
     """
     given = [scenes] if isinstance(scenes, Scene) else list(scenes)
     step, care = (STEP, True) if dt is None else (dt, False)
-    _check(samples, step, threshold, chunk, estimate)
+    check_draws(samples, estimate)
+    if not (isinstance(chunk, int) and chunk >= 1):
+        raise InputError(f"found {chunk!r}", where="chunk", expected="a whole number, at least 1")
+    for name, value in (("dt", step), ("threshold", threshold)):
+        if not (isinstance(value, int | float) and 0 < value < np.inf):
+            raise InputError(f"found {value!r}", where=name, expected="a positive number")
     chosen_devices(devices)
     if stray := [s for s in given if not isinstance(s, Scene)]:
         raise InputError(f"found {stray[0]!r}", where="scenes", expected="scenes")
@@ -161,25 +166,11 @@ def estimate_and_draws(estimate: Fitted | None, samples: int, seed: int) -> Floa
 
 
 def reservations(estimate: Fitted | None, synthetic: bool) -> list[str]:
-    """What is to be said beside whatever is predicted: doubts about the estimate, and what is synthetic.
-
-    Args:
-        estimate: that it is predicted with; None: with a scene's own parameters.
-        synthetic: whether a recorded motion is.
-    """
+    """What is to be said beside whatever is predicted: doubts about the estimate, and what is synthetic."""
     said = [] if estimate is None else [f"INVALID estimate: {doubt}" for doubt in estimate.doubts]
     said += [SYNTHETIC] if synthetic else []
     learned = estimate is not None and estimate.synthetic
     return [*said, "the parameters were estimated from synthetic measurements"] if learned else said
-
-
-def _check(samples: int, dt: float, threshold: float, chunk: int, estimate: Fitted | None) -> None:
-    check_draws(samples, estimate)
-    if not (isinstance(chunk, int) and chunk >= 1):
-        raise InputError(f"found {chunk!r}", where="chunk", expected="a whole number, at least 1")
-    for name, value in (("dt", dt), ("threshold", threshold)):
-        if not (isinstance(value, int | float) and 0 < value < np.inf):
-            raise InputError(f"found {value!r}", where=name, expected="a positive number")
 
 
 def check_draws(samples: int, estimate: Fitted | None) -> None:

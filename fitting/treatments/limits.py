@@ -69,14 +69,15 @@ class Limit:
 
     def describe(self) -> str:
         """In words: "dislocation margin at least 3 mm"."""
-        sense, bound = ("at most", self.at_most) if self.at_most is not None else ("at least", self.at_least)
-        return f"{self.outcome.replace('_', ' ')} {sense} {in_units(self.outcome, bound or 0.0)}"
+        sense = "at least" if self.at_most is None else "at most"
+        return (
+            f"{self.outcome.replace('_', ' ')} {sense} {in_units(self.outcome, self.at_most or self.at_least or 0.0)}"
+        )
 
     @property
     def size(self) -> float:
         """The scale of its margin, so that limits on different outcomes can be compared."""
-        bound = self.at_most if self.at_most is not None else self.at_least
-        return abs(float(bound or 0.0)) or _UNIT_SIZE.get(MEASURES[self.outcome].unit, 0.01)
+        return abs(float(self.at_most or self.at_least or 0.0)) or _UNIT_SIZE.get(MEASURES[self.outcome].unit, 0.01)
 
 
 def limitable() -> list[tuple[str, tuple[str, ...], str]]:

@@ -124,7 +124,7 @@ def test_ranges_may_have_units(text):
 
 def test_options_keep_their_former_names_and_show_those_of_surgeons(monkeypatch):
     seen = []
-    monkeypatch.setattr("fitting.cli.treat._variants", lambda numbers: seen.append(numbers) or 1 / 0)
+    monkeypatch.setattr("fitting.prediction.variants.combinations", lambda numbers: seen.append(numbers) or 1 / 0)
     pairs = {a.former: a.flag for a in AMOUNTS if a.former}
     assert pairs["--medialise"] == "--tto-medial"
     assert pairs["--distalise"] == "--tto-distal"

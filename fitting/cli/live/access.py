@@ -39,9 +39,8 @@ def _ip(name: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
 
 def check_address(host: str, port: int) -> None:
     """Refuses an address of another machine and a forbidden port; for a port in use the server takes the next one."""
-    unknown = InputError(
-        f"{host!r} is no address of this machine", where="--host", expected="127.0.0.1, or 0.0.0.0 for all of them"
-    )
+    expected = "127.0.0.1, or 0.0.0.0 for all of them"
+    unknown = InputError(f"{host!r} is no address of this machine", where="--host", expected=expected)
     try:
         family, kind, protocol, _, place = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
     except (OSError, UnicodeError):

@@ -6,7 +6,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import jax.numpy as jnp
 import numpy as np
@@ -113,26 +113,17 @@ class Still:
 
         Missing points are NaN, so that arrays of one size need one program.
         """
-        beyond = self._beyond
-        if beyond is None or not len(points):
+        if self._beyond is None or not len(points):
             return None
-        at = _along(beyond.chart, points)
+        chart, edges, shape, middles = self._beyond
+        at = _along(chart, points)
         ends = [(np.nanmin(c), np.nanmax(c)) if np.isfinite(c).any() else (0.0, 0.0) for c in at]
-        if all(low >= edge[0] and high <= edge[1] for (low, high), edge in zip(ends, beyond.edges, strict=True)):
+        if all(low >= edge[0] and high <= edge[1] for (low, high), edge in zip(ends, edges, strict=True)):
             return None
-        near = np.ones(len(beyond.shape.triangles), dtype=bool)
-        for (low, high), edge, c in zip(ends, beyond.edges, beyond.middles, strict=True):
+        near = np.ones(len(shape.triangles), dtype=bool)
+        for (low, high), edge, c in zip(ends, edges, middles, strict=True):
             near &= (c > min(low - MARGIN, edge[0])) & (c < max(high + MARGIN, edge[1]))
-        return Shape(beyond.shape.vertices, beyond.shape.triangles[near])
-
-
-class _Beyond(NamedTuple):
-    """The continuation of a fitted surface, as far as it is ever drawn."""
-
-    chart: Any
-    edges: list[tuple[float, float]]  # of the rectangle that was fitted [m]
-    shape: Shape
-    middles: tuple[Floats, Floats]  # of its triangles, along the chart (m,) each [m]
+        return Shape(shape.vertices, shape.triangles[near])
 
 
 def _along(chart: Any, points: Floats) -> tuple[Floats, Floats]:
@@ -140,7 +131,9 @@ def _along(chart: Any, points: Floats) -> tuple[Floats, Floats]:
     return np.asarray(at.x, dtype=np.float64), np.asarray(at.y, dtype=np.float64)
 
 
-def _beyond(scene: Scene) -> _Beyond | None:
+def _beyond(scene: Scene) -> tuple[Any, list[tuple[float, float]], Shape, tuple[Floats, Floats]] | None:
+    """The continuation of a fitted surface: its chart, the edges of the rectangle that was fitted [m], the shape as far
+    as it is ever drawn, and the middles of its triangles along the chart (m,) each [m]."""
     surface: Any = scene.surface
     contact = scene.contact
     if surface is None or contact is None or contact.femur_triangles() is not None or not has_rectangle(surface):
@@ -153,4 +146,4 @@ def _beyond(scene: Scene) -> _Beyond | None:
     if made is None:
         return None
     shape = Shape((MM * made[0]).astype(np.float32), made[1].astype(np.uint32))
-    return _Beyond(surface.chart, edges, shape, _along(surface.chart, made[0][made[1]].mean(axis=1)))
+    return surface.chart, edges, shape, _along(surface.chart, made[0][made[1]].mean(axis=1))

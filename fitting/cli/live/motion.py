@@ -27,11 +27,9 @@ _REMEDY = "other values"
 class ShownMotion:
     """The numbers of one motion; series are at the frames that are shown (n,)."""
 
+    result: Result
     recorded: Recorded
     dislocates: bool | None  # None: there is no groove to leave, or the motion may not be spoken of
-    tracking: str  # in words, with times; "INVALID" and why where the motion may not be spoken of
-    valid: bool  # whether it may
-    status: str  # how far to trust it, in words
     finite: bool
     settled: bool  # whether it starts from an equilibrium
     tilt: Floats  # [deg]
@@ -54,11 +52,9 @@ class ShownMotion:
         assert tilt is not None
         assert shift is not None
         return cls(
+            result,
             recorded,
             None if outcome is None else bool(outcome.events),
-            result.tracking,
-            result.verdict.valid,
-            result.status.describe(),
             not (result.flags & int(Status.NOT_FINITE)).any(),
             bool(result.equilibrium.converged),
             tilt,

@@ -11,7 +11,6 @@ import numpy as np
 from fitting.cli.live import words
 from fitting.cli.live.drawing import Bones, Curves, DrawnKnee
 from fitting.cli.live.engine import TREATED, Engine, LiveModel
-from fitting.cli.live.knobs import Knob
 from fitting.cli.live.motion import Shown, ShownMotion
 from fitting.cli.live.words import AFTER, BEFORE
 from pftwin.results.viewer.assembly import per_centimetre, views
@@ -106,18 +105,13 @@ class Page:
         found = {}
         for group in dict.fromkeys(k.group for k in engine.knobs):
             with self._gui.add_folder(group):
-                for knob in (k for k in engine.knobs if k.group == group):
-                    found[knob.name] = self._slider(knob)
+                for k in (k for k in engine.knobs if k.group == group):
+                    numbers = (k.least, k.most, k.step, k.neutral)
+                    found[k.name] = self._gui.add_slider(k.label, *numbers, hint=k.hint, marks=(k.neutral,))
+                    self._tell_of(found[k.name], partial(self._session.turn, k))
         for group, why in engine.missing.items():
             self._gui.add_html(words.state("doubt", f"{group}: cannot be changed", why))
         return found
-
-    def _slider(self, knob: Knob) -> Any:
-        slider = self._gui.add_slider(
-            knob.label, knob.least, knob.most, knob.step, knob.neutral, hint=knob.hint, marks=(knob.neutral,)
-        )
-        self._tell_of(slider, partial(self._session.turn, knob))
-        return slider
 
     def _tell_of(self, element: Any, told: Callable[[Any], None]) -> None:
         """Has every new value of an element told that comes from the client and not from here."""

@@ -36,13 +36,14 @@ def state(tone: str, head: str, more: str = "") -> str:
 
 def outcome(answer: ShownMotion) -> str:
     """Whether the patella dislocates and when, and how far to trust that."""
-    if not answer.valid:
-        return state("bad", answer.tracking, "Nothing can be said of this motion.")
-    doubts = "" if answer.status == "ok" else f"Reservations in some frames: {answer.status}."
+    tracking, status = answer.result.tracking, answer.result.status.describe()
+    if not answer.result.verdict.valid:
+        return state("bad", tracking, "Nothing can be said of this motion.")
+    doubts = "" if status == "ok" else f"Reservations in some frames: {status}."
     if answer.dislocates is None:
-        return state("doubt", f"Dislocation: {answer.tracking}", doubts)
+        return state("doubt", f"Dislocation: {tracking}", doubts)
     tone, word = ("bad", "yes") if answer.dislocates else ("good", "no")
-    return state(tone, f"Dislocation: {word}", f"{sentence(answer.tracking)} {doubts}")
+    return state(tone, f"Dislocation: {word}", f"{sentence(tracking)} {doubts}")
 
 
 def waiting(contact: str, shown: str) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 
 from fitting.cli.report.run import ReportedRun
 from pftwin.base.errors import InputError
-from pftwin.cli.scenes import Chosen, chosen_scene
+from pftwin.cli.scenes import chosen_scene
 from pftwin.cli.terminal import spinner
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ class Material:
     source: Path
     title: str
     estimates: dict[str, Estimate] = field(default_factory=dict)  # by name
-    chosen: Chosen | None = None  # the scene, and its measurements
+    scene: Scene | None = None  # where it is known
     runs: list[ReportedRun] = field(default_factory=list)
     treatment: Dataset | None = None
     demo: Path | None = None  # the folder, where it is one
@@ -46,14 +46,9 @@ class Material:
         return next(iter(self.estimates.values()), None)
 
     @property
-    def scene(self) -> Scene | None:
-        """The scene, where it is known."""
-        return None if self.chosen is None else self.chosen.scene
-
-    @property
     def measured(self) -> Measured | None:
         """The scene's measurements."""
-        return None if self.chosen is None else self.chosen.measured
+        return None if self.scene is None else self.scene.measured
 
     @property
     def names(self) -> str:
@@ -90,7 +85,7 @@ class Material:
         from pftwin.model.measured import SYNTHETIC
 
         said = [r.note for r in self.runs if "synthetic" in r.note]
-        if self.chosen is not None and self.chosen.scene.synthetic:
+        if self.scene is not None and self.scene.synthetic:
             said.append(SYNTHETIC)
         if any(e.synthetic for e in self.estimates.values()):
             said.append("the measurements are synthetic")
@@ -112,7 +107,7 @@ def gather_material(
     """
     if scene is None and case is None and contact is not None:
         raise InputError("--contact without a scene", expected=_NAME_IT)
-    given = None if scene is None and case is None else chosen_scene(scene, case, contact)
+    given = None if scene is None and case is None else chosen_scene(scene, case, contact).scene
     predicted = None if treatment is None else _prediction(treatment)
     if source.is_dir():
         found = _of_demo(source, given)
@@ -123,7 +118,7 @@ def gather_material(
     elif source.suffix.lower() == ".nc":
         run = ReportedRun.of_file(source)
         _check_same(str(run.about.get("scene", "")), given, source)
-        found = Material(source, f"Simulated knee: {run.name}", chosen=given, runs=[run], files=[source])
+        found = Material(source, f"Simulated knee: {run.name}", scene=given, runs=[run], files=[source])
     else:
         raise InputError("not a file that a report is made of", where=source, expected=_WHICH)
     found.treatment = predicted
@@ -132,22 +127,22 @@ def gather_material(
     return found
 
 
-def _of_estimate(path: Path, given: Chosen | None) -> Material:
+def _of_estimate(path: Path, given: Scene | None) -> Material:
     """An estimate, its scene, and the nominal and the fitted motion."""
     from fitting.estimate import Estimate
     from pftwin.dynamics.simulate import simulate
 
     loaded = Estimate.load(path)
-    chosen = _scene_of(loaded, given, path)
-    estimate = loaded.about(chosen.scene)
-    scenes = {"nominal": chosen.scene, "fitted": estimate.scene}
+    scene = _scene_of(loaded, given, path)
+    estimate = loaded.about(scene)
+    scenes = {"nominal": scene, "fitted": estimate.scene}
     with spinner("compiling and simulating"):
-        runs = [ReportedRun.of_result(simulate(scene), name) for name, scene in scenes.items()]
+        runs = [ReportedRun.of_result(simulate(one), name) for name, one in scenes.items()]
     title = f"Fitted knee: {estimate.scene_name}"
-    return Material(path, title, {"the fit": estimate}, chosen, runs, files=[path])
+    return Material(path, title, {"the fit": estimate}, scene, runs, files=[path])
 
 
-def _of_demo(folder: Path, given: Chosen | None) -> Material:
+def _of_demo(folder: Path, given: Scene | None) -> Material:
     """The demo's fits, its results before and after the treatment, and its tables and figures."""
     from fitting.demo.paper_study import PATHOLOGY, TREATMENT
     from fitting.estimate import Estimate
@@ -164,25 +159,25 @@ def _of_demo(folder: Path, given: Chosen | None) -> Material:
     present = {name: path for name, path in fits.items() if path.is_file()}
     loaded = {name: Estimate.load(path) for name, path in present.items()}
     first = next(iter(loaded.values()))
-    chosen = _scene_of(first, given, folder / DEMO_FIT)
-    estimates = {name: estimate.about(chosen.scene) for name, estimate in loaded.items()}
+    scene = _scene_of(first, given, folder / DEMO_FIT)
+    estimates = {name: estimate.about(scene) for name, estimate in loaded.items()}
     named = _case_of(first)
     contact = named[1] if named else "P5"
     words = {PATHOLOGY: "pathology", TREATMENT: "treatment"}
     results = {folder / f"case{n}_{contact}.nc": f"case {n}, {what}" for n, what in words.items()}
     runs = [ReportedRun.of_file(path, name) for path, name in results.items() if path.is_file()]
     files = [*present.values(), *(p for p in results if p.is_file())]
-    return Material(folder, "The demo on the virtual rig", estimates, chosen, runs, demo=folder, files=files)
+    return Material(folder, "The demo on the virtual rig", estimates, scene, runs, demo=folder, files=files)
 
 
-def _scene_of(estimate: Estimate, given: Chosen | None, path: Path) -> Chosen:
+def _scene_of(estimate: Estimate, given: Scene | None, path: Path) -> Scene:
     """The scene that was named, else the case of the rig that was fitted."""
     if given is None:
         named = _case_of(estimate)
         if named is None:
             found = f"the estimate is of the scene {estimate.scene_name!r}, which is not in its file"
             raise InputError(found, where=path, expected="the scene beside it", remedy=_NAME_IT)
-        return chosen_scene(None, *named)
+        return chosen_scene(None, *named).scene
     _check_same(next(iter(estimate.trial_rmse), estimate.scene_name), given, path)  # of several trials, the first
     return given
 
@@ -200,11 +195,11 @@ def _case_of(estimate: Estimate) -> tuple[int, str] | None:
     return int(named.group(1)), named.group(2)
 
 
-def _check_same(name: str, given: Chosen | None, path: Path) -> None:
+def _check_same(name: str, given: Scene | None, path: Path) -> None:
     """Refuses a scene other than the file's, which would mix the numbers of two knees."""
-    if given is not None and given.scene.name != name:
+    if given is not None and given.name != name:
         raise InputError(
-            f"is of the scene {name!r}, and the scene that was named is {given.scene.name!r}",
+            f"is of the scene {name!r}, and the scene that was named is {given.name!r}",
             where=path,
             expected="the scene that was simulated or fitted",
             remedy=f"{_NAME_IT}, with --contact where the scene's own was replaced",

@@ -36,20 +36,15 @@ class ReportedRun:
 
         data = load_dataset(path)
         if "variant" in data.dims:
-            raise InputError(
-                "holds a prediction of treatments, not a simulation",
-                where=path,
-                expected="fit.json, the demo's folder, or a result of `pftwin simulate`",
-                remedy=f"pftwin report fit.json --treatment {path} -o report.html",
-            )
+            found = "holds a prediction of treatments, not a simulation"
+            remedy = f"pftwin report fit.json --treatment {path} -o report.html"
+            expected = "fit.json, the demo's folder, or a result of `pftwin simulate`"
+            raise InputError(found, where=path, expected=expected, remedy=remedy)
         absent = [n for n in ("patella_quaternion", "sphere_center", "status") if n not in data]
         if absent or data.sizes.get("time", 0) < 1:
-            raise InputError(
-                f"no simulation in it: it lacks {', '.join(absent) or 'frames'}",
-                where=path,
-                expected="a result of `pftwin simulate`",
-                remedy="pftwin simulate --case 2 -o case2.nc",
-            )
+            found = f"no simulation in it: it lacks {', '.join(absent) or 'frames'}"
+            expected, remedy = "a result of `pftwin simulate`", "pftwin simulate --case 2 -o case2.nc"
+            raise InputError(found, where=path, expected=expected, remedy=remedy)
         return cls(name or str(data.attrs.get("scene", path.stem)), data, path)
 
     @classmethod

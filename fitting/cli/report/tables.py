@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import platform
 from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -42,6 +41,11 @@ _CHECKS = (  # words, attribute of the file, factor, digits, unit
     ("largest indentation", "largest_indentation_m", 1e3, 3, "mm"),
     ("largest constraint drift", "largest_constraint_drift_m", 1e3, 2, "mm"),
 )
+_ENERGIES = {
+    "numerical_dissipation": "largest energy that the steps took or gave",
+    "energy_budget_error": "largest energy that no account explains",
+    "work": "work put in, largest",
+}
 SIMULATED = {
     "integrator": "integrator",
     "dt_s": "longest time step [s]",
@@ -148,13 +152,8 @@ def checks(run: ReportedRun) -> Sheet:
         for words, key, factor, digits, unit in _CHECKS
         if key in run.about
     ]
-    names = {
-        "numerical_dissipation": "largest energy that the steps took or gave",
-        "energy_budget_error": "largest energy that no account explains",
-        "work": "work put in, largest",
-    }
-    kept = {name: run.data[name].values for name in names if name in run.data}
-    rows += [(names[name], number(1e3 * np.nanmax(np.abs(values)), 3), "mJ") for name, values in kept.items()]
+    kept = {words: run.data[name].values for name, words in _ENERGIES.items() if name in run.data}
+    rows += [(words, number(1e3 * np.nanmax(np.abs(values)), 3), "mJ") for words, values in kept.items()]
     return Sheet(f"Simulation: {run.name}", ("check", "value", "unit"), tuple(rows))
 
 
@@ -238,15 +237,11 @@ def _cell(text: str) -> str:
 
 def versions(command: str, now: str) -> Sheet:
     """Versions of the software that wrote this report, and the command line."""
-    from importlib.metadata import version
+    from pftwin.base.runtime import describe
 
-    import jax
-
-    from pftwin import __version__
-
-    python = f"{platform.python_version()} ({platform.system()} {platform.machine()})"
-    made = {"date": now, "command": command, "pftwin": __version__, "JAX": jax.__version__}
-    made |= {"NumPy": version("numpy"), "Python": python}
+    with_ = describe()
+    made = {"date": now, "command": command, "pftwin": str(with_["pftwin"]), "JAX": str(with_["jax"])}
+    made |= {"NumPy": np.__version__, "Python": f"{with_['python']} ({with_['system']})"}
     return Sheet("This report", ("made with", "value"), tuple(made.items()))
 
 
@@ -260,32 +255,21 @@ def settings(title: str, about: dict[str, Any], words: dict[str, str]) -> Sheet:
 def fit(name: str, e: Estimate) -> Sheet:
     """Settings of a fit."""
     bounds = zip(e.names, e.lower, e.upper, e.units, strict=True)
-    rows = (
-        ("method", e.method),
-        ("objective", f"{e.objective}, {number(e.objective_value, 6)} {e.objective_unit}"),
-        ("channels", ", ".join(e.channels)),
-        ("seed", str(e.seed)),
-        ("starts", str(e.starts)),
-        ("iterations", str(e.iterations)),
-        ("evaluations", str(e.evaluations)),
-        ("bounds", "; ".join(f"{n} {number(low)} to {number(high)} {unit}".rstrip() for n, low, high, unit in bounds)),
-        ("versions", "not in the estimate's file"),
-    )
-    return Sheet(f"Fit: {name}", ("setting", "value"), rows)
+    within = (f"{n} {number(low)} to {number(high)} {unit}".rstrip() for n, low, high, unit in bounds)
+    objective = f"{e.objective}, {number(e.objective_value, 6)} {e.objective_unit}"
+    counts = ((what, str(getattr(e, what))) for what in ("seed", "starts", "iterations", "evaluations"))
+    rows = (("method", e.method), ("objective", objective), ("channels", ", ".join(e.channels)), *counts)
+    last = (("bounds", "; ".join(within)), ("versions", "not in the estimate's file"))
+    return Sheet(f"Fit: {name}", ("setting", "value"), (*rows, *last))
 
 
 def files(paths: Sequence[Path]) -> Sheet:
     """The files that a report was made from, with checksums."""
-    rows = tuple(
-        (
-            path.name,
-            f"{path.stat().st_size:,}",
-            hashlib.sha256(path.read_bytes()).hexdigest()[:16],
-            stamp(datetime.fromtimestamp(path.stat().st_mtime, UTC)),
-        )
-        for path in paths
-    )
-    return Sheet("Files that this report was made from", ("file", "bytes", "SHA-256", "last changed"), rows)
+    rows = []
+    for path in paths:
+        about, digest = path.stat(), hashlib.sha256(path.read_bytes()).hexdigest()[:16]
+        rows.append((path.name, f"{about.st_size:,}", digest, stamp(datetime.fromtimestamp(about.st_mtime, UTC))))
+    return Sheet("Files that this report was made from", ("file", "bytes", "SHA-256", "last changed"), tuple(rows))
 
 
 def stamp(moment: datetime) -> str:

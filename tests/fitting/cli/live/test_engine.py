@@ -35,7 +35,7 @@ def test_gives_what_simulate_gives_of_the_treated_scene(engine):
     np.testing.assert_array_equal(answer.tilt, np.degrees(result.angles.tilt))
     np.testing.assert_array_equal(answer.shift, 1e3 * result.shift)
     assert answer.highest_force == result.effects["contact"]["force"].max()
-    assert answer.tracking == result.dislocations().describe()
+    assert answer.result.tracking == result.dislocations().describe()
     assert answer.highest_force > engine.model("groove").before.highest_force + 0.1
 
 

@@ -17,7 +17,6 @@ from fitting.cli.report.material import Material
 from fitting.cli.report.run import ReportedRun
 from fitting.estimate import Estimate
 from pftwin.base.errors import InputError
-from pftwin.cli.scenes import Chosen
 from pftwin.model.measured import Measured
 
 VALUES = {"K1": (171.0, 12.5), "L1": (0.1512, 0.002), "K2": (601.0, 31.0), "L2": (0.0733, 0.0011)}
@@ -95,8 +94,7 @@ def fitted(folder: Path, **more) -> Material:
     knee = dataclasses.replace(small_scene(), measured=measured())
     found = found.about(knee)
     runs = [ReportedRun.of_result(small_result(), "fitted")]
-    chosen = Chosen(knee, None)
-    return Material(path, "Fitted knee: small knee", {"the fit": found}, chosen, runs, files=[path])
+    return Material(path, "Fitted knee: small knee", {"the fit": found}, knee, runs, files=[path])
 
 
 def prediction(**attributes):

@@ -25,11 +25,11 @@ class Amount(NamedTuple):
     """A command-line option and the treatment's amount that it sets."""
 
     flag: str
+    former: str  # name of the option before it had the surgeon's word
     kind: str  # of treatment
     name: str  # of the amount
     words: str
     unit: str = "mm"
-    former: str = ""  # name of the option before it had the surgeon's word
 
     @property
     def parameter(self) -> str:
@@ -43,41 +43,21 @@ class Amount(NamedTuple):
         return KINDS[self.kind].amounts[self.name].from_shown(values)
 
 
-def _tuberosity(flag: str, name: str, towards: str, former: str) -> Amount:
-    words = f"Tibial tubercle osteotomy (TTO): tuberosity {towards}"
-    return Amount(flag, "tibial_tuberosity_transfer", name, words, former=former)
-
-
+_TTO, _QUADRICEPS = "tibial_tuberosity_transfer", "quadriceps_lengthening"
+_ROTATED, _MOVED = "femoral_component_rotation", "femoral_component_translation"
+_OSTEOTOMY = "Tibial tubercle osteotomy (TTO): tuberosity"
 AMOUNTS = (
-    _tuberosity("--tto-medial", "medialisation", "medially", "--medialise"),
-    _tuberosity("--tto-anterior", "anteriorisation", "anteriorly", "--anteriorise"),
-    _tuberosity("--tto-distal", "distalisation", "distally", "--distalise"),
-    Amount("--lengthen-tendon", "patellar_tendon_length_change", "lengthening", "Patellar tendon longer"),
-    Amount(
-        "--lengthen-quads",
-        "quadriceps_lengthening",
-        "lengthening",
-        "Quadriceps tendon longer",
-        former="--lengthen-quadriceps",
-    ),
-    Amount("--trochleoplasty", "trochleoplasty", "deepening", "Groove deeper", former="--deepen"),
-    Amount(
-        "--rotate-component",
-        "femoral_component_rotation",
-        "external_rotation",
-        "Femoral component turned externally",
-        "deg",
-    ),
-    Amount(
-        "--component-medial",
-        "femoral_component_translation",
-        "medialisation",
-        "Femoral component medially",
-        former="--medialise-component",
-    ),
-    Amount("--button-medial", "button_position", "medialisation", "Button medially", former="--medialise-button"),
-    Amount("--lateral-release", "lateral_release", "release", "Lateral strands released", "%", "--release"),
-    Amount("--tighten-mpfl", "mpfl_graft", "shortening", "MPFL graft shorter"),
+    Amount("--tto-medial", "--medialise", _TTO, "medialisation", f"{_OSTEOTOMY} medially"),
+    Amount("--tto-anterior", "--anteriorise", _TTO, "anteriorisation", f"{_OSTEOTOMY} anteriorly"),
+    Amount("--tto-distal", "--distalise", _TTO, "distalisation", f"{_OSTEOTOMY} distally"),
+    Amount("--lengthen-tendon", "", "patellar_tendon_length_change", "lengthening", "Patellar tendon longer"),
+    Amount("--lengthen-quads", "--lengthen-quadriceps", _QUADRICEPS, "lengthening", "Quadriceps tendon longer"),
+    Amount("--trochleoplasty", "--deepen", "trochleoplasty", "deepening", "Groove deeper"),
+    Amount("--rotate-component", "", _ROTATED, "external_rotation", "Femoral component turned externally", "deg"),
+    Amount("--component-medial", "--medialise-component", _MOVED, "medialisation", "Femoral component medially"),
+    Amount("--button-medial", "--medialise-button", "button_position", "medialisation", "Button medially"),
+    Amount("--lateral-release", "--release", "lateral_release", "release", "Lateral strands released", "%"),
+    Amount("--tighten-mpfl", "", "mpfl_graft", "shortening", "MPFL graft shorter"),
 )
 
 

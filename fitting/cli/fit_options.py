@@ -39,21 +39,16 @@ _AS_TRAINED: dict[str, Any] = {  # defaults of what is settled by training
 class ExperimentOptions(TrialsOptions):
     """Trials, and what is to be known from which of their measurements."""
 
-    free: Annotated[str, Option("--free", metavar="NAMES", help="Parameters, with commas: K1,L1 and the like.")] = (
-        "K1,L1,K2,L2"
-    )
+    free: Annotated[str, Option(metavar="NAMES", help="Parameters, with commas: K1,L1 and the like.")] = "K1,L1,K2,L2"
     use: Annotated[
-        str,
-        Option("--use", metavar="CHANNELS", help="What is compared: position, orientation, effects' forces; or all."),
+        str, Option(metavar="CHANNELS", help="What is compared: position, orientation, effects' forces; or all.")
     ] = "position"
     noise: Annotated[
-        list[str] | None,
-        Option("--noise", metavar="CHANNEL=SD", help="Standard deviation in m, rad or N; may be repeated."),
+        list[str] | None, Option(metavar="CHANNEL=SD", help="Standard deviation in m, rad or N; may be repeated.")
     ] = None
     nuisance: Annotated[
         str | None,
         Option(
-            "--nuisance",
             metavar="NAME",
             help="What the scene lacks or knows roughly, fitted besides: rig, mocap, mri; or standard deviations by"
             " name, as in friction=0.05; several with commas, as in rig,damping=0.5.",
@@ -62,7 +57,6 @@ class ExperimentOptions(TrialsOptions):
     varies: Annotated[
         list[str] | None,
         Option(
-            "--varies",
             metavar="NAME=SD",
             help="Of several trials: by how much a parameter differs from trial to trial, in its unit; may be"
             " repeated.",
@@ -87,7 +81,6 @@ class FitOptions(ExperimentOptions):
     bounds: Annotated[
         list[str] | None,
         Option(
-            "--bounds",
             metavar="BOUNDS",
             help="To either side, as a share of the nominal value (0.3 if left out); or NAME=LOW:HIGH of one parameter,"
             " in its unit, as in K1=100:200: may be repeated.",
@@ -96,7 +89,6 @@ class FitOptions(ExperimentOptions):
     limit: Annotated[
         list[str] | None,
         Option(
-            "--limit",
             metavar="NAME=A:B",
             help="Of a check of what was measured, from where it is named (A) and refused (B): reading, position,"
             " orientation, force, noise, shift, simulated, trained_noise or set_up.",

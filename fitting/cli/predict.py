@@ -21,7 +21,7 @@ from pftwin.cli.scenes import RecordingOptions, on_scene
 def predict(
     *,
     output: Annotated[Path, Option("-o", "--output", metavar="OUT.nc", help="The motion and its bands as NetCDF.")],
-    estimate: Annotated[Path, Option("--estimate", metavar="FIT.json", help="What `pftwin fit` found.")],
+    estimate: Annotated[Path, Option(metavar="FIT.json", help="What `pftwin fit` found.")],
     knee: RecordingOptions,
     given: Annotated[
         list[str] | None,
@@ -32,7 +32,7 @@ def predict(
         ),
     ] = None,
     during: DuringOption = None,
-    samples: Annotated[int, Option("--samples", min=1, help="Draws from the estimate, for bands.")] = 50,
+    samples: Annotated[int, Option(min=1, help="Draws from the estimate, for bands.")] = 50,
     seed: SeedOption = 0,
     dt: StepOption = None,
     figure: Annotated[bool, Option(help="Also figures, beside it: OUT.png and OUT.svg.")] = True,

@@ -49,9 +49,7 @@ def treat(
     knee: SceneOptions,
     estimate: EstimateOption = None,
     amounts: Given,
-    samples: Annotated[
-        int, Option("--samples", metavar="N", min=0, help="Draws from the estimate's uncertainty, for bands.")
-    ] = 50,
+    samples: Annotated[int, Option(metavar="N", min=0, help="Draws from the estimate's uncertainty, for bands.")] = 50,
     seed: SeedOption = 0,
     dt: StepOption = None,
     figure: Annotated[bool, Option(help="Also figures, beside it: OUT.png and OUT.svg.")] = True,
@@ -112,7 +110,6 @@ def optimise(
     limit: Annotated[
         list[str],
         Option(
-            "--limit",
             metavar="LIMIT",
             callback=show_limits,
             is_eager=True,
@@ -124,11 +121,10 @@ def optimise(
     estimate: EstimateOption = None,
     amounts: Given,
     samples: Annotated[
-        int | None,
-        Option("--samples", metavar="N", min=0, help="Draws from the estimate's uncertainty; 50 where there is one."),
+        int | None, Option(metavar="N", min=0, help="Draws from the estimate's uncertainty; 50 where there is one.")
     ] = None,
     confidence: Annotated[
-        float, Option("--confidence", metavar="SHARE", help="Share of the draws in which all limits must hold.")
+        float, Option(metavar="SHARE", help="Share of the draws in which all limits must hold.")
     ] = 0.9,
     seed: SeedOption = 0,
     dt: StepOption = None,

@@ -21,18 +21,15 @@ def app(
     *,
     case: CaseOption = None,
     contact: Annotated[
-        str | None,
-        Option("--contact", metavar="NAME", help="Contact to begin with; the page can choose others."),
+        str | None, Option(metavar="NAME", help="Contact to begin with; the page can choose others.")
     ] = None,
     host: Annotated[
-        str, Option("--host", metavar="ADDRESS", help="Address to serve at; by default this machine alone.")
+        str, Option(metavar="ADDRESS", help="Address to serve at; by default this machine alone.")
     ] = "127.0.0.1",
-    port: Annotated[
-        int, Option("--port", min=0, max=65535, help="Port; the next free one if it is taken, 0: any.")
-    ] = 8080,
+    port: Annotated[int, Option(min=0, max=65535, help="Port; the next free one if it is taken, 0: any.")] = 8080,
     origin: Annotated[
         list[str] | None,
-        Option("--origin", metavar="URL", help="Origin of pages that may use it besides its own; may be repeated."),
+        Option(metavar="URL", help="Origin of pages that may use it besides its own; may be repeated."),
     ] = None,
     browser: Annotated[bool, Option("--open", help="Show the page in the browser.")] = False,
 ) -> None:

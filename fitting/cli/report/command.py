@@ -26,12 +26,8 @@ def report(
     source: Annotated[Path, Argument(metavar="FIT.json|DEMO|RESULT.nc", help="A fit, the demo's folder, or a result.")],
     *,
     output: Annotated[Path, Option("-o", "--output", metavar="REPORT.html", help="The page.")],
-    treatment: Annotated[
-        Path | None, Option("--treatment", metavar="VARIANTS.nc", help="A prediction of `pftwin treat`.")
-    ] = None,
-    scene: Annotated[
-        Path | None, Option("--scene", metavar="SCENE.toml", help="The scene that was fitted or simulated.")
-    ] = None,
+    treatment: Annotated[Path | None, Option(metavar="VARIANTS.nc", help="A prediction of `pftwin treat`.")] = None,
+    scene: Annotated[Path | None, Option(metavar="SCENE.toml", help="The scene that was fitted or simulated.")] = None,
     case: CaseOption = None,
     contact: ContactOption = None,
     browser: Annotated[bool, Option("--open", help="Show the page in the browser.")] = False,

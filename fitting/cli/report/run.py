@@ -58,11 +58,6 @@ class ReportedRun:
         return self.data.attrs
 
     @property
-    def frames(self) -> int:
-        """The number of frames."""
-        return self.data.sizes["time"]
-
-    @property
     def note(self) -> str:
         """A remark about its motion, such as that it is synthetic."""
         return str(self.about.get("note", ""))

@@ -99,9 +99,10 @@ class FitOptions(ExperimentOptions):
         """Arguments of what fits, by name; InputError for what cannot be read."""
         given = self.bounds or []
         share = numbers_between_colons(given[0]) if len(given) == 1 else ()
-        if len(share) == 1 or not given:
-            bounds: Any = share[0] if given else _SHARE
-        else:
+        bounds: Any = _SHARE
+        if len(share) == 1:
+            (bounds,) = share
+        elif given:
             bounds = numbers_by_name(given, "--bounds", 'a share, such as 0.3; or "L1=0.03:0.05"', (2,))
         return super().asked() | {"bounds": bounds}
 

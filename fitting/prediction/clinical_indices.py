@@ -293,7 +293,8 @@ def section(surface: Surface, level: float) -> TrochlearSection:
     across = host_array(chart.axes.ey)
     bottom = _points(surface, np.array([u]), np.array([bottom_v]))[0]
     note = f"section at {level:.0%} of the groove from its proximal end"
-    return TrochlearSection(bottom, *ridges, facets[1], np.cross(across, outward), outward, note)
+    (medial_ridge, lateral_ridge), normal = ridges, np.cross(across, outward)
+    return TrochlearSection(bottom, medial_ridge, lateral_ridge, facets[1], normal, outward, note)
 
 
 def _points(surface: Surface, u: Floats, v: Floats) -> Floats:

@@ -26,11 +26,12 @@ SIDE = 55.0  # of the words "lateral" and "medial" from the middle [mm]
 
 def mesh(scene: SceneApi, name: str, shape: Shape, code: str, opacity: float = 1.0) -> Any:
     """Adds a mesh, in the place of one of the same name."""
+    red, green, blue = bytes.fromhex(code[1:])
     return scene.add_mesh_simple(
         name,
         shape.vertices,
         shape.triangles,
-        color=tuple(bytes.fromhex(code[1:])),
+        color=(red, green, blue),
         opacity=None if opacity >= 1 else opacity,
         side="double",
         cast_shadow=False,

@@ -96,7 +96,7 @@ def with_amounts(
     def written(values: dict[str, str | None]) -> Any:
         return made([(a, text) for a in AMOUNTS if (text := values[a.parameter]) is not None])
 
-    former = with_former_names({a.flag: a.former for a in AMOUNTS if a.former})
+    former = with_former_names({a.parameter: a.former for a in AMOUNTS if a.former})
     return lambda command: former(with_options(command, argument, options, written))
 
 

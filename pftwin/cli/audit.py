@@ -43,7 +43,7 @@ def audit(
     knee: RunOptions,
     out_dir: Annotated[Path | None, Option("--out", metavar="DIR", help="Figure, CSV and NetCDF go there.")] = None,
     tolerance: Annotated[
-        str, Option("--tolerance", metavar="LENGTH", help="What the path may be off by before it matters [mm].")
+        str, Option(metavar="LENGTH", help="What the path may be off by before it matters [mm].")
     ] = "0.1 mm",
     markdown: MarkdownOption = False,
     json: JsonOption = None,

@@ -21,42 +21,32 @@ if TYPE_CHECKING:
     from pftwin.studies.contact_map.mapping import ContactMap
 
 
-@with_former_names({"--thickness": "--thickness-mm", "--proximity": "--proximity-mm"})
+@with_former_names({"thickness": "--thickness-mm", "proximity": "--proximity-mm"})
 def contact_map(
     *,
-    femur: Annotated[Path, Option("--femur", metavar="MESH", help="STL, OBJ or PLY file.")],
-    patella: Annotated[Path, Option("--patella", metavar="MESH", help="The button's or the cartilage's mesh.")],
+    femur: Annotated[Path, Option(metavar="MESH", help="STL, OBJ or PLY file.")],
+    patella: Annotated[Path, Option(metavar="MESH", help="The button's or the cartilage's mesh.")],
     poses: Annotated[
-        Path,
-        Option("--poses", metavar="FILE", help="CSV: time_s, BODY_px_m ... BODY_qz. STO: time, BODY_T11 ... BODY_T44."),
+        Path, Option(metavar="FILE", help="CSV: time_s, BODY_px_m ... BODY_qz. STO: time, BODY_T11 ... BODY_T44.")
     ],
-    units: Annotated[str, Option("--units", metavar="m|mm", help="Unit of the meshes' coordinates.")],
-    patella_units: Annotated[
-        str | None, Option("--patella-units", metavar="m|mm", help="If the patella's mesh has another.")
-    ] = None,
-    bodies: Annotated[
-        str, Option("--bodies", metavar="FEMUR,PATELLA", help="Names in the poses' file.")
-    ] = "femur,patella",
-    law: Annotated[str, Option("--law", metavar="linear|logarithmic", help="Pressure over depth.")] = "linear",
+    units: Annotated[str, Option(metavar="m|mm", help="Unit of the meshes' coordinates.")],
+    patella_units: Annotated[str | None, Option(metavar="m|mm", help="If the patella's mesh has another.")] = None,
+    bodies: Annotated[str, Option(metavar="FEMUR,PATELLA", help="Names in the poses' file.")] = "femur,patella",
+    law: Annotated[str, Option(metavar="linear|logarithmic", help="Pressure over depth.")] = "linear",
     modulus: Annotated[str, Option("--modulus-mpa", help="Elastic modulus, or femur's,patella's.")] = "46.3",
-    poisson: Annotated[str, Option("--poisson", help="Poisson ratio, or femur's,patella's.")] = "0.46",
-    thickness: Annotated[str, Option("--thickness", help="Of the layer, or femur's,patella's [mm].")] = "5 mm",
+    poisson: Annotated[str, Option(help="Poisson ratio, or femur's,patella's.")] = "0.46",
+    thickness: Annotated[str, Option(help="Of the layer, or femur's,patella's [mm].")] = "5 mm",
     rate: RateOption = None,
     start: Annotated[float | None, Option("--from", help="First time [s].")] = None,
     end: Annotated[float | None, Option("--to", help="Last time [s].")] = None,
     lateral: Annotated[
-        str | None,
-        Option("--lateral", metavar="AXIS", help="Of --figure: the femur's axis that points laterally, as in -z."),
+        str | None, Option(metavar="AXIS", help="Of --figure: the femur's axis that points laterally, as in -z.")
     ] = None,
-    proximity: Annotated[
-        str, Option("--proximity", metavar="LENGTH", help="Largest gap that is reported [mm].")
-    ] = "1 mm",
+    proximity: Annotated[str, Option(metavar="LENGTH", help="Largest gap that is reported [mm].")] = "1 mm",
     output: Annotated[
         Path | None, Option("-o", "--output", metavar="OUT.nc", help="NetCDF file with everything.")
     ] = None,
-    figure: Annotated[
-        Path | None, Option("--figure", metavar="OUT.png", help="Pressure maps, path and courses.")
-    ] = None,
+    figure: Annotated[Path | None, Option(metavar="OUT.png", help="Pressure maps, path and courses.")] = None,
     json: terminal.JsonOption = None,
 ) -> None:
     """Contact at recorded poses: force, moment, area, pressures, centre of pressure and proximity in every frame.

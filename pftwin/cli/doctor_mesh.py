@@ -24,12 +24,8 @@ _MOST_PARTS = 5  # of a mesh that are described
 def doctor_mesh(
     mesh: Annotated[Path, Argument(metavar="FILE", help="STL, OBJ or PLY file.")],
     *,
-    units: Annotated[
-        str | None, Option("--units", metavar="m|mm", help="Unit of the coordinates; guessed if not given.")
-    ] = None,
-    repair: Annotated[
-        Path | None, Option("--repair", metavar="OUT", help="Write the mesh with what is safe repaired.")
-    ] = None,
+    units: Annotated[str | None, Option(metavar="m|mm", help="Unit of the coordinates; guessed if not given.")] = None,
+    repair: Annotated[Path | None, Option(metavar="OUT", help="Write the mesh with what is safe repaired.")] = None,
     output: Annotated[
         Path | None, Option("-o", "--output", metavar="FIGURE.png", help="Picture of the axes that are proposed.")
     ] = None,

@@ -25,7 +25,7 @@ _MOST_NAMES = 60  # letters of names in a cell of the table; the file not_import
 def init(
     folder: Annotated[Path, Argument(metavar="DIR", help="Folder for the example; made if it is not there.")],
     *,
-    case: Annotated[int, Option("--case", min=1, max=4, help="Case of the virtual rig.")] = 1,
+    case: Annotated[int, Option(min=1, max=4, help="Case of the virtual rig.")] = 1,
     json: terminal.JsonOption = None,
 ) -> None:
     """Write a commented example: a scene file with the files of a laboratory (markers, forces, mesh).
@@ -82,18 +82,16 @@ def import_model(
     motion: Annotated[
         Path | None,
         Option(
-            "--motion",
             metavar="FILE",
             help="Coordinates over time (.mot), measured poses of the bones (.sto), or a recording of markers (.trc, "
             ".c3d, .csv); the knee is bent if left out.",
         ),
     ] = None,
     markers: Annotated[
-        Path | None,
-        Option("--markers", metavar="FILE.xml", help="Where markers sit, in place of the model's own marker set."),
+        Path | None, Option(metavar="FILE.xml", help="Where markers sit, in place of the model's own marker set.")
     ] = None,
     without: Annotated[
-        list[str] | None, Option("--without", metavar="MARKER", help="A marker to leave out; may be repeated.")
+        list[str] | None, Option(metavar="MARKER", help="A marker to leave out; may be repeated.")
     ] = None,
     joint_centers: Annotated[
         bool,
@@ -103,29 +101,27 @@ def import_model(
         ),
     ] = False,
     units: Annotated[
-        str | None, Option("--units", metavar="m|cm|mm", help="Unit of the markers, where their file has none.")
+        str | None, Option(metavar="m|cm|mm", help="Unit of the markers, where their file has none.")
     ] = None,
     rate: RateOption = None,
     quadriceps: Annotated[
-        float | None,
-        Option("--quadriceps", metavar="NEWTONS", help="Constant tension, for muscles from femur to patella together."),
+        float | None, Option(metavar="NEWTONS", help="Constant tension, for muscles from femur to patella together.")
     ] = None,
     activation: Annotated[
         str | None,
         Option(
-            "--activation",
             metavar="A|FILE",
             help="In place of --quadriceps: activation of the patella's muscles, 0 to 1, or a file of activations "
             "over time (.sto, .mot, .csv); tensions follow from it and from the muscles' lengths.",
         ),
     ] = None,
-    bend: Annotated[str | None, Option("--bend", metavar="COORDINATE", help="To bend by, without --motion.")] = None,
-    side: Annotated[str | None, Option("--side", metavar="right|left", help="Where the model has both.")] = None,
-    femur: Annotated[str | None, Option("--femur", metavar="BODY", help="If its name does not tell.")] = None,
-    tibia: Annotated[str | None, Option("--tibia", metavar="BODY", help="If its name does not tell.")] = None,
-    patella: Annotated[str | None, Option("--patella", metavar="BODY", help="If its name does not tell.")] = None,
+    bend: Annotated[str | None, Option(metavar="COORDINATE", help="To bend by, without --motion.")] = None,
+    side: Annotated[str | None, Option(metavar="right|left", help="Where the model has both.")] = None,
+    femur: Annotated[str | None, Option(metavar="BODY", help="If its name does not tell.")] = None,
+    tibia: Annotated[str | None, Option(metavar="BODY", help="If its name does not tell.")] = None,
+    patella: Annotated[str | None, Option(metavar="BODY", help="If its name does not tell.")] = None,
     geometry: Annotated[
-        list[Path] | None, Option("--geometry", metavar="DIR", help="A further folder of meshes; may be repeated.")
+        list[Path] | None, Option(metavar="DIR", help="A further folder of meshes; may be repeated.")
     ] = None,
     json: terminal.JsonOption = None,
 ) -> None:

@@ -19,29 +19,22 @@ if TYPE_CHECKING:
     from pftwin.geometry.patch.fit import PatchFit
 
 
-@with_former_names({"--tolerance": "--tolerance-mm", "--half-width": "--half-width-mm"})
+@with_former_names({"tolerance": "--tolerance-mm", "half_width": "--half-width-mm"})
 def fit_surface(
     mesh: Annotated[Path, Argument(metavar="MESH", help="STL, OBJ or PLY file of a femoral component.")],
     *,
-    units: Annotated[str, Option("--units", metavar="m|mm", help="Unit of the mesh's coordinates.")],
-    kind: Annotated[
-        str, Option("--kind", metavar="polynomial|spline", help="Polynomials, or a bicubic spline.")
-    ] = "polynomial",
-    degree: Annotated[
-        str | None, Option("--degree", metavar="LIST", help="Polynomials to fit; P2,P4,P5 if left out.")
-    ] = None,
+    units: Annotated[str, Option(metavar="m|mm", help="Unit of the mesh's coordinates.")],
+    kind: Annotated[str, Option(metavar="polynomial|spline", help="Polynomials, or a bicubic spline.")] = "polynomial",
+    degree: Annotated[str | None, Option(metavar="LIST", help="Polynomials to fit; P2,P4,P5 if left out.")] = None,
     tolerance: Annotated[
-        str | None,
-        Option("--tolerance", metavar="LENGTH", help="Rms that a spline is to reach; 0.02 mm if left out [mm]."),
+        str | None, Option(metavar="LENGTH", help="Rms that a spline is to reach; 0.02 mm if left out [mm].")
     ] = None,
     chart: Annotated[
-        str | None, Option("--chart", metavar="plane|cylinder", help="Heights over what; a spline chooses if left out.")
+        str | None, Option(metavar="plane|cylinder", help="Heights over what; a spline chooses if left out.")
     ] = None,
-    anterior: Annotated[str, Option("--anterior", help="Anterior direction in the mesh's frame.")] = "+z",
-    proximal: Annotated[str, Option("--proximal", help="Proximal direction in the mesh's frame.")] = "+x",
-    half_width: Annotated[
-        str, Option("--half-width", metavar="LENGTH", help="Half width of the region [mm].")
-    ] = "20 mm",
+    anterior: Annotated[str, Option(help="Anterior direction in the mesh's frame.")] = "+z",
+    proximal: Annotated[str, Option(help="Proximal direction in the mesh's frame.")] = "+x",
+    half_width: Annotated[str, Option(metavar="LENGTH", help="Half width of the region [mm].")] = "20 mm",
     angles: Annotated[
         tuple[float, float], Option("--angles-deg", help="Region's limits about the trochlear axis [deg].")
     ] = (-60.0, 60.0),

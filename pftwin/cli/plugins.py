@@ -16,7 +16,6 @@ from importlib.metadata import entry_points
 from typing import Annotated, Any, NamedTuple
 
 from typer import Context, Option
-from typer.models import OptionInfo
 
 from pftwin.base.errors import InputError
 from pftwin.cli.terminal import tell
@@ -87,7 +86,7 @@ def with_former_names(names: Mapping[str, str]) -> Callable[[Callable[..., Any]]
     """Lets options of a command be written by the names that they once had, which no help shows.
 
     Args:
-        names: the former name of each option by the one of today, as in {"--half-width": "--half-width-mm"}.
+        names: the former name of an option by the command's argument, as in {"half_width": "--half-width-mm"}.
 
     Returns:
         A decorator. Where both are written, the command refuses them with an InputError.
@@ -95,45 +94,35 @@ def with_former_names(names: Mapping[str, str]) -> Callable[[Callable[..., Any]]
 
     def decorated(command: Callable[..., Any]) -> Callable[..., Any]:
         signature = inspect.signature(command, eval_str=True)
-        own = list(signature.parameters.values())
         asking = inspect.Parameter("context", inspect.Parameter.KEYWORD_ONLY, annotation=Context)
-        former = {p.name: (names[flag], _hidden(p, names[flag])) for p in own if (flag := _flag(p)) in names}
 
         @functools.wraps(command)
         def run(*arguments: Any, **given: Any) -> Any:
-            context = given.pop(asking.name)
-            for p in own:
-                if p.name not in former:
+            context = given.pop("context")
+            for name, former in names.items():
+                if (written := given.pop(f"former_{name}", None)) is None:
                     continue
-                name, hidden = former[p.name]
-                written = given.pop(hidden.name, None)
-                if written is not None and context.get_parameter_source(p.name).name == "COMMANDLINE":
-                    raise InputError(f"{name} and {_flag(p)} given", expected="one of them: it is the same option")
-                if written is not None:
-                    given[p.name] = written
+                if context.get_parameter_source(name).name == "COMMANDLINE":
+                    flag = next(p.opts[0] for p in context.command.params if p.name == name)
+                    raise InputError(f"{former} and {flag} given", expected="one of them: it is the same option")
+                given[name] = written
             return command(*arguments, **given)
 
-        parameters = [*own, *(hidden for _, hidden in former.values()), asking]
+        hidden = [
+            asking.replace(
+                name=f"former_{name}",
+                default=None,
+                annotation=Annotated[
+                    signature.parameters[name].annotation.__origin__ | None, Option(former, hidden=True)
+                ],
+            )
+            for name, former in names.items()
+        ]
+        parameters = [*signature.parameters.values(), *hidden, asking]
         run.__signature__ = signature.replace(parameters=parameters)  # pyright: ignore[reportAttributeAccessIssue]
         return run
 
     return decorated
-
-
-def _flag(parameter: inspect.Parameter) -> str:
-    """The first name of an option that is annotated for typer, such as "--output"; empty for anything else."""
-    for about in getattr(parameter.annotation, "__metadata__", ()):
-        if isinstance(about, OptionInfo):
-            return str(about.default)  # where typer keeps the first of an annotation's names
-    return ""
-
-
-def _hidden(parameter: inspect.Parameter, name: str) -> inspect.Parameter:
-    """An option of the same kind by another name, which help and completion leave out."""
-    annotation = Annotated[parameter.annotation.__origin__ | None, Option(name, hidden=True)]
-    return parameter.replace(
-        name=f"former_{parameter.name}", kind=inspect.Parameter.KEYWORD_ONLY, default=None, annotation=annotation
-    )
 
 
 def with_scene_changes(command: Callable[..., None]) -> Callable[..., None]:

@@ -74,7 +74,7 @@ def _options(
     ] = False,
     allow: Annotated[
         list[str] | None,
-        Option("--allow", metavar="NAME=VALUE", help="Set a limit of what a knee can be, as its message names it."),
+        Option(metavar="NAME=VALUE", help="Set a limit of what a knee can be, as its message names it."),
     ] = None,
 ) -> None:
     """Digital twin of the patellofemoral joint: motion capture in, patellar tracking and forces out."""

@@ -181,13 +181,12 @@ class RecordingOptions(SceneOptions):
     motion: Annotated[
         Path | None,
         Option(
-            "--motion",
             metavar="FILE",
             help="Another recording of the same knee in place of the scene's: poses or markers of the same names.",
         ),
     ] = None
     rate: Annotated[
-        float | None, Option("--rate", metavar="HZ", min=1e-3, help="Its frames per second, where times count frames.")
+        float | None, Option(metavar="HZ", min=1e-3, help="Its frames per second, where times count frames.")
     ] = None
 
     def load(self) -> Chosen:
@@ -198,17 +197,12 @@ class RecordingOptions(SceneOptions):
 
 
 TrialsArgument = Annotated[
-    list[Path] | None,
-    Argument(metavar="[SCENE.toml]...", help="Scene file; or those of several trials of one knee."),
+    list[Path] | None, Argument(metavar="[SCENE.toml]...", help="Scene file; or those of several trials of one knee.")
 ]
 TrialCasesOption = Annotated[
     list[int] | None,
     Option(
-        "--case",
-        metavar="N",
-        min=1,
-        max=4,
-        help="A case of the virtual rig instead of scene files; may be repeated.",
+        "--case", metavar="N", min=1, max=4, help="A case of the virtual rig instead of scene files; may be repeated."
     ),
 ]
 

@@ -32,14 +32,13 @@ def accuracy(
     *,
     case: CaseOption = None,
     contact: Annotated[
-        list[str] | None,
-        Option("--contact", metavar="NAME", help="P2, P5, P5-cylinder, spline, CM ...; may be repeated."),
+        list[str] | None, Option(metavar="NAME", help="P2, P5, P5-cylinder, spline, CM ...; may be repeated.")
     ] = None,
     integrator: Annotated[
-        list[str] | None, Option("--integrator", metavar="NAME", help="May be repeated; the common four if left out.")
+        list[str] | None, Option(metavar="NAME", help="May be repeated; the common four if left out.")
     ] = None,
     dtype: Annotated[
-        list[str] | None, Option("--dtype", metavar="float64|float32", help="May be repeated; float64 if left out.")
+        list[str] | None, Option(metavar="float64|float32", help="May be repeated; float64 if left out.")
     ] = None,
     full: Annotated[bool, Option("--full", help="Everything; takes half an hour.")] = False,
     folder: Annotated[Path, Option("--out", metavar="DIR", help="For tables and figures.")] = Path("accuracy"),
@@ -124,19 +123,15 @@ def _source(scene: Path | None, case: int | None) -> _Source:
 
 def hard_cases(
     *,
-    case: Annotated[
-        list[str] | None, Option("--case", metavar="NAME", help="A case, may be repeated; all if left out.")
-    ] = None,
+    case: Annotated[list[str] | None, Option(metavar="NAME", help="A case, may be repeated; all if left out.")] = None,
     contact: Annotated[
-        list[str] | None,
-        Option("--contact", metavar="NAME", help="A kind of contact, may be repeated; all if left out."),
+        list[str] | None, Option(metavar="NAME", help="A kind of contact, may be repeated; all if left out.")
     ] = None,
     integrator: Annotated[
-        list[str] | None,
-        Option("--integrator", metavar="NAME", help="An integrator, may be repeated; all if left out."),
+        list[str] | None, Option(metavar="NAME", help="An integrator, may be repeated; all if left out.")
     ] = None,
     dtype: Annotated[
-        list[str] | None, Option("--dtype", metavar="float64|float32", help="A float type; both if left out.")
+        list[str] | None, Option(metavar="float64|float32", help="A float type; both if left out.")
     ] = None,
     list_: Annotated[
         bool, Option("--list", help="Name the cases and say what is hard about them; run nothing.")
@@ -147,13 +142,12 @@ def hard_cases(
     into: Annotated[
         Path | None,
         Option(
-            "--into",
             metavar="DIR",
             help="Run what has no file there yet, several contacts at a time, keep it, and show all that is there.",
         ),
     ] = None,
     processes: Annotated[
-        int, Option("--processes", metavar="N", help="With --into: contacts at a time; as many as cores if left out.")
+        int, Option(metavar="N", help="With --into: contacts at a time; as many as cores if left out.")
     ] = 0,
     from_: Annotated[
         list[Path] | None,
@@ -164,7 +158,7 @@ def hard_cases(
         ),
     ] = None,
     json: terminal.JsonOption = None,
-    markdown: Annotated[Path | None, Option("--markdown", metavar="FILE", help="Write the page of the docs.")] = None,
+    markdown: Annotated[Path | None, Option(metavar="FILE", help="Write the page of the docs.")] = None,
 ) -> None:
     """Run the catalogue of scenes that are hard to simulate, and say which pass, fail or are refused.
 

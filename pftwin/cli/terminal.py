@@ -23,8 +23,7 @@ if TYPE_CHECKING:
 
 
 JsonOption = Annotated[
-    str | None,
-    Option("--json", metavar="FILE|-", help="Write the outcome as JSON to a file, or to stdout with -."),
+    str | None, Option("--json", metavar="FILE|-", help="Write the outcome as JSON to a file, or to stdout with -.")
 ]
 FIGURES = (".png", ".svg", ".pdf")
 

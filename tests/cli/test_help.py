@@ -101,7 +101,7 @@ def test_an_option_can_be_written_by_the_name_that_it_had():
         seen.append(gap)
 
     program = typer.Typer()
-    program.command()(plugins.with_former_names({"--gap": "--gap-mm"})(command))
+    program.command()(plugins.with_former_names({"gap": "--gap-mm"})(command))
     for arguments in ([], ["--gap", "2"], ["--gap-mm", "3"]):
         assert CliRunner().invoke(program, arguments).exit_code == 0
     assert seen == ["1 mm", "2", "3"]

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal, Self
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from pftwin.base.errors import InputError
 from pftwin.base.leaves import number, vector
@@ -39,11 +39,9 @@ class ChartSection(Section):
     )
     radius_m: Positive | None = Field(default=None, description="radius that makes the cylinder's angle a length [m]")
 
-    @model_validator(mode="after")
-    def _consistent(self) -> Self:
+    def _check(self) -> None:
         if (self.type == "cylinder") != (self.radius_m is not None):
             raise problem(f"a {self.type} chart {'without' if self.type == 'cylinder' else 'with'} radius_m")
-        return self
 
     def build(self, setting: Setting) -> Chart:
         """The chart. A mirrored one keeps a right-handed frame by turning its own y round: v changes its sign."""
@@ -111,13 +109,11 @@ class SplineSurfaceSection(_RectangleSection):
         description="coefficients c_ij [m]: a row for each i, along u; cells + 3 of them in either direction"
     )
 
-    @model_validator(mode="after")
-    def _consistent(self) -> Self:
+    def _check(self) -> None:
         widths = {len(row) for row in self.spline_coefficients_m}
         if len(widths) != 1 or min(len(self.spline_coefficients_m), *widths) < 4:
             found = f"{len(self.spline_coefficients_m)} rows of {sorted(widths)} spline_coefficients_m"
             raise problem(found, expected="4 or more rows of one length, 4 or more")
-        return self
 
     def build(self, setting: Setting, at: Place) -> Surface:
         """The patch."""

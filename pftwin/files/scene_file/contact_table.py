@@ -6,9 +6,9 @@ friction = { ... } in [contact] and [mesh_contact].
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from pftwin.base.leaves import number, vector
 from pftwin.files.scene_file.document import Place
@@ -116,13 +116,11 @@ class ContactSection(EffectSection):
     )
     friction: FrictionSection | None = Field(default=None, description="table: friction; none by default")
 
-    @model_validator(mode="after")
-    def _one_sphere(self) -> Self:
+    def _check(self) -> None:
         if self.radius_m is None and self.button is None:
             raise problem("the sphere has no radius", expected="radius_m and center_m, or button")
         if self.button is not None and {"radius_m", "center_m"} & self.model_fields_set:
             raise problem("both button and radius_m or center_m are given", expected="one of them")
-        return self
 
     def build(self, setting: Setting, at: Place) -> Effect:
         """The effect."""

@@ -8,11 +8,11 @@ import re
 from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from pydantic import BeforeValidator, Field, create_model, model_validator
+from pydantic import BeforeValidator, Field, create_model
 
 from pftwin.base.errors import InputError
 from pftwin.base.leaves import number, vector
@@ -138,10 +138,8 @@ class DeclaredSection(EffectSection):
 
     _layout: ClassVar[Layout]
 
-    @model_validator(mode="after")
-    def _one_for_all_or_each(self) -> Self:
+    def _check(self) -> None:
         group_size(self, *self._layout.numbers, *self._layout.points)
-        return self
 
     def build(self, setting: Setting, at: Place) -> Effect:
         """The effect, or a group of them."""

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from pftwin.base.arrays import Floats
 from pftwin.files.mocap import MarkerTrajectories, PoseSeries, sphere_center
@@ -29,15 +29,13 @@ class JointCenterSection(Section):
         default=None, description="in place of `point_m`: markers of the other segment, which turn about it"
     )
 
-    @model_validator(mode="after")
-    def _one_source(self) -> Self:
+    def _check(self) -> None:
         if (self.point_m is None) == (self.of is None):
             found = "neither point_m nor of" if self.of is None else "both point_m and of"
             raise problem(found, expected="its place, point_m, or the markers that turn about it, of")
         if self.about_markers is not None and (self.point_m is not None or self.about != "world"):
             found = "about_markers beside " + ("about" if self.point_m is None else "point_m")
             raise problem(found, expected="about_markers with of alone, or about")
-        return self
 
     def path(
         self, name: str, frame: PoseSeries, turning: MarkerTrajectories | None, limits: Limits, notes: list[str]

@@ -7,10 +7,10 @@ Strands are listed in the scene file, or in a JSON or CSV file beside it.
 from __future__ import annotations
 
 import fnmatch
-from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from pftwin.base.errors import InputError
 from pftwin.base.leaves import number as leaf
@@ -48,14 +48,12 @@ class _DampedSection(DeclaredSection):
     if TYPE_CHECKING:
         stiffness_N_per_m: list[float]
 
-    @model_validator(mode="after")
-    def _one_for_all_or_each(self) -> Self:
+    def _check(self) -> None:
         if self.damping_time_s is not None and "damping_N_s_per_m" in self.model_fields_set:
             raise problem("both damping_N_s_per_m and damping_time_s are given", expected="one of them")
         group_size(self, "damping_time_s", *self._layout.numbers, *self._layout.points)
         if self.damping_time_s is not None:
             self.damping_N_s_per_m = list(np.asarray(self.stiffness_N_per_m) * np.asarray(self.damping_time_s))
-        return self
 
 
 class TendonSection(_DampedSection, declared_table(Tendon, words=_LINE)):
@@ -121,8 +119,7 @@ class StrandsSection(EffectSection):
     damping_time_s: NotNegatives = Field(default_factory=lambda: [0.0], description="damping c of F = k c de/dt [s]")
     wrap: Wrap = WRAP
 
-    @model_validator(mode="after")
-    def _consistent(self) -> Self:
+    def _check(self) -> None:
         given = [name for name in _INLINE if getattr(self, name) is not None]
         if self.file is not None and given:
             raise problem(f"both file and {given[0]} are given", expected="one of them")
@@ -130,7 +127,6 @@ class StrandsSection(EffectSection):
             if absent := [name for name in _INLINE if name not in given]:
                 raise problem(f"{absent[0]} is missing", expected=f"file, or {', '.join(_INLINE)}")
             group_size(self, *_INLINE, "toe_strain", "damping_time_s")
-        return self
 
     def build(self, setting: Setting, at: Place) -> StrandGroup:
         """The effect."""

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Any, Self
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from pftwin.base.errors import InputError
 from pftwin.files.mocap import PoseSeries, Table, frame_means, read_readings, singular_spectrum_filter
@@ -56,11 +56,9 @@ class MeasuredSection(Section):
     )
     synthetic: bool = Field(default=False, description="whether these are simulated measurements")
 
-    @model_validator(mode="after")
-    def _something(self) -> Self:
+    def _check(self) -> None:
         if self.patella is None and not self.markers:
             raise problem("neither patella nor markers", expected="how the patella was recorded")
-        return self
 
     def build(
         self,

@@ -3,9 +3,9 @@
 # ruff: noqa: N815  (units in names are written as units are: MPa)
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal, Self
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from pftwin.base.leaves import number, vector
 from pftwin.files.scene_file.contact_table import FloresSection, FrictionSection, HertzSection, HuntCrossleySection
@@ -69,13 +69,11 @@ class MeshContactSection(_MeshesSection):
     )
     friction: FrictionSection | None = Field(default=None, description="table: friction, of a sphere; none by default")
 
-    @model_validator(mode="after")
-    def _consistent(self) -> Self:
+    def _check(self) -> None:
         if self.effective_radius_m is not None and self.method != "volume":
             raise problem(f'effective_radius_m with method = "{self.method}"', expected='method = "volume"')
         if self.friction is not None and self.method == "contours":
             raise problem('friction with method = "contours"', expected='method = "volume" or "nearest": a sphere')
-        return self
 
     def build(self, setting: Setting, at: Place) -> Contact:
         """The effect."""

@@ -6,11 +6,11 @@ Starts from which no equilibrium can be found are refused here.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Discriminator, Field, Tag, model_validator
+from pydantic import Discriminator, Field, Tag
 
 from pftwin.base.errors import InputError
 from pftwin.files.scene_file.document import Place
@@ -44,11 +44,9 @@ class FemurMeshSection(MeshFileSection):
         default_factory=RegionSection, description="table: where the trochlea is, whose groove line parts the facets"
     )
 
-    @model_validator(mode="after")
-    def _consistent(self) -> Self:
+    def _check(self) -> None:
         if self.facets == "one" and "region" in self.model_fields_set:
             raise problem('a region with facets = "one"', expected="one of them")
-        return self
 
     def build(self, setting: Setting, at: Place) -> FemurMesh:
         """The mesh with its facets."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass, field
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo, model_validator
@@ -43,6 +43,14 @@ class Section(BaseModel):
                 if isinstance(info.context, Reading):
                     info.context.originals[id(out[name])] = out[name], written
         return out
+
+    @model_validator(mode="after")
+    def _checked(self) -> Self:
+        self._check()
+        return self
+
+    def _check(self) -> None:
+        """Whether its fields go together; a table that asks for that raises a `problem` where they do not."""
 
 
 def other_unit(name: str) -> tuple[str, float] | None:

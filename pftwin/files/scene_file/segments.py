@@ -3,9 +3,9 @@
 # ruff: noqa: N815  (units in names are written as units are: N, Hz)
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from pftwin.files.scene_file.joint_centers import JointCenterSection
 from pftwin.files.scene_file.section import FileName, NotNegative, Point, Positive, Section, UnitQuaternion, problem
@@ -45,15 +45,13 @@ class SegmentSection(Section):
     )
     three_points: ThreePointsSection | None = Field(default=None, description="frame from three markers")
 
-    @model_validator(mode="after")
-    def _one_source(self) -> Self:
+    def _check(self) -> None:
         given = self.sources()
         if len(given) != 1:
             raise problem(
                 f"found {' and '.join(given)}" if given else "nothing says where it is",
                 expected="one of fixed, body, cluster_m and three_points",
             )
-        return self
 
     def sources(self) -> list[str]:
         """Which fields say where the segment is."""
@@ -97,12 +95,10 @@ class MotionSection(Section):
     end_time_s: float | None = Field(default=None, description="last time used [s]; the recording's by default")
     synthetic: bool = Field(default=False, description="whether this motion was simulated; results and figures say so")
 
-    @model_validator(mode="after")
-    def _ordered(self) -> Self:
+    def _check(self) -> None:
         if self.start_time_s is not None and self.end_time_s is not None and self.start_time_s >= self.end_time_s:
             raise problem(f"start_time_s is {self.start_time_s}, end_time_s {self.end_time_s}", expected="start < end")
         if self.rate_Hz is not None and self.poses is None:
             raise problem("rate_Hz without poses", expected="a file of poses whose times count frames")
         if twice := sorted(self.fixed_points_m.keys() & self.joint_centers):
             raise problem(f"{twice[0]} is a fixed point and a joint centre", expected="a name of its own")
-        return self

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
-from pydantic import Discriminator, Field, Tag, model_validator
+from pydantic import Discriminator, Field, Tag
 
 from pftwin.base.errors import InputError
 from pftwin.base.leaves import number, vector
@@ -48,13 +48,11 @@ class RegionSection(Section):
     )
     axis_radius_m: Positive | None = Field(default=None, description="distance of the groove from that axis [m]")
 
-    @model_validator(mode="after")
-    def _consistent(self) -> Self:
+    def _check(self) -> None:
         if self.angles_deg[0] >= self.angles_deg[1]:
             raise problem(f"angles_deg is {self.angles_deg}", expected="the lower limit first")
         if (self.axis_origin_m is None) != (self.axis_radius_m is None):
             raise problem("only one of axis_origin_m and axis_radius_m is given", expected="both or neither")
-        return self
 
     def find(self, mesh: SurfaceMesh, frame: HostPose, setting: Setting) -> TrochlearRegion:
         """The region on a mesh that is in the femur's frame already; `frame` is the mesh's own frame there."""
@@ -99,12 +97,10 @@ class WeightedPartSection(Section):
         default=None, description="limits from the region's middle, positive laterally; all if left out [m]"
     )
 
-    @model_validator(mode="after")
-    def _consistent(self) -> Self:
+    def _check(self) -> None:
         for name, limits in (("angles_deg", self.angles_deg), ("across_m", self.across_m)):
             if limits is not None and limits[0] >= limits[1]:
                 raise problem(f"{name} is {limits}", expected="the lower limit first")
-        return self
 
     def part(self) -> WeightedPart:
         """In radians and metres."""
@@ -163,13 +159,11 @@ class MeshSurfaceSection(MeshFileSection):
         default=[], description="parts of the region that count more, such as where the patella dislocates, or less"
     )
 
-    @model_validator(mode="after")
-    def _consistent(self) -> Self:
+    def _check(self) -> None:
         if self.kind == "spline" and "degree" in self.model_fields_set:
             raise problem("a spline with a degree", expected='kind = "spline" without it, or kind = "polynomial"')
         if self.kind == "polynomial" and self.tolerance_m is not None:
             raise problem("a polynomial with tolerance_m", expected='degree = "P5" or higher, or kind = "spline"')
-        return self
 
     def build(self, setting: Setting, at: Place) -> Surface:
         """The patch; a note says how well it fits."""

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from typing import ClassVar, Self
+from typing import ClassVar
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from pftwin.base.errors import InputError
 from pftwin.base.leaves import number, vector
@@ -39,8 +39,7 @@ class PrescribedTensionSection(EffectSection):
     origin_m: Points | None = Field(default=None, description="origin of each line, the body's frame [m]")
     wrap: Wrap = WRAP
 
-    @model_validator(mode="after")
-    def _one_source(self) -> Self:
+    def _check(self) -> None:
         if (self.file is None) == (self.tension_N is None):
             raise problem("neither file nor tension_N" if self.file is None else "both", expected="file or tension_N")
         if self.tension_N is not None:
@@ -49,7 +48,6 @@ class PrescribedTensionSection(EffectSection):
                     raise problem(f"{name} has {len(given)} for {len(self.tension_N)} tensions", expected="one each")
             if self.insertion_m is None or self.origin_m is None:
                 raise problem("constant tensions without ends", expected="insertion_m and origin_m")
-        return self
 
     def build(self, setting: Setting, at: Place) -> PrescribedTension:
         """The effect."""

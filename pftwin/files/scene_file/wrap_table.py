@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from pftwin.base.errors import InputError
 from pftwin.base.leaves import number, vector
@@ -54,15 +54,13 @@ class CylinderWrapSection(Section):
         """How many obstacles there are."""
         return group_size(self, "center_m", "axis", "radius_m", "side")
 
-    @model_validator(mode="after")
-    def _aside(self) -> Self:
+    def _check(self) -> None:
         _check_sizes("radius_m", np.asarray(self.radius_m))
         axis, side = (np.broadcast_to(d, (self.count, 3)) for d in (self.axis, self.side or [[0.0, 0.0, 0.0]]))
         sine = np.linalg.norm(np.cross(axis, side), axis=1)
         along = sine <= _ALONG * np.linalg.norm(axis, axis=1) * np.linalg.norm(side, axis=1)
         if self.side is not None and along.any():
             raise problem(f"the side {side[along][0].tolist()} is along the axis", expected="a direction across it")
-        return self
 
     def build(self, setting: Setting) -> Obstacle:
         """The obstacle."""
@@ -92,11 +90,9 @@ class EllipsoidWrapSection(Section):
         """How many obstacles there are."""
         return group_size(self, "center_m", "radii_m", "quaternion_wxyz")
 
-    @model_validator(mode="after")
-    def _sized(self) -> Self:
+    def _check(self) -> None:
         _check_sizes("radii_m", np.asarray(self.radii_m))
         assert self.count
-        return self
 
     def build(self, setting: Setting) -> Obstacle:
         """The obstacle. A mirrored one keeps a right-handed frame: its own z is turned round, which is the same."""

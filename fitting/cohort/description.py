@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import AfterValidator, BeforeValidator, Field, ValidationError, create_model, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, create_model, model_validator
 
 from fitting.nuisance import Nuisance
 from fitting.treatments import KINDS
@@ -17,8 +17,8 @@ from fitting.treatments.treatment import Way
 from pftwin.base.errors import InputError
 from pftwin.base.written_amounts import several_amounts
 from pftwin.files.scene_file.document import Document
-from pftwin.files.scene_file.problems import scene_error
-from pftwin.files.scene_file.section import FileName, Positive, Reading, Section, problem
+from pftwin.files.scene_file.problems import validated
+from pftwin.files.scene_file.section import FileName, Positive, Section, problem
 
 _UNITS = {"mm": "mm", "deg": "deg", "%": "percent"}  # as names of fields spell them
 _DEVICES = {"con", "prn", "aux", "nul", *(f"{port}{i}" for port in ("com", "lpt") for i in range(10))}
@@ -215,12 +215,7 @@ def read_cohort(path: str | os.PathLike[str], *, allow_outside: bool = False) ->
         InputError: a file that cannot be read, unknown or missing fields, values that cannot be right, two patients of
             one name; one message that lists every problem with its line and field.
     """
-    document = Document.read(path, allow_outside=allow_outside)
-    reading = Reading()
-    try:
-        table = CohortTable.model_validate(document.data, context=reading)
-    except ValidationError as error:
-        raise scene_error(error, document, reading) from None
+    table, document = validated(Document.read(path, allow_outside=allow_outside), CohortTable)
     _check_names(table, document)
     treatments = tuple(t.amounts() for t in table.treatment)
     _check_size(treatments, table, document)

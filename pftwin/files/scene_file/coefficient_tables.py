@@ -10,7 +10,6 @@ from pydantic import Field
 from pftwin.base.errors import InputError
 from pftwin.base.leaves import number, vector
 from pftwin.base.spatial import Scalar
-from pftwin.files.scene_file.document import Place
 from pftwin.files.scene_file.effect_tables import Setting
 from pftwin.files.scene_file.section import (
     Pair,
@@ -81,20 +80,19 @@ class PatchSurfaceSection(_RectangleSection):
     )
     degree: Polynomial = Field(default="P5", description='polynomial: "P2", "P4", "P5" or another total degree')
 
-    def build(self, setting: Setting, at: Place) -> Surface:
+    def build(self, setting: Setting) -> Surface:
         """The patch."""
         from pftwin.geometry.patch.fit import parse_degree
         from pftwin.geometry.patch.polynomial import PolynomialPatch, exponents
 
-        document = setting.document
-        with document.naming(*at, "degree"):
+        with setting.naming("degree"):
             degree = parse_degree(self.degree)
             refuse_other(setting, f"P{degree}")
         powers = exponents(degree)
         if len(self.coefficients_m) != len(powers):
             raise InputError(
                 f"{len(self.coefficients_m)} coefficients",
-                where=document.where(*at, "coefficients_m"),
+                where=setting.where("coefficients_m"),
                 expected=f"the {len(powers)} coefficients of P{degree}",
             )
         sign = v_sign(setting)  # of odd powers of v, too
@@ -115,12 +113,12 @@ class SplineSurfaceSection(_RectangleSection):
             found = f"{len(self.spline_coefficients_m)} rows of {sorted(widths)} spline_coefficients_m"
             raise problem(found, expected="4 or more rows of one length, 4 or more")
 
-    def build(self, setting: Setting, at: Place) -> Surface:
+    def build(self, setting: Setting) -> Surface:
         """The patch."""
         from pftwin.geometry.patch.fit import SPLINE
         from pftwin.geometry.patch.spline import SplinePatch
 
-        with setting.document.naming(*at):
+        with setting.naming():
             refuse_other(setting, SPLINE)
         rows = np.asarray(self.spline_coefficients_m, dtype=np.float64)
         rows = rows[:, ::-1] if setting.side.left else rows

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 from pydantic import Field
 
 from pftwin.base.leaves import number, vector
-from pftwin.files.scene_file.document import Place
 from pftwin.files.scene_file.effect_tables import EffectSection, Setting
 from pftwin.files.scene_file.section import FileName, LengthUnit, NotNegative, Point, Positive, Section, problem
 from pftwin.files.scene_file.surface_table import SurfaceSection
@@ -77,12 +76,12 @@ class ButtonSection(Section):
     units: LengthUnit = Field(description="unit of the mesh's coordinates")
     tolerance_m: Positive = Field(default=0.02e-3, description="deviation that still counts as sphere [m]")
 
-    def fit(self, setting: Setting, at: Place) -> SphereFit:
+    def fit(self, setting: Setting) -> SphereFit:
         """The sphere in the patella's own frame; a note says how well it fits."""
         from pftwin.geometry.mesh.mesh import load_mesh
         from pftwin.geometry.patch.sphere import fit_sphere
 
-        with setting.document.naming(*at, "mesh"):
+        with setting.naming("mesh"):
             sphere = fit_sphere(load_mesh(setting.path(self.mesh), units=self.units), tolerance=self.tolerance_m)
         setting.notes.append(f"{setting.path(self.mesh)}: {sphere}")
         return sphere
@@ -122,12 +121,12 @@ class ContactSection(EffectSection):
         if self.button is not None and {"radius_m", "center_m"} & self.model_fields_set:
             raise problem("both button and radius_m or center_m are given", expected="one of them")
 
-    def build(self, setting: Setting, at: Place) -> Effect:
+    def build(self, setting: Setting) -> Effect:
         """The effect."""
-        surface = self.surface.build(setting, (*at, "surface"))
+        surface = self.surface.build(setting.at("surface"))
         center, radius = self.center_m, self.radius_m
         if self.button is not None:
-            sphere = self.button.fit(setting, (*at, "button"))
+            sphere = self.button.fit(setting.at("button"))
             center, radius = sphere.center.tolist(), float(sphere.radius)
             center_here, axis_here = (setting.points("patella", p) for p in (sphere.center, sphere.axis))
             setting.buttons[self.label] = replace(sphere, center=center_here, axis=axis_here)

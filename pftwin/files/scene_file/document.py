@@ -40,7 +40,7 @@ class Document:
     path: Path
     data: dict[str, Any]
     lines: dict[Place, int] = field(default_factory=dict)
-    wrapped: set[int] = field(default_factory=set)  # ids of values that validation has put into a list of one
+    wrapped: tuple[int, ...] = ()  # ids of values that validation has put into a list of one
     allow_outside: bool = False  # whether it may name files outside its folder
     given: Path | None = None  # a file that the user names, wherever it lies
 

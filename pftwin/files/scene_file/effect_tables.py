@@ -7,7 +7,8 @@ import dataclasses
 import re
 from abc import abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
@@ -17,6 +18,7 @@ from pydantic import BeforeValidator, Field, create_model
 from pftwin.base.errors import InputError
 from pftwin.base.leaves import number, vector
 from pftwin.base.quantities import Quantity, declared_field
+from pftwin.files.scene_file.bones import Bones
 from pftwin.files.scene_file.document import Document, Place
 from pftwin.files.scene_file.section import (
     Name,
@@ -33,7 +35,6 @@ from pftwin.files.scene_file.wrap_table import WRAP, Wrap, obstacle
 from pftwin.model.effects.base import Effect
 from pftwin.model.effects.damping import LinearDamping
 from pftwin.model.effects.gravity import Gravity
-from pftwin.model.motion import KneeMotion
 
 if TYPE_CHECKING:
     from pftwin.geometry.patch.sphere import SphereFit
@@ -41,17 +42,37 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Setting:
-    """What an effect's table needs to become an effect."""
+    """What a table at a place of the file needs to become an effect, or a part of one."""
 
-    document: Document
-    side: Side
+    bones: Bones
     mass: float  # of the patella [kg]
-    motion: KneeMotion
-    fixed_femur: HostPose | None  # its pose in the world (mirrored); the scene's world is then the femur's frame
     start: HostPose  # the patella's frame in the femur's at the first frame
     contact: str | None = None  # polynomial asked for on the command line, in place of the file's
     buttons: dict[str, SphereFit] = field(default_factory=dict)  # fitted spheres by contact, patella frame
     notes: list[str] = field(default_factory=list)  # for the user to read
+    place: Place = ()
+
+    @property
+    def side(self) -> Side:
+        """From the file's axes to those of a right knee."""
+        return self.bones.side
+
+    @property
+    def document(self) -> Document:
+        """The file."""
+        return self.bones.recording.document
+
+    def at(self, *steps: str | int) -> Setting:
+        """The same for a table further in."""
+        return replace(self, place=(*self.place, *steps))
+
+    def where(self, *steps: str) -> str:
+        """File, line and field, of a field of this table or of the table itself."""
+        return self.document.where(*self.place, *steps)
+
+    def naming(self, *steps: str) -> AbstractContextManager[None]:
+        """Puts that in front of the message of any InputError from inside."""
+        return self.document.naming(*self.place, *steps)
 
     def path(self, name: str) -> str:
         """A file's path; relative ones start at the scene file.
@@ -64,14 +85,14 @@ class Setting:
     def points(self, frame: str, values: ArrayLike) -> NDArray[np.float64]:
         """Points (..., 3) of a body's frame, mirrored where the knee is a left one, in the scene's frames."""
         mirrored = self.side.points(frame, values)
-        if frame == "ground" and self.fixed_femur is not None:
-            return self.fixed_femur.inverse().apply(mirrored)
+        if frame == "ground" and self.bones.fixed_femur is not None:
+            return self.bones.fixed_femur.inverse().apply(mirrored)
         return mirrored
 
     def world_direction(self, values: ArrayLike) -> NDArray[np.float64]:
         """A direction of the world in the scene's world."""
         mirrored = self.side.points("world", values)
-        return mirrored if self.fixed_femur is None else mirrored @ self.fixed_femur.matrix
+        return mirrored if self.bones.fixed_femur is None else mirrored @ self.bones.fixed_femur.matrix
 
 
 Body = Literal["femur", "tibia", "ground"]
@@ -89,8 +110,8 @@ class EffectSection(Section):
         return self.name or self.kind
 
     @abstractmethod
-    def build(self, setting: Setting, at: Place) -> Effect:
-        """The effect; `at` is the table's place in the file.
+    def build(self, setting: Setting) -> Effect:
+        """The effect.
 
         Raises:
             InputError: files that cannot be used, groups of unlike lengths.
@@ -103,7 +124,7 @@ class GravitySection(EffectSection):
     kind: ClassVar[str] = "gravity"
     acceleration_m_per_s2: Point = Field(description="acceleration of gravity in the world [m/s^2]")
 
-    def build(self, setting: Setting, at: Place) -> Gravity:
+    def build(self, setting: Setting) -> Gravity:
         """The effect."""
         acceleration = setting.world_direction(self.acceleration_m_per_s2)
         return Gravity(number(setting.mass), vector(acceleration), name=self.label)
@@ -117,7 +138,7 @@ class DampingSection(EffectSection):
     rotational_N_m_s_per_rad: NotNegative = Field(description="damping of rotation [N m s/rad]")
     body: Body = Field(default="femur", description="body relative to which the motion is damped")
 
-    def build(self, setting: Setting, at: Place) -> LinearDamping:
+    def build(self, setting: Setting) -> LinearDamping:
         """The effect."""
         rates = number(self.translational_N_s_per_m), number(self.rotational_N_m_s_per_rad)
         return LinearDamping(*rates, body=self.body, name=self.label)
@@ -141,7 +162,7 @@ class DeclaredSection(EffectSection):
     def _check(self) -> None:
         group_size(self, *self._layout.numbers, *self._layout.points)
 
-    def build(self, setting: Setting, at: Place) -> Effect:
+    def build(self, setting: Setting) -> Effect:
         """The effect, or a group of them."""
         effect, numbers, points, plain, obstacles = self._layout
         n = group_size(self, *numbers, *points)
@@ -154,7 +175,7 @@ class DeclaredSection(EffectSection):
             placed = setting.world_direction(written) if body == "world" else setting.points(body, written)
             values[name] = vector(member_values(placed, n))
         for name in obstacles:
-            values[name] = obstacle(getattr(self, name), n, setting, at)
+            values[name] = obstacle(getattr(self, name), n, setting)
         return effect(**values, name=self.label)
 
 

@@ -17,7 +17,6 @@ from pftwin.base.leaves import number as leaf
 from pftwin.base.leaves import vector
 from pftwin.base.text_files import csv_cells, number, read_json, read_lines, refuse_repeated
 from pftwin.files.mocap.tables import unknown_name
-from pftwin.files.scene_file.document import Place
 from pftwin.files.scene_file.effect_tables import (
     Body,
     DeclaredSection,
@@ -128,23 +127,23 @@ class StrandsSection(EffectSection):
                 raise problem(f"{absent[0]} is missing", expected=f"file, or {', '.join(_INLINE)}")
             group_size(self, *_INLINE, "toe_strain", "damping_time_s")
 
-    def build(self, setting: Setting, at: Place) -> StrandGroup:
+    def build(self, setting: Setting) -> StrandGroup:
         """The effect."""
         strands = self._listed()
         if self.file is not None:
-            with setting.document.naming(*at, "file"):
+            with setting.naming("file"):
                 path = setting.path(self.file)
                 strands = _selected(read_strands(path, self.body), self.select, self.body, path)
         n = len(strands.stiffness)
         one = (strands.stiffness, strands.slack_length, np.asarray(self.toe_strain), np.asarray(self.damping_time_s))
         for label, values in zip(("toe_strain", "damping_time_s"), one[2:], strict=True):
             if len(values) not in (1, n):
-                where = setting.document.where(*at, label)
+                where = setting.where(label)
                 raise InputError(f"{len(values)} values for {n} strands", where=where, expected=f"1 or {n}")
         ends = setting.points("patella", strands.insertion), setting.points(self.body, strands.origin)
         k, slack, toe, damping = (leaf(np.broadcast_to(v, (n,))) for v in one)
         insertion, origin = (vector(e) for e in ends)
-        wrap = obstacle(self.wrap, n, setting, at)
+        wrap = obstacle(self.wrap, n, setting)
         return StrandGroup(k, slack, toe, damping, insertion, origin, self.body, wrap=wrap, name=self.label)
 
     def _listed(self) -> Strands:

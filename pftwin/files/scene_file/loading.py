@@ -10,20 +10,20 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from jax.dtypes import canonicalize_dtype
-from pydantic import Field, ValidationError, create_model
+from pydantic import Field, create_model
 
 from pftwin.base.errors import InputError
 from pftwin.base.program_cache import cached
-from pftwin.files.scene_file.bodies import FemurSection, PatellaSection, TibiaSection, guided_motion, start_pose
+from pftwin.files.scene_file.bones import Bones
 from pftwin.files.scene_file.document import Document
 from pftwin.files.scene_file.effect_tables import EffectSection, Setting
 from pftwin.files.scene_file.measured_table import MeasuredSection
-from pftwin.files.scene_file.problems import scene_error
+from pftwin.files.scene_file.problems import validated
 from pftwin.files.scene_file.recording import SegmentRecording
 from pftwin.files.scene_file.registry import effect_tables
-from pftwin.files.scene_file.section import ONE_OR_MANY, FileName, Reading, Section
-from pftwin.files.scene_file.segments import MotionSection, PoseSection
-from pftwin.files.scene_file.side import AxesSection, HostPose, Side
+from pftwin.files.scene_file.section import ONE_OR_MANY, FileName, Section
+from pftwin.files.scene_file.segments import FemurSection, MotionSection, PatellaSection, PoseSection, TibiaSection
+from pftwin.files.scene_file.side import AxesSection, Side
 from pftwin.model.limits import Limits
 from pftwin.model.scene import Scene, check
 
@@ -130,42 +130,30 @@ def load_scene_file(
     rate: float | None = None,
 ) -> LoadedScene:
     """As `load_scene`, with the measurements that the file names and with notes for the user."""
-    float_type = str(canonicalize_dtype(float))
-    recording = None if motion is None else (os.fspath(motion), rate)
-    files = _document(os.fspath(path), allow_outside, recording).files()
-    others = tuple(table.kind for table in effect_tables())
-    own = tuple(sorted((limits or {}).items()))
-    return cached(_loaded, os.fspath(path), contact, float_type, allow_outside, others, own, recording, files=files)
-
-
-def _document(path: str, allow_outside: bool, recording: tuple[str, float | None] | None) -> Document:
     document = Document.read(path, allow_outside=allow_outside)
-    return document if recording is None else document.with_motion(*recording)
+    if motion is not None:
+        document = document.with_motion(motion, rate)
+    kinds, float_type = [table.kind for table in effect_tables()], str(canonicalize_dtype(float))
+    return cached(_loaded, document, contact, dict(limits or {}), kinds, float_type, files=document.files())
 
 
 def _loaded(
-    path: str,
-    contact: str | None,
-    float_type: str,
-    allow_outside: bool,
-    tables: tuple[str, ...],
-    own_limits: tuple[tuple[str, float], ...],
-    recording: tuple[str, float | None] | None,
+    document: Document, contact: str | None, own_limits: dict[str, float], kinds: list[str], float_type: str
 ) -> LoadedScene:
     """The scene with leaves of this float type, JAX's default one; kept by these and the kinds of tables there are."""
-    document = _document(path, allow_outside, recording)
-    file = _validated(document)
+    _check_version(document)
+    model: Any = scene_file_model()
+    file, document = validated(document, model)
     side = Side.read(file.side == "left", file.axes, document)
     with document.naming("limits"):
-        limits = Limits.of({**file.limits, **dict(own_limits)})
+        limits = Limits.of({**file.limits, **own_limits})
     notes: list[str] = []
     segments = SegmentRecording(file.motion, {"femur": file.femur, "tibia": file.tibia}, document, notes, limits)
-    motion, fixed_femur, femur = guided_motion(file.femur, file.tibia, segments, side)
-    start = start_pose(file.patella.start, segments, side, motion, fixed_femur, femur)
-    beside = start if femur is None else HostPose.of(femur.positions[0], femur.quaternions[0]).inverse() @ start
-    setting = Setting(document, side, file.patella.mass_kg, motion, fixed_femur, beside, contact, notes=notes)
+    bones = Bones.read(segments, side)
+    start, beside_femur = bones.start_pose(file.patella.start)
+    setting = Setting(bones, file.patella.mass_kg, beside_femur, contact, notes=notes)
     effects = tuple(
-        table.build(setting, (section.kind, i))
+        table.build(setting.at(section.kind, i))
         for section in effect_tables()
         for i, table in enumerate(getattr(file, section.kind))
     )
@@ -173,13 +161,12 @@ def _loaded(
         raise InputError(
             "no effect acts on the patella", where=document.path, expected="[contact], [[tendon]], [gravity] ..."
         )
-    scene = Scene(
-        file.patella.body(side), effects, motion, start.pose(), file.name or Path(path).stem, file.motion.synthetic
-    )
+    name = file.name or document.path.stem
+    scene = Scene(file.patella.body(side), effects, bones.motion, start.pose(), name, file.motion.synthetic)
     scene = replace(scene, limits=limits)
     with document.naming():
         check(scene)
-    measured = None if file.measured is None else file.measured.build(scene, segments, side, fixed_femur, femur)
+    measured = None if file.measured is None else file.measured.build(scene, bones)
     segments.clusters.compare(document)
     unjudged = segments.clusters.side_as_given(file.side)
     notes += [unjudged] if unjudged else []
@@ -187,7 +174,7 @@ def _loaded(
     return LoadedScene(replace(scene, measured=measured), button, tuple(notes), document.path, unjudged)
 
 
-def _validated(document: Document) -> Any:
+def _check_version(document: Document) -> None:
     version = document.data.get("schema")
     if version != SCHEMA or isinstance(version, bool):
         raise InputError(
@@ -196,10 +183,3 @@ def _validated(document: Document) -> Any:
             expected=f"schema = {SCHEMA}, the version of the format that this pftwin reads",
             remedy="a newer pftwin" if isinstance(version, int) and version > SCHEMA else None,
         )
-    reading = Reading()
-    try:
-        return scene_file_model().model_validate(document.data, context=reading)
-    except ValidationError as error:
-        raise scene_error(error, document, reading) from None
-    finally:
-        document.wrapped.update(reading.wrapped)

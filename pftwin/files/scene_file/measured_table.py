@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from pftwin.base.errors import InputError
-from pftwin.files.mocap import PoseSeries, Table, frame_means, read_readings, singular_spectrum_filter
+from pftwin.files.mocap import Table, frame_means, read_readings, singular_spectrum_filter
+from pftwin.files.mocap.jumps import in_words, jumps
 from pftwin.files.mocap.units import SI_UNITS, split_unit
+from pftwin.files.scene_file.bones import Bones
 from pftwin.files.scene_file.document import Document
-from pftwin.files.scene_file.recording import SegmentRecording
 from pftwin.files.scene_file.section import FileName, Section, problem
 from pftwin.files.scene_file.segments import SegmentSection
-from pftwin.files.scene_file.side import HostPose, Side
 from pftwin.model.scene import Scene
 
 if TYPE_CHECKING:
@@ -60,14 +60,7 @@ class MeasuredSection(Section):
         if self.patella is None and not self.markers:
             raise problem("neither patella nor markers", expected="how the patella was recorded")
 
-    def build(
-        self,
-        scene: Scene,
-        recording: SegmentRecording,
-        side: Side,
-        fixed_femur: HostPose | None,
-        femur: PoseSeries | None,
-    ) -> Measured:
+    def build(self, scene: Scene, bones: Bones) -> Measured:
         """The measurements in the femur's frame, at the scene's frames.
 
         Raises:
@@ -75,13 +68,12 @@ class MeasuredSection(Section):
         """
         from pftwin.model.measured import Measured
 
-        document = recording.document
-        times = scene.motion.times
-        center, quaternions, source = np.full((times.size, 3), np.nan), None, recording.motion.markers
+        document, times = bones.recording.document, scene.motion.times
+        center, quaternions, source = np.full((times.size, 3), np.nan), None, bones.recording.motion.markers
         if self.patella is not None:
-            times, center, quaternions, source = self._pose(scene, recording, side, fixed_femur, femur)
+            times, center, quaternions, source = self._pose(self.patella, scene, bones)
         columns = self._columns(document, scene)
-        markers = self._markers(scene, recording, side, fixed_femur, femur)
+        markers = self._markers(scene, bones)
         if both := [name for name in markers if name in columns.get("readings", {})]:
             where = document.where("measured", "readings")
             raise InputError(f"{both[0]} is measured by a marker and in a column", where=where, expected="one of them")
@@ -96,50 +88,32 @@ class MeasuredSection(Section):
         )
 
     def _pose(
-        self,
-        scene: Scene,
-        recording: SegmentRecording,
-        side: Side,
-        fixed_femur: HostPose | None,
-        femur: PoseSeries | None,
+        self, patella: SegmentSection, scene: Scene, bones: Bones
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], str]:
         """Times, places of the tracked point and quaternions, in the femur's frame, and where they come from."""
-        from pftwin.files.mocap.jumps import in_words, jumps
-
-        document = recording.document
-        assert self.patella is not None
-        if self.patella.fixed is not None:
+        document = bones.recording.document
+        if patella.fixed is not None:
             where = document.where("measured", "patella", "fixed")
             raise InputError("a fixed pose is no measurement", where=where, expected="a recording")
-        poses = side.poses("world", "patella", recording.poses(self.patella, "measured", "patella"))
+        poses = bones.patella(patella, "measured", "patella")
         with document.naming("measured", "patella"):
-            if femur is not None:
-                poses = poses.relative_to(femur)
-            elif fixed_femur is not None:
-                poses = poses.seen_from(fixed_femur.pose())
+            poses = bones.poses_in_femur(poses)
         point = np.array([float(v) for v in scene.tracked_point().array()])
         center, quaternions = poses.positions + poses.matrices() @ point, poses.quaternions.copy()
         if (odd := jumps(poses)).any():
             center[odd], quaternions[odd] = np.nan, np.nan
-            recording.notes.append(
+            bones.recording.notes.append(
                 f"{poses.source}: the patella's {in_words(odd)} of {odd.size} (from {poses.times[0]:g} s on) left out: "
                 "it jumps there from where the frames around have it"
             )
         return poses.times, center, quaternions, poses.source
 
-    def _markers(
-        self,
-        scene: Scene,
-        recording: SegmentRecording,
-        side: Side,
-        fixed_femur: HostPose | None,
-        femur: PoseSeries | None,
-    ) -> dict[str, NDArray[np.float64]]:
+    def _markers(self, scene: Scene, bones: Bones) -> dict[str, NDArray[np.float64]]:
         """Places of the markers on the skin in the femur's frame, as [[marker]] reports them."""
         if not self.markers:
             return {}
-        document = recording.document
-        seen = recording.points([*self.markers.values()], "measured", "markers")
+        document = bones.recording.document
+        seen = bones.recording.points([*self.markers.values()], "measured", "markers")
         with document.naming("measured", "markers"):
             for name in self.markers:
                 for axis in _AXES:
@@ -151,11 +125,7 @@ class MeasuredSection(Section):
                     where=seen.source,
                     expected=f"those of the motion, {times.size} from {times[0]:g} s on",
                 )
-        places = side.points("world", seen.positions)
-        if femur is not None:
-            places = np.einsum("nji,nmj->nmi", femur.matrices(), places - femur.positions[:, None])
-        elif fixed_femur is not None:
-            places = fixed_femur.inverse().apply(places)
+        places = bones.points_in_femur(bones.side.points("world", seen.positions))
         return {
             f"{name}.{axis}": places[:, i, k] for i, name in enumerate(self.markers) for k, axis in enumerate(_AXES)
         }

@@ -9,7 +9,6 @@ from pydantic import Field
 
 from pftwin.base.leaves import number, vector
 from pftwin.files.scene_file.contact_table import FloresSection, FrictionSection, HertzSection, HuntCrossleySection
-from pftwin.files.scene_file.document import Place
 from pftwin.files.scene_file.effect_tables import EffectSection, Setting
 from pftwin.files.scene_file.mesh_tables import (
     ButtonMesh,
@@ -43,11 +42,11 @@ class _MeshesSection(EffectSection):
         default=None, description="table: a smooth surface by which results tell where the groove is; none by default"
     )
 
-    def femur_side(self, setting: Setting, at: Place) -> tuple[FemurMesh, Surface | None]:
+    def femur_side(self, setting: Setting) -> tuple[FemurMesh, Surface | None]:
         """The femur's mesh, and the smooth surface that says where the groove is."""
-        refuse_patch(setting, at)
-        surface = None if self.surface is None else self.surface.build(setting, (*at, "surface"))
-        femur = self.femur.build(setting, (*at, "femur"))
+        refuse_patch(setting)
+        surface = None if self.surface is None else self.surface.build(setting.at("surface"))
+        femur = self.femur.build(setting.at("femur"))
         return femur, surface
 
 
@@ -75,20 +74,20 @@ class MeshContactSection(_MeshesSection):
         if self.friction is not None and self.method == "contours":
             raise problem('friction with method = "contours"', expected='method = "volume" or "nearest": a sphere')
 
-    def build(self, setting: Setting, at: Place) -> Contact:
+    def build(self, setting: Setting) -> Contact:
         """The effect."""
-        femur, surface = self.femur_side(setting, at)
+        femur, surface = self.femur_side(setting)
         if self.method == "contours":
-            button = self.button.triangles(setting, (*at, "button"))
-            check_start(femur, button, setting, at)
-            with setting.document.naming(*at):
+            button = self.button.triangles(setting.at("button"))
+            check_start(femur, button, setting)
+            with setting.naming():
                 return self._contours(femur, button, surface)
-        sphere = self.button.sphere(setting, (*at, "button"), self.label)
+        sphere = self.button.sphere(setting.at("button"), self.label)
         from pftwin.geometry.mesh.icosphere import icosphere
 
-        check_start(femur, ButtonMesh(icosphere(sphere.radius, _COARSE), sphere.center), setting, at)
+        check_start(femur, ButtonMesh(icosphere(sphere.radius, _COARSE), sphere.center), setting)
         build = self._nearest if self.method == "nearest" else self._volume
-        with setting.document.naming(*at):
+        with setting.naming():
             contact = build(femur, sphere, surface)
             return contact if self.friction is None else self.friction.added(contact)
 
@@ -158,18 +157,18 @@ class ElasticFoundationSection(_MeshesSection):
         description="most neighbouring triangles of the button that are taken for one: quicker, a little less accurate",
     )
 
-    def build(self, setting: Setting, at: Place) -> Effect:
+    def build(self, setting: Setting) -> Effect:
         """The effect."""
         from pftwin.geometry.contact.depth_sides import pressed_surface, pressing_surface
         from pftwin.geometry.contact.distance_grid import distance_grid
         from pftwin.model.effects.elastic_foundation import ElasticFoundation
         from pftwin.model.effects.foundation_law import LAWS
 
-        femur, surface = self.femur_side(setting, at)
-        button = self.button.triangles(setting, (*at, "button"))
-        check_start(femur, button, setting, at)
+        femur, surface = self.femur_side(setting)
+        button = self.button.triangles(setting.at("button"))
+        check_start(femur, button, setting)
         layers = self.femur_layer.build("femur_layer"), self.button_layer.build("button_layer")
-        with setting.document.naming(*at):
+        with setting.naming():
             if self.distance_grid_mm is None:
                 pressed = pressed_surface(femur.mesh, femur.lateral)
             else:

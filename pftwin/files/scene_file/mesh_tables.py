@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from pydantic import Discriminator, Field, Tag
 
 from pftwin.base.errors import InputError
-from pftwin.files.scene_file.document import Place
 from pftwin.files.scene_file.effect_tables import Setting
 from pftwin.files.scene_file.section import Point, Positive, Section, problem
 from pftwin.files.scene_file.side import HostPose
@@ -48,14 +47,14 @@ class FemurMeshSection(MeshFileSection):
         if self.facets == "one" and "region" in self.model_fields_set:
             raise problem('a region with facets = "one"', expected="one of them")
 
-    def build(self, setting: Setting, at: Place) -> FemurMesh:
+    def build(self, setting: Setting) -> FemurMesh:
         """The mesh with its facets."""
-        mesh = setting.side.mesh("femur", self.read(setting, at))
+        mesh = setting.side.mesh("femur", self.read(setting))
         if self.facets == "one":
             return FemurMesh(mesh, None, None)
         from pftwin.geometry.contact.mesh_facets import lateral_of_groove
 
-        with setting.document.naming(*at, "region"):
+        with setting.naming("region"):
             region = self.region.find(mesh, self.mesh_pose.pose(), setting)
         return FemurMesh(mesh, lateral_of_groove(mesh, region), region)
 
@@ -86,24 +85,24 @@ class MeshButtonSection(MeshFileSection):
         default=None, description="of the fitted sphere: deviation that still counts as sphere [m]"
     )
 
-    def triangles(self, setting: Setting, at: Place) -> ButtonMesh:
+    def triangles(self, setting: Setting) -> ButtonMesh:
         """The mesh itself."""
-        _refuse_given(self, "tolerance_m", "there is no sphere to fit: the triangles themselves touch", setting, at)
+        _refuse_given(self, "tolerance_m", "there is no sphere to fit: the triangles themselves touch", setting)
         from pftwin.geometry.mesh.mesh import SurfaceMesh
 
-        mesh = setting.side.mesh("patella", self.read(setting, at))
+        mesh = setting.side.mesh("patella", self.read(setting))
         center = self.mesh_pose.position_m if self.center_m is None else self.center_m
         origin = setting.points("patella", center)
         return ButtonMesh(SurfaceMesh(mesh.vertices - origin, mesh.faces, mesh.source), origin)
 
-    def sphere(self, setting: Setting, at: Place, label: str) -> ButtonSphere:
+    def sphere(self, setting: Setting, label: str) -> ButtonSphere:
         """The sphere fitted to the mesh; a note says how well it fits."""
-        _refuse_given(self, "center_m", "the fitted sphere has its own centre", setting, at)
+        _refuse_given(self, "center_m", "the fitted sphere has its own centre", setting)
         from pftwin.geometry.patch.sphere import fit_sphere
 
         asked = {} if self.tolerance_m is None else {"tolerance": self.tolerance_m}
-        mesh = self.read(setting, at)
-        with setting.document.naming(*at, "mesh"):
+        mesh = self.read(setting)
+        with setting.naming("mesh"):
             found = fit_sphere(mesh, **asked)
         setting.notes.append(f"{mesh.source}: {found}")
         center, axis = (setting.points("patella", p) for p in (found.center, found.axis))
@@ -120,23 +119,23 @@ class SphereButtonSection(Section):
         default=None, description="how far triangles may lie off the sphere [m]; 0.006 mm by default"
     )
 
-    def triangles(self, setting: Setting, at: Place) -> ButtonMesh:
+    def triangles(self, setting: Setting) -> ButtonMesh:
         """An icosphere, the coarsest that keeps to the deviation."""
         from pftwin.geometry.mesh.icosphere import RESOLUTIONS, button_mesh
 
-        with setting.document.naming(*at, "deviation_m"):
+        with setting.naming("deviation_m"):
             mesh = button_mesh(self.radius_m, self.deviation_m or RESOLUTIONS["FM"])
         return ButtonMesh(mesh, setting.points("patella", self.center_m))
 
-    def sphere(self, setting: Setting, at: Place, label: str) -> ButtonSphere:
+    def sphere(self, setting: Setting, label: str) -> ButtonSphere:
         """The exact sphere."""
-        _refuse_given(self, "deviation_m", "the sphere is exact: it has no triangles", setting, at)
+        _refuse_given(self, "deviation_m", "the sphere is exact: it has no triangles", setting)
         return ButtonSphere(setting.points("patella", self.center_m), self.radius_m)
 
 
-def _refuse_given(section: Section, field: str, why: str, setting: Setting, at: Place) -> None:
+def _refuse_given(section: Section, field: str, why: str, setting: Setting) -> None:
     if getattr(section, field) is not None:
-        raise InputError(why, where=setting.document.where(*at, field), remedy="leave it out")
+        raise InputError(why, where=setting.where(field), remedy="leave it out")
 
 
 def _which(value: Any) -> str:
@@ -150,17 +149,17 @@ ButtonSection = Annotated[
 ]
 
 
-def refuse_patch(setting: Setting, at: Place) -> None:
+def refuse_patch(setting: Setting) -> None:
     """A patch asked for on the command line cannot take the place of meshes."""
     if setting.contact is not None:
         raise InputError(
             f"{setting.contact} was asked for, and this contact is of meshes",
-            where=setting.document.where(*at),
+            where=setting.where(),
             remedy="leave --contact out, or a scene file with a [contact] table",
         )
 
 
-def check_start(femur: FemurMesh, button: ButtonMesh, setting: Setting, at: Place) -> None:
+def check_start(femur: FemurMesh, button: ButtonMesh, setting: Setting) -> None:
     """Refuse a start that no search for an equilibrium can find a way out of; a note on one that may be hard.
 
     Raises:
@@ -172,7 +171,7 @@ def check_start(femur: FemurMesh, button: ButtonMesh, setting: Setting, at: Plac
 
     start = setting.start @ HostPose(button.origin, np.eye(3))
     found = mutual_place(femur.mesh, button.mesh, start.position, start.matrix)
-    where = setting.document.where(*at)
+    where = setting.where()
     poses = "[patella] start, center_m and mesh_pose of both meshes, and [axes]"
     if found.behind > 0.5:
         raise InputError(

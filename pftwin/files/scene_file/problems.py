@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Callable, Mapping
-from typing import Any
+from dataclasses import replace
+from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
@@ -12,12 +13,25 @@ from pftwin.base.errors import InputError
 from pftwin.files.scene_file.document import MISSING, Document
 from pftwin.files.scene_file.section import Reading, Section
 
+Table = TypeVar("Table", bound=Section)
 Found = tuple[str, str | None, str | None]  # problem, expected, remedy
 
 
-def scene_error(error: ValidationError, document: Document, reading: Reading) -> InputError:
-    """The one InputError for all that validation has found."""
-    document.wrapped.update(reading.wrapped)
+def validated(document: Document, model: type[Table]) -> tuple[Table, Document]:
+    """The file as its model has it; and the document, which knows now what validation has put into lists.
+
+    Raises:
+        InputError: one for all that is wrong.
+    """
+    reading = Reading()
+    try:
+        table = model.model_validate(document.data, context=reading)
+    except ValidationError as error:
+        raise _scene_error(error, replace(document, wrapped=tuple(reading.wrapped)), reading) from None
+    return table, replace(document, wrapped=tuple(reading.wrapped))
+
+
+def _scene_error(error: ValidationError, document: Document, reading: Reading) -> InputError:
     found: list[InputError] = []
     located = [(detail, *document.locate(detail["loc"])) for detail in error.errors()]
     misspelt = {

@@ -28,8 +28,7 @@ from pftwin.files.mocap.filters import samples_needed
 from pftwin.files.mocap.poses import check_same_times
 from pftwin.files.scene_file.clusters import ClusterFits
 from pftwin.files.scene_file.document import Document
-from pftwin.files.scene_file.joint_centers import JointCenterSection
-from pftwin.files.scene_file.segments import MotionSection, SegmentSection
+from pftwin.files.scene_file.segments import JointCenterSection, MotionSection, SegmentSection
 from pftwin.model.limits import Limits
 
 Recorded = TypeVar("Recorded", PoseSeries, MarkerTrajectories)

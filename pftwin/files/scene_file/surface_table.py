@@ -11,7 +11,6 @@ from pydantic import Discriminator, Field, Tag
 from pftwin.base.errors import InputError
 from pftwin.base.leaves import number, vector
 from pftwin.files.scene_file.coefficient_tables import PatchSurfaceSection, SplineSurfaceSection, refuse_other
-from pftwin.files.scene_file.document import Place
 from pftwin.files.scene_file.effect_tables import Setting
 from pftwin.files.scene_file.section import (
     Direction,
@@ -125,12 +124,12 @@ class MeshFileSection(Section):
     flip: bool = Field(default=False, description="turn all triangles: for a mesh whose normals point into its body")
     mesh_pose: PoseSection = Field(default_factory=PoseSection, description="the mesh's frame in its body's")
 
-    def read(self, setting: Setting, at: Place) -> SurfaceMesh:
+    def read(self, setting: Setting) -> SurfaceMesh:
         """The mesh in its body's frame, as the file has that; notes say what is odd about it."""
         from pftwin.geometry.mesh.doctor import checked_mesh
         from pftwin.geometry.mesh.mesh import SurfaceMesh
 
-        with setting.document.naming(*at, "mesh"):
+        with setting.naming("mesh"):
             found = checked_mesh(setting.path(self.mesh), units=self.units, repair=self.repair)
         setting.notes.extend(found.notes)
         mesh = found.mesh.flipped() if self.flip else found.mesh
@@ -165,21 +164,20 @@ class MeshSurfaceSection(MeshFileSection):
         if self.kind == "polynomial" and self.tolerance_m is not None:
             raise problem("a polynomial with tolerance_m", expected='degree = "P5" or higher, or kind = "spline"')
 
-    def build(self, setting: Setting, at: Place) -> Surface:
+    def build(self, setting: Setting) -> Surface:
         """The patch; a note says how well it fits."""
         from pftwin.geometry.mesh.mesh import SurfaceMesh, load_mesh
         from pftwin.geometry.patch.emphasis import emphasis
         from pftwin.geometry.patch.fit import SPLINE, fit_named, parse_name
 
-        document = setting.document
-        with document.naming(*at, "mesh"):
+        with setting.naming("mesh"):
             mesh = load_mesh(setting.path(self.mesh), units=self.units, repair=self.repair)
         frame = self.mesh_pose.pose()
         mesh = mesh.flipped() if self.flip else mesh
         mesh = setting.side.mesh("femur", SurfaceMesh(frame.apply(mesh.vertices), mesh.faces, mesh.source))
-        with document.naming(*at, "region"):
+        with setting.naming("region"):
             region = self.region.find(mesh, frame, setting)
-        with document.naming(*at, "degree"):
+        with setting.naming("degree"):
             name = parse_name(setting.contact or (SPLINE if self.kind == SPLINE else self.degree))
             asked = {"tolerance": self.tolerance_m} if name == SPLINE and self.tolerance_m is not None else {}
             weighted = emphasis(region, [part.part() for part in self.emphasis])
@@ -195,11 +193,11 @@ class ImplantSurfaceSection(Section):
 
     implant: Literal["rig"] = Field(description='"rig": the femoral component of the virtual rig')
 
-    def build(self, setting: Setting, at: Place) -> Surface:
+    def build(self, setting: Setting) -> Surface:
         """The virtual rig's femoral component, exact."""
         from pftwin.geometry.patch.implant import rig_implant
 
-        with setting.document.naming(*at):
+        with setting.naming():
             refuse_other(setting, None)
             if not np.array_equal(setting.side.matrices["femur"], np.eye(3)):
                 raise InputError("the rig's implant is a right one in anatomical axes", expected="no [axes] femur")

@@ -11,7 +11,6 @@ from pftwin.base.errors import InputError
 from pftwin.base.leaves import number, vector
 from pftwin.files.mocap import Table, read_readings
 from pftwin.files.mocap.tables import uniform_times
-from pftwin.files.scene_file.document import Place
 from pftwin.files.scene_file.effect_tables import Body, EffectSection, Setting
 from pftwin.files.scene_file.section import FileName, NotNegative, Points, problem
 from pftwin.files.scene_file.wrap_table import WRAP, Wrap, obstacle
@@ -49,7 +48,7 @@ class PrescribedTensionSection(EffectSection):
             if self.insertion_m is None or self.origin_m is None:
                 raise problem("constant tensions without ends", expected="insertion_m and origin_m")
 
-    def build(self, setting: Setting, at: Place) -> PrescribedTension:
+    def build(self, setting: Setting) -> PrescribedTension:
         """The effect."""
         if self.tension_N is not None:
             return PrescribedTension(
@@ -59,18 +58,18 @@ class PrescribedTensionSection(EffectSection):
                 start_time=0.0,
                 interval=1.0,
                 body=self.body,
-                wrap=obstacle(self.wrap, len(self.tension_N), setting, at),
+                wrap=obstacle(self.wrap, len(self.tension_N), setting),
                 name=self.label,
             )
         assert self.file is not None
         if setting.document.given is not None:
             raise InputError(
                 "tensions over time of the scene's own recording",
-                where=setting.document.where(*at, "file"),
+                where=setting.where("file"),
                 expected="none beside another recording",
                 remedy="tension_N, or a scene file of that recording",
             )
-        with setting.document.naming(*at, "file"):
+        with setting.naming("file"):
             table = read_readings(setting.path(self.file))
             times = uniform_times(table.times, where=table.source)
             self._check_times(times, setting, table.source)
@@ -97,12 +96,12 @@ class PrescribedTensionSection(EffectSection):
             start_time=float(times[0]),
             interval=float(f"{(times[-1] - times[0]) / max(n - 1, 1):.12g}") or 1.0,
             body=self.body,
-            wrap=obstacle(self.wrap, len(lines), setting, at),
+            wrap=obstacle(self.wrap, len(lines), setting),
             name=self.label,
         )
 
     def _check_times(self, times: np.ndarray, setting: Setting, source: str) -> None:
-        motion = setting.motion
+        motion = setting.bones.motion
         slack = 0.5 * motion.frame_interval
         if times.size < 2 or times[0] > motion.start_time + slack or times[-1] < motion.end_time - slack:
             raise InputError(

@@ -24,7 +24,6 @@ from pftwin.files.scene_file.section import (
 from pftwin.files.scene_file.side import HostPose
 
 if TYPE_CHECKING:
-    from pftwin.files.scene_file.document import Place
     from pftwin.files.scene_file.effect_tables import Setting
     from pftwin.geometry.wrapping.obstacle import Obstacle
 
@@ -117,8 +116,8 @@ WRAP = Field(
 )
 
 
-def obstacle(wrap: Wrap, lines: int, setting: Setting, at: Place) -> Obstacle | None:
-    """What so many lines run over; `at` is their table's place in the file.
+def obstacle(wrap: Wrap, lines: int, setting: Setting) -> Obstacle | None:
+    """What so many lines run over; `setting` is of their table.
 
     Raises:
         InputError: so many obstacles that each line could not have one.
@@ -127,7 +126,5 @@ def obstacle(wrap: Wrap, lines: int, setting: Setting, at: Place) -> Obstacle | 
         return None
     if wrap.count not in (1, lines):
         expected = f"1 or {lines}" if lines > 1 else "1"
-        raise InputError(
-            f"{wrap.count} obstacles for {lines} lines", where=setting.document.where(*at, "wrap"), expected=expected
-        )
+        raise InputError(f"{wrap.count} obstacles for {lines} lines", where=setting.where("wrap"), expected=expected)
     return wrap.build(setting)

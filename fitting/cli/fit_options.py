@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Option
 
 from pftwin.base.errors import InputError
-from pftwin.cli.named_numbers import numbers_between_colons, numbers_by_name
+from pftwin.base.written_amounts import numbers_between_colons, numbers_by_name
 from pftwin.cli.scenes import TrialsOptions
 
 if TYPE_CHECKING:

@@ -11,9 +11,9 @@ from fitting.cli.fit_options import DuringOption, time_spans, within
 from fitting.cli.treat import SeedOption, StepOption
 from pftwin.base.errors import InputError
 from pftwin.base.sheet import Sheet
+from pftwin.base.written_amounts import numbers_by_name
 from pftwin.cli import terminal
 from pftwin.cli.exit_codes import exit_flagged
-from pftwin.cli.named_numbers import numbers_by_name
 from pftwin.cli.scenes import RecordingOptions, on_scene
 
 

@@ -27,9 +27,9 @@ from jax.core import Tracer
 
 import pftwin
 from pftwin.base import cache_folder
+from pftwin.base.leaves import Fixed, split_arguments
 from pftwin.base.serialization import NotPlainError, fingerprint, from_bytes, to_bytes
 from pftwin.base.text_files import MESH_BYTES
-from pftwin.base.traced_once import Fixed, split_arguments
 
 T = TypeVar("T")
 _LIBRARIES = ("jax", "jaxlib", "equinox", "diffrax", "optax", "numpy", "scipy", "trimesh")

@@ -142,3 +142,8 @@ def shown(value: float, unit: str, digits: int) -> str:
     """A number in the unit that people read, with so many digits."""
     scale, told = as_read(unit)
     return f"{scale * value:.{digits}g} {told}".removesuffix(" 1")
+
+
+def about(unit: str, long_name: str) -> dict[str, str]:
+    """Attributes of a variable in a dataset by the CF conventions: its unit, "1" for a pure number, and its name."""
+    return {"units": unit, "long_name": long_name}

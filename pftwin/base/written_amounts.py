@@ -1,12 +1,25 @@
-"""Amounts as people write them: a number and, behind it, its unit: "16 mm", "1.6 cm", "0.5 N"."""
+"""What people write in options and files: amounts ("16 mm", "0.5 N"), numbers by name ("position=2e-4"), axes ("-x").
+
+An amount is a number and, behind it, its unit. An axis without a sign has a plus."""
 
 from __future__ import annotations
 
 import math
 import re
+from collections.abc import Sequence
 
 from pftwin.base.errors import InputError
 
+Direction = tuple[float, float, float]
+
+AXES: dict[str, Direction] = {
+    "+x": (1.0, 0.0, 0.0),
+    "-x": (-1.0, 0.0, 0.0),
+    "+y": (0.0, 1.0, 0.0),
+    "-y": (0.0, -1.0, 0.0),
+    "+z": (0.0, 0.0, 1.0),
+    "-z": (0.0, 0.0, -1.0),
+}
 UNITS = {  # by SI unit: the units that an amount may have, with their sizes
     "m": {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "um": 1e-6},
     "rad": {"deg": math.pi / 180, "rad": 1.0},
@@ -111,3 +124,43 @@ def several_amounts(text: str, where: str, unit: str = "") -> list[float]:
 def units_in_words(unit: str) -> str:
     """For messages: the units that amounts in this one may have, behind what else is expected."""
     return f", in {unit} or with a unit: {', '.join(units_beside(unit))}" if unit else ""
+
+
+def numbers_by_name(
+    given: Sequence[str] | None, option: str, expected: str, counts: Sequence[int] = (1,)
+) -> dict[str, tuple[float, ...]]:
+    """Numbers by name, from "name=number" or "name=number:number".
+
+    Args:
+        given: what the user wrote, each time that the option is there.
+        option: its name, for messages.
+        expected: what is, for messages, such as 'such as "position=2e-4"'.
+        counts: how many numbers a name may have.
+
+    Raises:
+        InputError: anything else; the same name twice.
+    """
+    found: dict[str, tuple[float, ...]] = {}
+    for text in given or []:
+        name, _, value = (part.strip() for part in text.rpartition("="))
+        numbers = numbers_between_colons(value)
+        if not name or len(numbers) not in counts:
+            raise InputError(f"found {text!r}", where=option, expected=f"{expected}, each once")
+        if name in found:
+            raise InputError(f"{name!r} is given twice", where=option, expected=f"{expected}, each once")
+        found[name] = numbers
+    return found
+
+
+def numbers_between_colons(text: str) -> tuple[float, ...]:
+    """Numbers from "0:20"; none, if one of them is no number."""
+    try:
+        return tuple(float(part) for part in text.split(":"))
+    except ValueError:
+        return ()
+
+
+def axis_named(text: str) -> Direction | None:
+    """The unit vector of "x", "+x" or "-X"; None for any other text."""
+    name = text.strip().lower()
+    return AXES.get(name if name.startswith(("+", "-")) else f"+{name}")

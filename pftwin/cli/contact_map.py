@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Option
 
 from pftwin.base.errors import InputError
-from pftwin.base.signed_axes import Direction, axis_named
-from pftwin.base.written_amounts import amount, listed
+from pftwin.base.written_amounts import Direction, amount, axis_named, listed
 from pftwin.cli import terminal
 from pftwin.cli.exchange import RateOption
 from pftwin.cli.exit_codes import Interrupted, exit_flagged, report_written_on_interrupt

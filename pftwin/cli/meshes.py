@@ -9,8 +9,7 @@ from typer import Argument, Option
 
 from pftwin.base.errors import InputError
 from pftwin.base.sheet import Sheet
-from pftwin.base.signed_axes import axis_named
-from pftwin.base.written_amounts import amount
+from pftwin.base.written_amounts import amount, axis_named
 from pftwin.cli import terminal
 from pftwin.cli.plugins import with_former_names
 

@@ -11,8 +11,8 @@ from typer import Option
 from typer.core import TyperGroup
 
 from pftwin.base.errors import PftwinError, PftwinWarning
+from pftwin.base.written_amounts import numbers_by_name
 from pftwin.cli.exit_codes import ExitCode, after_interrupt, code_of, leave_at_once
-from pftwin.cli.named_numbers import numbers_by_name
 from pftwin.cli.plugins import installed_commands
 from pftwin.cli.scenes import allow_outside, limits
 from pftwin.cli.terminal import tell

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import jax
 import numpy as np
 
-from pftwin.base.attributes import about
+from pftwin.base.quantities import about
 from pftwin.dynamics.status import Status
 from pftwin.model.effects.base import Observable
 from pftwin.model.measured import SYNTHETIC

@@ -23,8 +23,8 @@ import jax.numpy as jnp
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pftwin.base.attributes import about
 from pftwin.base.leaves import host_array
+from pftwin.base.quantities import about
 from pftwin.base.spatial import Vec3
 from pftwin.geometry.patch.closest import Surface
 from pftwin.model.effects.base import Effect

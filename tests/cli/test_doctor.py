@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from pftwin.cli import app, installation
+from pftwin.cli import app
 from pftwin.cli import doctor as command
 from pftwin.cli.exit_codes import ExitCode
 
@@ -99,7 +99,7 @@ def test_a_missing_package_is_named_and_nothing_is_simulated(monkeypatch):
 def test_too_old_a_package_is_broken(monkeypatch):
     real = metadata.version
     monkeypatch.setattr(metadata, "version", lambda name: "0.1" if name == "jax" else real(name))
-    assert [f.name for f in installation.packages() if not f.sound] == ["jax"]
+    assert [f.name for f in command.packages() if not f.sound] == ["jax"]
 
 
 def test_an_extra_that_is_not_there_says_how_to_get_it(monkeypatch):
@@ -111,7 +111,7 @@ def test_an_extra_that_is_not_there_says_how_to_get_it(monkeypatch):
         return real(name)
 
     monkeypatch.setattr(metadata, "version", version)
-    extra = next(e for e in installation.extras() if e.name == "c3d")
+    extra = next(e for e in command.extras() if e.name == "c3d")
     assert not extra.present
     assert extra.remedy == "python -m pip install 'pftwin[c3d]'"
 
@@ -126,12 +126,12 @@ def test_an_extra_of_another_package_is_not_there_without_its_parts(monkeypatch)
         return real(name)
 
     monkeypatch.setattr(metadata, "version", version)
-    assert not next(e for e in installation.extras() if e.name == "cuda").present
+    assert not next(e for e in command.extras() if e.name == "cuda").present
 
 
 def test_a_cache_that_cannot_be_written_to_is_broken(tmp_path):
     (tmp_path / "file").write_text("")
-    assert not installation.cache(tmp_path / "file" / "compiled").sound
-    found = installation.cache(tmp_path)
+    assert not command.cache(tmp_path / "file" / "compiled").sound
+    found = command.cache(tmp_path)
     assert found.sound
     assert "1 files" in found.found

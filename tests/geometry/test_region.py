@@ -10,7 +10,7 @@ import pytest
 from scipy.spatial.transform import Rotation as ScipyRotation
 
 from pftwin.base.errors import InputError
-from pftwin.base.signed_axes import AXES
+from pftwin.base.written_amounts import AXES
 from pftwin.geometry.mesh.mesh import SurfaceMesh, check_mesh, load_mesh
 from pftwin.geometry.patch.directions import directions_with_groove
 from pftwin.geometry.patch.fit import fit_patch

@@ -11,8 +11,8 @@ from pydantic import AfterValidator, Discriminator, Field, Tag
 
 from pftwin.base.errors import InputError
 from pftwin.base.leaves import number, vector
-from pftwin.base.signed_axes import axis_named
 from pftwin.base.spatial import Pose, Quaternion
+from pftwin.base.written_amounts import axis_named
 from pftwin.files.mocap.poses import PoseSeries
 from pftwin.files.scene_file.document import Document
 from pftwin.files.scene_file.section import Section, problem

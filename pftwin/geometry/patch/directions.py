@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pftwin.base.errors import InputError
-from pftwin.base.signed_axes import AXES
+from pftwin.base.written_amounts import AXES
 from pftwin.geometry.mesh.mesh import SurfaceMesh
 from pftwin.geometry.patch.region import TrochlearRegion, trochlear_region
 

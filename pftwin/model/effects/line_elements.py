@@ -8,8 +8,8 @@ import equinox as eqx
 import jax.numpy as jnp
 
 from pftwin.base.errors import InputError
+from pftwin.base.leaves import traced_once
 from pftwin.base.spatial import Scalar, Vec3
-from pftwin.base.traced_once import traced_once
 from pftwin.geometry.wrapping.obstacle import Obstacle
 from pftwin.model.effects.base import Effect, Instant, StiffTerm, applied_at
 from pftwin.model.motion import SegmentMotion

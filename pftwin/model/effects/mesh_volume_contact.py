@@ -28,9 +28,9 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from pftwin.base.leaves import traced_once
 from pftwin.base.quantities import quantity
 from pftwin.base.spatial import Scalar, Vec3
-from pftwin.base.traced_once import traced_once
 from pftwin.geometry.contact.overlap import Overlap, overlap
 from pftwin.geometry.contact.patch_mesh import PatchMesh
 from pftwin.geometry.contact.sphere_patch import sphere_patch

@@ -12,9 +12,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
+from pftwin.base.leaves import traced_once
 from pftwin.base.quantities import quantity
 from pftwin.base.spatial import Scalar, Vec3
-from pftwin.base.traced_once import traced_once
 from pftwin.geometry.contact.facets import MERGED, Facets, FollowedPoint, facets_from, follow_facets, medial_of_groove
 from pftwin.geometry.patch.closest import ClosestPoint, Surface
 from pftwin.model.effects.base import Instant, Load, Observable

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pftwin.base.attributes import about
+from pftwin.base.quantities import about
 from pftwin.geometry.mesh.mesh import SurfaceMesh
 from pftwin.results.plots.style import COLOURS, WIDE, house_style, legend_above
 from pftwin.results.plots.style import title as name_figure

@@ -10,14 +10,18 @@ object of size zero the library (2.0) loops for ever, inside C code that no time
 
 from __future__ import annotations
 
+import math
 import mmap
 from pathlib import Path
 from typing import Any
+
+import h5py
 
 from pftwin.base.errors import InputError
 from pftwin.base.text_files import RESULT_BYTES, RESULT_PACKED, RESULT_SMALL
 
 _SAVED = "a result saved by pftwin"
+_AGAIN = "copy the file again, or simulate again"
 
 
 def check_netcdf(file: Path) -> list[str]:
@@ -29,8 +33,6 @@ def check_netcdf(file: Path) -> list[str]:
     Raises:
         InputError: it does, or it is no NetCDF-4.
     """
-    import h5py
-
     size = file.stat().st_size
     if size > RESULT_BYTES:
         raise _too_large(f"{size / 1e9:.1f} GB", file)
@@ -51,14 +53,10 @@ def check_netcdf(file: Path) -> list[str]:
 
 
 def _in_link(link: Any, name: str, file: Path) -> InputError | None:
-    import h5py
-
     return None if isinstance(link, h5py.HardLink) else _external_reference_error(name, file)
 
 
 def _in_item(item: Any, name: str, file: Path, total: list[int]) -> InputError | None:
-    import h5py
-
     if not isinstance(item, h5py.Dataset):
         return None
     if item.external or item.is_virtual:
@@ -66,18 +64,12 @@ def _in_item(item: Any, name: str, file: Path, total: list[int]) -> InputError |
     announced, there = item.nbytes, item.id.get_storage_size()
     total[0] += announced
     # A chunk is unpacked whole, however little of it counts.
-    chunk = 0 if item.chunks is None else int(item.dtype.itemsize)
-    for n in item.chunks or ():
-        chunk *= int(n)
+    chunk = 0 if item.chunks is None else math.prod(map(int, (item.dtype.itemsize, *item.chunks)))
     if total[0] > RESULT_BYTES or chunk > RESULT_BYTES:
         return _too_large(f"{max(total[0], chunk) / 1e9:.1f} GB of variables", file)
     if max(announced, chunk) > max(RESULT_SMALL, RESULT_PACKED * there):
-        return InputError(
-            f"{name!r} announces {max(announced, chunk) / 1e6:.0f} MB, of which the file holds {there / 1e6:.1f}",
-            where=file,
-            expected=_SAVED,
-            remedy="copy the file again, or simulate again",
-        )
+        found = f"announces {max(announced, chunk) / 1e6:.0f} MB, of which the file holds {there / 1e6:.1f}"
+        return InputError(f"{name!r} {found}", where=file, expected=_SAVED, remedy=_AGAIN)
     return None
 
 
@@ -116,12 +108,8 @@ def check_heaps(file: Path) -> None:
         at = data.find(_BEGIN)
         while at >= 0:
             if not _whole(data, at):
-                raise InputError(
-                    f"cannot be read as NetCDF: the heap at byte {at} is damaged",
-                    where=file,
-                    expected="a result saved by pftwin",
-                    remedy="copy the file again, or simulate again",
-                )
+                found = f"cannot be read as NetCDF: the heap at byte {at} is damaged"
+                raise InputError(found, where=file, expected=_SAVED, remedy=_AGAIN)
             at = data.find(_BEGIN, at + len(_BEGIN))
 
 

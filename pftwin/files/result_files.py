@@ -14,7 +14,6 @@ from pftwin.base.output import check_place, written_whole
 from pftwin.base.text_files import write_text
 from pftwin.files.mocap.csv_files import write_csv
 from pftwin.files.mocap.tables import Table
-from pftwin.files.netcdf_check import check_netcdf, not_netcdf
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -68,6 +67,8 @@ def load_dataset(path: str | os.PathLike[str], *, group: str | None = None) -> D
         InputError: no such file, not NetCDF-4, too large, not whole in itself, or no such group.
     """
     from xarray import load_dataset as load
+
+    from pftwin.files.netcdf_check import check_netcdf, not_netcdf
 
     file = Path(path)
     if not file.is_file():

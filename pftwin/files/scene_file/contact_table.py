@@ -5,11 +5,11 @@ friction = { ... } in [contact] and [mesh_contact].
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from pydantic import Field
 
+from pftwin.base.arrays import Floats
 from pftwin.base.leaves import number, vector
 from pftwin.files.scene_file.effect_tables import EffectSection, Setting
 from pftwin.files.scene_file.section import FileName, LengthUnit, NotNegative, Point, Positive, Section, problem
@@ -18,7 +18,6 @@ from pftwin.model.effects.contact_law import Flores, Hertz, HuntCrossley
 from pftwin.model.effects.sphere_contact import SphereContact
 
 if TYPE_CHECKING:
-    from pftwin.geometry.patch.sphere import SphereFit
     from pftwin.model.effects.base import Effect
     from pftwin.model.effects.contact import Contact
 
@@ -69,6 +68,10 @@ class HertzSection(LawSection):
         return Hertz(number(self.contact_stiffness), hertz_exponent=self.hertz_exponent)
 
 
+Law = Annotated[FloresSection | HuntCrossleySection | HertzSection, Field(discriminator="type")]
+LAW = Field(description='table: the normal force\'s law, type = "flores", "hunt_crossley" or "hertz"')
+
+
 class ButtonSection(Section):
     """A button by its mesh, in the patella's frame."""
 
@@ -76,15 +79,13 @@ class ButtonSection(Section):
     units: LengthUnit = Field(description="unit of the mesh's coordinates")
     tolerance_m: Positive = Field(default=0.02e-3, description="deviation that still counts as sphere [m]")
 
-    def fit(self, setting: Setting) -> SphereFit:
-        """The sphere in the patella's own frame; a note says how well it fits."""
+    def sphere(self, setting: Setting, label: str) -> tuple[Floats, float]:
+        """As `Setting.sphere`."""
         from pftwin.geometry.mesh.mesh import load_mesh
-        from pftwin.geometry.patch.sphere import fit_sphere
 
         with setting.naming("mesh"):
-            sphere = fit_sphere(load_mesh(setting.path(self.mesh), units=self.units), tolerance=self.tolerance_m)
-        setting.notes.append(f"{setting.path(self.mesh)}: {sphere}")
-        return sphere
+            mesh = load_mesh(setting.path(self.mesh), units=self.units)
+        return setting.sphere(mesh, label, self.tolerance_m)
 
 
 class FrictionSection(Section):
@@ -110,9 +111,7 @@ class ContactSection(EffectSection):
     radius_m: Positive | None = Field(default=None, description="radius of the button's sphere [m]; or a button")
     button: ButtonSection | None = Field(default=None, description="table: a mesh that the sphere is fitted to")
     surface: SurfaceSection = Field(description="table: mesh to be fitted, coefficients, or implant")
-    law: Annotated[FloresSection | HuntCrossleySection | HertzSection, Field(discriminator="type")] = Field(
-        description='table: the normal force\'s law, type = "flores", "hunt_crossley" or "hertz"'
-    )
+    law: Law = LAW
     friction: FrictionSection | None = Field(default=None, description="table: friction; none by default")
 
     def _check(self) -> None:
@@ -124,13 +123,9 @@ class ContactSection(EffectSection):
     def build(self, setting: Setting) -> Effect:
         """The effect."""
         surface = self.surface.build(setting.at("surface"))
-        center, radius = self.center_m, self.radius_m
+        center, radius = setting.points("patella", self.center_m), self.radius_m
         if self.button is not None:
-            sphere = self.button.fit(setting.at("button"))
-            center, radius = sphere.center.tolist(), float(sphere.radius)
-            center_here, axis_here = (setting.points("patella", p) for p in (sphere.center, sphere.axis))
-            setting.buttons[self.label] = replace(sphere, center=center_here, axis=axis_here)
+            center, radius = self.button.sphere(setting.at("button"), self.label)
         assert radius is not None
-        place = vector(setting.points("patella", center))
-        contact = SphereContact(surface, self.law.build(), place, number(radius), name=self.label)
+        contact = SphereContact(surface, self.law.build(), vector(center), number(radius), name=self.label)
         return contact if self.friction is None else self.friction.added(contact)

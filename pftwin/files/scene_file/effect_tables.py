@@ -12,9 +12,10 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydantic import BeforeValidator, Field, create_model
 
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.base.leaves import number, vector
 from pftwin.base.quantities import Quantity, declared_field
@@ -37,6 +38,7 @@ from pftwin.model.effects.damping import LinearDamping
 from pftwin.model.effects.gravity import Gravity
 
 if TYPE_CHECKING:
+    from pftwin.geometry.mesh.mesh import SurfaceMesh
     from pftwin.geometry.patch.sphere import SphereFit
 
 
@@ -82,14 +84,31 @@ class Setting:
         """
         return str(self.document.file(name))
 
-    def points(self, frame: str, values: ArrayLike) -> NDArray[np.float64]:
+    def sphere(self, mesh: SurfaceMesh, label: str, tolerance: float | None = None) -> tuple[Floats, float]:
+        """Centre (3,) in the patella's frame and radius of a sphere fitted to a button's mesh [m].
+
+        Args:
+            mesh: in the patella's own axes.
+            label: of the contact, by which results find the fit; a note says how good it is.
+            tolerance: deviation that still counts as sphere [m].
+        """
+        from pftwin.geometry.patch.sphere import fit_sphere
+
+        with self.naming("mesh"):
+            found = fit_sphere(mesh, **({} if tolerance is None else {"tolerance": tolerance}))
+        self.notes.append(f"{mesh.source}: {found}")
+        center, axis = (self.points("patella", p) for p in (found.center, found.axis))
+        self.buttons[label] = replace(found, center=center, axis=axis)
+        return center, float(found.radius)
+
+    def points(self, frame: str, values: ArrayLike) -> Floats:
         """Points (..., 3) of a body's frame, mirrored where the knee is a left one, in the scene's frames."""
         mirrored = self.side.points(frame, values)
         if frame == "ground" and self.bones.fixed_femur is not None:
             return self.bones.fixed_femur.inverse().apply(mirrored)
         return mirrored
 
-    def world_direction(self, values: ArrayLike) -> NDArray[np.float64]:
+    def world_direction(self, values: ArrayLike) -> Floats:
         """A direction of the world in the scene's world."""
         mirrored = self.side.points("world", values)
         return mirrored if self.bones.fixed_femur is None else mirrored @ self.bones.fixed_femur.matrix

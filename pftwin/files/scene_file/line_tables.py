@@ -101,34 +101,25 @@ class StrandsSection(EffectSection):
 
     def build(self, setting: Setting) -> StrandGroup:
         """The effect."""
-        strands = self._listed()
-        if self.file is not None:
+        if self.file is None:
+            n = group_size(self, *_INLINE, "toe_strain", "damping_time_s")
+            stiffness, slack, insertion, origin = (np.asarray(getattr(self, name), np.float64) for name in _INLINE)
+        else:
             with setting.naming("file"):
                 path = setting.path(self.file)
-                strands = _selected(read_strands(path, self.body), self.select, self.body, path)
-        n = len(strands.stiffness)
-        one = (strands.stiffness, strands.slack_length, np.asarray(self.toe_strain), np.asarray(self.damping_time_s))
-        for label, values in zip(("toe_strain", "damping_time_s"), one[2:], strict=True):
-            if len(values) not in (1, n):
+                found = _selected(read_strands(path, self.body), self.select, self.body, path)
+            n, (_, stiffness, slack, insertion, origin) = len(found.names), found
+        for label in ("toe_strain", "damping_time_s"):
+            if (given := len(getattr(self, label))) not in (1, n):
                 where = setting.where(label)
-                raise InputError(f"{len(values)} values for {n} strands", where=where, expected=f"1 or {n}")
-        ends = setting.points("patella", strands.insertion), setting.points(self.body, strands.origin)
-        k, slack, toe, damping = (leaf(np.broadcast_to(v, (n,))) for v in one)
-        insertion, origin = (vector(e) for e in ends)
-        wrap = obstacle(self.wrap, n, setting)
-        return StrandGroup(k, slack, toe, damping, insertion, origin, self.body, wrap=wrap, name=self.label)
-
-    def _listed(self) -> Strands:
-        """The strands in the table itself."""
-        if self.file is not None:
-            return Strands([], np.empty(0), np.empty(0), np.empty((0, 3)), np.empty((0, 3)))
-        n = group_size(self, *_INLINE, "toe_strain", "damping_time_s")
-        k, slack, insertion, origin = (np.asarray(getattr(self, name), dtype=np.float64) for name in _INLINE)
-        return Strands(
-            [],
-            *(np.broadcast_to(v, (n,)) for v in (k, slack)),
-            *(np.broadcast_to(v, (n, 3)) for v in (insertion, origin)),
+                raise InputError(f"{given} values for {n} strands", where=where, expected=f"1 or {n}")
+        k, l0, toe, damping = (
+            leaf(np.broadcast_to(v, (n,))) for v in (stiffness, slack, self.toe_strain, self.damping_time_s)
         )
+        ends = setting.points("patella", insertion), setting.points(self.body, origin)
+        on_patella, on_body = (vector(np.broadcast_to(e, (n, 3))) for e in ends)
+        wrap = obstacle(self.wrap, n, setting)
+        return StrandGroup(k, l0, toe, damping, on_patella, on_body, self.body, wrap=wrap, name=self.label)
 
 
 class Strands(NamedTuple):

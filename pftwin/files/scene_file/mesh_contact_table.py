@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 from pydantic import Field
 
+from pftwin.base.arrays import Floats
 from pftwin.base.leaves import number, vector
-from pftwin.files.scene_file.contact_table import FloresSection, FrictionSection, HertzSection, HuntCrossleySection
+from pftwin.files.scene_file.contact_table import LAW, FrictionSection, Law
 from pftwin.files.scene_file.effect_tables import EffectSection, Setting
 from pftwin.files.scene_file.mesh_tables import (
     ButtonMesh,
     ButtonSection,
-    ButtonSphere,
     FemurMesh,
     FemurMeshSection,
     check_start,
@@ -58,9 +58,7 @@ class MeshContactSection(_MeshesSection):
         description='where the law\'s indentation is from: "contours" of two meshes that cross, as in the paper; '
         '"volume" of a sphere in a mesh, smooth; "nearest" points of a mesh to a sphere\'s centre'
     )
-    law: Annotated[FloresSection | HuntCrossleySection | HertzSection, Field(discriminator="type")] = Field(
-        description='table: the normal force\'s law, type = "flores", "hunt_crossley" or "hertz"'
-    )
+    law: Law = LAW
     effective_radius_m: Positive | None = Field(
         default=None,
         description="of the volume: radius of the sphere that has as large an overlap with a plane [m]; measured on "
@@ -82,13 +80,13 @@ class MeshContactSection(_MeshesSection):
             check_start(femur, button, setting)
             with setting.naming():
                 return self._contours(femur, button, surface)
-        sphere = self.button.sphere(setting.at("button"), self.label)
+        center, radius = self.button.sphere(setting.at("button"), self.label)
         from pftwin.geometry.mesh.icosphere import icosphere
 
-        check_start(femur, ButtonMesh(icosphere(sphere.radius, _COARSE), sphere.center), setting)
+        check_start(femur, ButtonMesh(icosphere(radius, _COARSE), center), setting)
         build = self._nearest if self.method == "nearest" else self._volume
         with setting.naming():
-            contact = build(femur, sphere, surface)
+            contact = build(femur, center, radius, surface)
             return contact if self.friction is None else self.friction.added(contact)
 
     def _contours(self, femur: FemurMesh, button: ButtonMesh, surface: Surface | None) -> Contact:
@@ -98,21 +96,20 @@ class MeshContactSection(_MeshesSection):
         meshes = contact_mesh(femur.mesh, femur.lateral), contact_mesh(button.mesh)
         return MeshContact(*meshes, self.law.build(), vector(button.origin), surface=surface, name=self.label)
 
-    def _nearest(self, femur: FemurMesh, button: ButtonSphere, surface: Surface | None) -> Contact:
+    def _nearest(self, femur: FemurMesh, center: Floats, radius: float, surface: Surface | None) -> Contact:
         from pftwin.geometry.contact.mesh_facets import mesh_facets
         from pftwin.model.effects.mesh_sphere_contact import MeshSphereContact
 
-        place = vector(button.center), number(button.radius)
-        facets = mesh_facets(femur.mesh, femur.lateral)
-        return MeshSphereContact(facets, self.law.build(), *place, surface=surface, name=self.label)
+        facets, place = mesh_facets(femur.mesh, femur.lateral), vector(center)
+        return MeshSphereContact(facets, self.law.build(), place, number(radius), surface=surface, name=self.label)
 
-    def _volume(self, femur: FemurMesh, button: ButtonSphere, surface: Surface | None) -> Contact:
+    def _volume(self, femur: FemurMesh, center: Floats, radius: float, surface: Surface | None) -> Contact:
         from pftwin.geometry.contact.patch_mesh import patch_mesh
         from pftwin.model.effects.mesh_volume_contact import MeshVolumeContact
 
-        made = patch_mesh(femur.mesh, button.radius, femur.lateral)
-        radius = self.effective_radius_m or _measured_radius(femur, made, button.radius)
-        place = vector(button.center), number(button.radius), number(radius)
+        made = patch_mesh(femur.mesh, radius, femur.lateral)
+        effective = self.effective_radius_m or _measured_radius(femur, made, radius)
+        place = vector(center), number(radius), number(effective)
         return MeshVolumeContact(made, self.law.build(), *place, surface=surface, name=self.label)
 
 

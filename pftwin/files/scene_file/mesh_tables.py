@@ -5,13 +5,14 @@ Starts from which no equilibrium can be found are refused here.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Discriminator, Field, Tag
 
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.files.scene_file.effect_tables import Setting
 from pftwin.files.scene_file.section import Point, Positive, Section, problem
@@ -64,15 +65,7 @@ class ButtonMesh:
     """The button's mesh, its axes the patella's."""
 
     mesh: SurfaceMesh  # about the origin that results follow
-    origin: NDArray[np.float64]  # (3,) in the patella's frame [m]
-
-
-@dataclass(frozen=True, eq=False)
-class ButtonSphere:
-    """The button as an exact sphere."""
-
-    center: NDArray[np.float64]  # (3,) in the patella's frame [m]
-    radius: float
+    origin: Floats  # (3,) in the patella's frame [m]
 
 
 class MeshButtonSection(MeshFileSection):
@@ -95,19 +88,10 @@ class MeshButtonSection(MeshFileSection):
         origin = setting.points("patella", center)
         return ButtonMesh(SurfaceMesh(mesh.vertices - origin, mesh.faces, mesh.source), origin)
 
-    def sphere(self, setting: Setting, label: str) -> ButtonSphere:
-        """The sphere fitted to the mesh; a note says how well it fits."""
+    def sphere(self, setting: Setting, label: str) -> tuple[Floats, float]:
+        """As `Setting.sphere`."""
         _refuse_given(self, "center_m", "the fitted sphere has its own centre", setting)
-        from pftwin.geometry.patch.sphere import fit_sphere
-
-        asked = {} if self.tolerance_m is None else {"tolerance": self.tolerance_m}
-        mesh = self.read(setting)
-        with setting.naming("mesh"):
-            found = fit_sphere(mesh, **asked)
-        setting.notes.append(f"{mesh.source}: {found}")
-        center, axis = (setting.points("patella", p) for p in (found.center, found.axis))
-        setting.buttons[label] = replace(found, center=center, axis=axis)
-        return ButtonSphere(center, float(found.radius))
+        return setting.sphere(self.read(setting), label, self.tolerance_m)
 
 
 class SphereButtonSection(Section):
@@ -127,10 +111,10 @@ class SphereButtonSection(Section):
             mesh = button_mesh(self.radius_m, self.deviation_m or RESOLUTIONS["FM"])
         return ButtonMesh(mesh, setting.points("patella", self.center_m))
 
-    def sphere(self, setting: Setting, label: str) -> ButtonSphere:
-        """The exact sphere."""
+    def sphere(self, setting: Setting, label: str) -> tuple[Floats, float]:
+        """Centre (3,) in the patella's frame and radius of the exact sphere [m]."""
         _refuse_given(self, "deviation_m", "the sphere is exact: it has no triangles", setting)
-        return ButtonSphere(setting.points("patella", self.center_m), self.radius_m)
+        return setting.points("patella", self.center_m), self.radius_m
 
 
 def _refuse_given(section: Section, field: str, why: str, setting: Setting) -> None:

@@ -57,7 +57,7 @@ class RegionSection(Section):
         """The region on a mesh that is in the femur's frame already; `frame` is the mesh's own frame there."""
         from pftwin.base.spatial import Rotation
         from pftwin.geometry.patch.charts import CylindricalChart
-        from pftwin.geometry.patch.region import region_about, trochlear_region
+        from pftwin.geometry.patch.region import check_outward, hinted_axes, region_about, trochlear_region
 
         anterior, proximal = (
             usual if given is None else setting.side.points("femur", np.asarray(given) @ frame.matrix.T)
@@ -68,20 +68,8 @@ class RegionSection(Section):
             return trochlear_region(
                 mesh, anterior=anterior, proximal=proximal, half_width=self.half_width_m, angles=(low, high)
             )
-        front = mesh.vertices @ anterior
-        if (mesh.vertex_normals @ anterior)[front >= np.quantile(front, 0.95)].mean() < 0:
-            raise InputError(
-                "the normals of the foremost vertices point backward",
-                where=mesh.source,
-                expected="normals out of the bone, and anterior in the mesh's own frame",
-                remedy="flip = true if the normals point into the bone; else check anterior",
-            )
-        lateral = np.cross(anterior, proximal)
-        size = float(np.linalg.norm(lateral))
-        if size < 0.5 * float(np.linalg.norm(anterior) * np.linalg.norm(proximal)):
-            raise InputError("anterior and proximal are nearly parallel", expected="about 90 deg between them")
-        y, z = lateral / size, anterior / np.linalg.norm(anterior)
-        axes = np.stack([np.cross(y, z), y, z], axis=1)
+        axes = hinted_axes(anterior, proximal)
+        check_outward(mesh.vertices @ axes, mesh.vertex_normals @ axes, mesh.source)
         origin = setting.side.points("femur", frame.apply(self.axis_origin_m))
         chart = CylindricalChart(vector(origin), Rotation.from_array(number(axes)), number(self.axis_radius_m or 0.0))
         return region_about(mesh, chart, angles=(low, high), half_width=self.half_width_m)

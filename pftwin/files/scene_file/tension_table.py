@@ -7,6 +7,7 @@ from typing import ClassVar
 import numpy as np
 from pydantic import Field
 
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.base.leaves import number, vector
 from pftwin.files.mocap import Table, read_readings
@@ -51,17 +52,24 @@ class PrescribedTensionSection(EffectSection):
     def build(self, setting: Setting) -> PrescribedTension:
         """The effect."""
         if self.tension_N is not None:
-            return PrescribedTension(
-                number([self.tension_N]),
-                vector(setting.points(self.body, np.asarray([self.origin_m]))),
-                vector(setting.points("patella", np.asarray(self.insertion_m))),
-                start_time=0.0,
-                interval=1.0,
-                body=self.body,
-                wrap=obstacle(self.wrap, len(self.tension_N), setting),
-                name=self.label,
-            )
-        assert self.file is not None
+            start, interval, tension = 0.0, 1.0, np.asarray([self.tension_N])
+            origin, insertion = np.asarray([self.origin_m]), np.asarray(self.insertion_m)
+        else:
+            with setting.naming("file"):
+                start, interval, tension, origin, insertion = self._recorded(setting)
+        return PrescribedTension(
+            number(tension),
+            vector(np.broadcast_to(setting.points(self.body, origin), (*tension.shape, 3))),
+            vector(setting.points("patella", insertion)),
+            start_time=start,
+            interval=interval,
+            body=self.body,
+            wrap=obstacle(self.wrap, tension.shape[1], setting),
+            name=self.label,
+        )
+
+    def _recorded(self, setting: Setting) -> tuple[float, float, Floats, Floats, Floats]:
+        """First time and interval [s], tensions (n, m) [N], origins (1 or n, m, 3) and insertions (m, 3) [m]."""
         if setting.document.given is not None:
             raise InputError(
                 "tensions over time of the scene's own recording",
@@ -69,48 +77,28 @@ class PrescribedTensionSection(EffectSection):
                 expected="none beside another recording",
                 remedy="tension_N, or a scene file of that recording",
             )
-        with setting.naming("file"):
-            table = read_readings(setting.path(self.file))
-            times = uniform_times(table.times, where=table.source)
-            self._check_times(times, setting, table.source)
-            known = [name.removesuffix("_tension") for name in table.names if name.endswith("_tension")]
-            lines = self.lines or known
-            if not lines:
-                raise InputError("no tensions", where=table.source, expected="columns LINE_tension_N")
-            tension = self._tensions(table, lines)
-            n = times.size
-            origin = self._ends(table, lines, self.origin_m, ("origin", f"via_{self.body}"), "origin_m")
-            insertion = self._ends(table, lines, self.insertion_m, ("insertion", "insertion_patella"), "insertion_m")
-            moved = np.ptp(insertion, axis=0).max(axis=-1) > 1e-6 if len(insertion) > 1 else np.zeros(len(lines))
-            if moved.any():
-                raise InputError(
-                    f"the insertion of {lines[int(np.argmax(moved))]!r} moves on the patella",
-                    where=table.source,
-                    expected="a fixed insertion",
-                )
-        origins = np.broadcast_to(setting.points(self.body, origin), (n, len(lines), 3))
-        return PrescribedTension(
-            number(tension),
-            vector(origins),
-            vector(setting.points("patella", insertion[0])),
-            start_time=float(times[0]),
-            interval=float(f"{(times[-1] - times[0]) / max(n - 1, 1):.12g}") or 1.0,
-            body=self.body,
-            wrap=obstacle(self.wrap, len(lines), setting),
-            name=self.label,
-        )
-
-    def _check_times(self, times: np.ndarray, setting: Setting, source: str) -> None:
-        motion = setting.bones.motion
+        table = read_readings(setting.path(str(self.file)))
+        times, motion = uniform_times(table.times, where=table.source), setting.bones.motion
         slack = 0.5 * motion.frame_interval
         if times.size < 2 or times[0] > motion.start_time + slack or times[-1] < motion.end_time - slack:
             raise InputError(
                 f"{times.size} tensions from {times[0]:g} s to {times[-1]:g} s",
-                where=source,
+                where=table.source,
                 expected=f"tensions for the whole motion, {motion.start_time:g} s to {motion.end_time:g} s",
             )
+        lines = self.lines or [name.removesuffix("_tension") for name in table.names if name.endswith("_tension")]
+        if not lines:
+            raise InputError("no tensions", where=table.source, expected="columns LINE_tension_N")
+        tension = self._tensions(table, lines)
+        origin = self._ends(table, lines, self.origin_m, ("origin", f"via_{self.body}"), "origin_m")
+        insertion = self._ends(table, lines, self.insertion_m, ("insertion", "insertion_patella"), "insertion_m")
+        if (moved := np.ptp(insertion, axis=0).max(axis=-1) > 1e-6).any():
+            found = f"the insertion of {lines[int(np.argmax(moved))]!r} moves on the patella"
+            raise InputError(found, where=table.source, expected="a fixed insertion")
+        interval = float(f"{(times[-1] - times[0]) / max(times.size - 1, 1):.12g}") or 1.0
+        return float(times[0]), interval, tension, origin, insertion[0]
 
-    def _tensions(self, table: Table, lines: list[str]) -> np.ndarray:
+    def _tensions(self, table: Table, lines: list[str]) -> Floats:
         known = set(table.names)
         names = [line if line in known and f"{line}_tension" not in known else f"{line}_tension" for line in lines]
         values = table.select(names).values
@@ -129,7 +117,7 @@ class PrescribedTensionSection(EffectSection):
 
     def _ends(
         self, table: Table, lines: list[str], given: list[list[float]] | None, labels: tuple[str, str], field: str
-    ) -> np.ndarray:
+    ) -> Floats:
         """Ends of the lines, (1 or n, n_lines, 3) [m]."""
         if given is not None:
             if len(given) not in (1, len(lines)):

@@ -67,11 +67,11 @@ def trochlear_region(
     Raises:
         InputError: directions that are no directions or nearly parallel; normals that point into the bone; no groove.
     """
-    hint = _hinted_axes(anterior, proximal)
+    hint = hinted_axes(anterior, proximal)
     if not half_width > 0 or not angles[0] < angles[1]:
         raise InputError(f"half_width {half_width}, angles {angles}", expected="a positive width, ascending angles")
     points, normals = mesh.vertices @ hint, mesh.vertex_normals @ hint
-    _check_outward(points, normals, mesh.source)
+    check_outward(points, normals, mesh.source)
     center, _ = _seed(points, normals, mesh.source)
     turn = fit_axis_direction(points, normals, mesh.vertex_areas, center, mesh.source)
     if turn[1, 1] < math.cos(math.radians(25)):
@@ -109,7 +109,7 @@ def region_about(
     return TrochlearRegion(mask, groove, depth, angles, half_width, plane, cylinder, mesh.source)
 
 
-def _hinted_axes(anterior: ArrayLike, proximal: ArrayLike) -> NDArray[np.float64]:
+def hinted_axes(anterior: ArrayLike, proximal: ArrayLike) -> NDArray[np.float64]:
     """Columns proximal, lateral (right knee), anterior: orthonormal, with the anterior direction kept."""
     a, p = np.asarray(anterior, dtype=np.float64), np.asarray(proximal, dtype=np.float64)
     for name, d in (("anterior", a), ("proximal", p)):
@@ -124,15 +124,15 @@ def _hinted_axes(anterior: ArrayLike, proximal: ArrayLike) -> NDArray[np.float64
     return np.stack([np.cross(lateral, a), lateral, a], axis=1)
 
 
-def _check_outward(points: NDArray, normals: NDArray, source: str) -> None:
-    """The foremost vertices must look forward."""
+def check_outward(points: NDArray, normals: NDArray, source: str) -> None:
+    """Refuses a mesh (n, 3) in the axes of `hinted_axes` whose foremost vertices do not look forward."""
     front = points[:, 2] >= np.quantile(points[:, 2], 0.95)
     if normals[front, 2].mean() < 0:
         raise InputError(
             "the normals of the foremost vertices point backward",
             where=source,
             expected="normals out of the bone, and the anterior direction in the mesh's own frame",
-            remedy="mesh.flipped() if the normals point into the bone; else check the anterior direction",
+            remedy="flip = true, mesh.flipped(), if the normals point into the bone; else check the anterior direction",
         )
 
 

@@ -86,7 +86,7 @@ MESH_MISTAKES = [
     ('chart = "plane"', 'chart = "sphere"', "surface.chart: found 'sphere'; expected: one of 'plane' or 'cylinder'"),
     ("[-75, 30]", "[30, -75]", "surface.region: angles_deg is [30.0, -75.0]; expected: the lower limit first"),
     ("axis_radius_mm = 24.8, ", "", "only one of axis_origin_m and axis_radius_m is given"),
-    ("region = {", "region = { anterior = [1, 0, 0],", "anterior and proximal are nearly parallel"),
+    ("region = {", "region = { anterior = [1, 0, 0],", "anterior and proximal are 0 deg apart"),
     ("region = {", "region = { anterior = [0, 0, 0],", "region.anterior: found the zero vector"),
     ("region = {", "emphasis = [{ weight = 0 }]\nregion = {", "surface.emphasis number 1.weight: found 0"),
     (

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 from typer import Option
 
 from pftwin.base.errors import InputError
+from pftwin.base.runtime import describe
 from pftwin.base.written_amounts import amount
 from pftwin.cli.exit_codes import Interrupted, exit_flagged, report_written_on_interrupt
 from pftwin.cli.scenes import RunOptions, on_scene
@@ -27,7 +28,6 @@ def explain(*, knee: RunOptions, markdown: MarkdownOption = False, json: JsonOpt
     """
     check_outputs(json)
     chosen = knee.load()
-    from pftwin.base.runtime import describe
     from pftwin.studies.audit.explain import explain as look
     from pftwin.studies.audit.report import explanation_sheet
 
@@ -60,7 +60,6 @@ def audit(
         check_folder(out_dir)
     check_outputs(json)
     chosen = knee.load()
-    from pftwin.base.runtime import describe
     from pftwin.studies.audit.audit import audit as weigh
     from pftwin.studies.audit.report import audit_sheet
 
@@ -71,7 +70,7 @@ def audit(
     about = {"contact": chosen.contact, "machine": describe(), "files": [str(p) for p in files]}
     present({**found.to_dict(), **about}, audit_sheet(found), json=json, markdown=markdown)
     if found.interrupted:
-        raise Interrupted(*files, *([Path(json)] if json not in (None, "-") else []))
+        raise Interrupted(*files, json)
     show(written_line(files), json=json)
     if found.verdict != "valid":
         exit_flagged(f"{found.verdict} ({found.scene})")

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Option
 
+from pftwin import __version__
 from pftwin.base.errors import InputError
 from pftwin.base.written_amounts import Direction, amount, axis_named, listed
 from pftwin.cli import terminal
@@ -58,12 +59,11 @@ def contact_map(
     terminal.check_outputs(output, figure, json)
     largest_gap = 1e-3 * amount(proximity, "mm", "--proximity", least=0, most=10)
     outwards = None if lateral is None else _axis(lateral, figure)
-    options = {"--modulus-mpa": (modulus, 1e6, ""), "--poisson": (poisson, 1.0, "")}
-    options |= {"--thickness": (thickness, 1e-3, "mm")}
-    numbers = [_two(option, *given) for option, given in options.items()]
+    thick = _two("--thickness", thickness, "mm")
+    moduli, ratios = (_two(option, given) for option, given in (("--modulus-mpa", modulus), ("--poisson", poisson)))
+    layers = [(1e6 * e, nu, 1e-3 * t) for e, nu, t in zip(moduli, ratios, thick, strict=True)]
     terminal.start_computing()
-    rule = _law(law, numbers)
-    from pftwin import __version__
+    rule = _law(law, layers)
     from pftwin.files.result_files import save_dataset
     from pftwin.geometry.contact.depth_sides import pressed_surface, pressing_surface
     from pftwin.studies.contact_map.figures import compressed, dataset, map_figure
@@ -96,7 +96,7 @@ def contact_map(
             with terminal.spinner("writing"):
                 save_dataset(data, output, encoding=compressed(data))
         if missing:
-            raise Interrupted(*([] if output is None else [output]))
+            raise Interrupted(output)
         if figure is not None:
             with terminal.spinner("drawing"):
                 title = f"{patella.name} on {femur.name}, {law} foundation"
@@ -107,29 +107,24 @@ def contact_map(
         f"{f['frames_in_contact']} of {f['frames']} frames in contact; at most {f['largest_force_N']:.4g} N, "
         f"{f['largest_pressure_MPa']:.3g} MPa, {f['largest_area_mm2']:.3g} mm^2, {f['largest_depth_mm']:.2g} mm deep"
     )
-    files = [path for path in (output, figure) if path is not None]
-    terminal.present({**settings, **f}, summary, terminal.written_line(files), json=json)
+    terminal.present({**settings, **f}, summary, terminal.written_line([output, figure]), json=json)
     if deep := int(found.too_deep.sum()):
         exit_flagged(f"in {deep} of {found.times.size} frames one part is deeper in the other than any joint bears")
 
 
-def _law(name: str, numbers: list[list[float]]) -> FoundationLaw:
+def _law(name: str, layers: list[tuple[float, float, float]]) -> FoundationLaw:
     """From the layers' moduli, Poisson ratios and thicknesses, the femur's first, in SI units."""
     from pftwin.model.effects.foundation_law import LAWS, checked_layer
 
     if name not in LAWS:
         raise InputError(f"no law {name!r}", where="--law", expected=" or ".join(LAWS))
-    layers = [
-        checked_layer(*(pair[k] for pair in numbers), where=f"{body} layer")
-        for k, body in enumerate(("femur's", "patella's"))
-    ]
-    return LAWS[name](*layers)
+    bodies = "femur's", "patella's"
+    return LAWS[name](*(checked_layer(*layer, where=f"{b} layer") for b, layer in zip(bodies, layers, strict=True)))
 
 
-def _two(option: str, text: str, factor: float, unit: str) -> list[float]:
-    """One number for both layers, or one each for femur and patella, in SI units; `unit`: of lengths, which may say
-    it."""
-    values = [factor * value for value in listed(text, unit, option)]
+def _two(option: str, text: str, unit: str = "") -> list[float]:
+    """One number for both layers, or one each for femur and patella, in a unit that they may have written behind."""
+    values = listed(text, unit, option)
     if len(values) not in (1, 2):
         raise InputError(f"found {text!r}", where=option, expected="a number, or two: femur's,patella's")
     return values * 2 if len(values) == 1 else values

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 from typer import Option
 
+from pftwin import __version__
+from pftwin.base.runtime import default_cache_dir, fast_cpu_flags
 from pftwin.base.sheet import Sheet
 from pftwin.cli.exit_codes import exit_flagged
 from pftwin.cli.terminal import (
@@ -72,9 +74,6 @@ def doctor(
     Example: `pftwin doctor`
     """
     check_outputs(json)
-    from pftwin import __version__
-    from pftwin.base.runtime import default_cache_dir
-
     folder = Path(default_cache_dir())
     optional: list[Extra] = []
     with spinner("looking"):
@@ -122,8 +121,6 @@ def _computing() -> list[Finding]:
     start_computing()
     import jax
     import jax.numpy as jnp
-
-    from pftwin.base.runtime import fast_cpu_flags
 
     devices = [f"{d.platform}:{d.id} {d.device_kind}" for d in jax.devices()]
     precision = str(jnp.zeros(1).dtype)

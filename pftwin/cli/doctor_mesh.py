@@ -107,7 +107,7 @@ def _axes(mesh: Path, unit: str, output: Path | None) -> tuple[dict[str, Any], l
         "principal": [{"direction": a.direction, "extent_m": a.extent} for a in axes],
     }
     lines = list(_along_grooves(grooves) if grooves else _along_principal(axes))
-    return facts, [*lines, terminal.written_line([] if output is None else [output])]
+    return facts, [*lines, terminal.written_line([output])]
 
 
 def _along_grooves(grooves: list[Candidate]) -> Iterator[str]:

@@ -54,30 +54,29 @@ def check_trust(result: Result) -> None:
 
 
 class Interrupted(KeyboardInterrupt):
-    """Ctrl-C, with the files that hold what was computed before it."""
+    """Ctrl-C, with the files that hold what was computed before it; neither None nor stdout ("-") is one."""
 
-    def __init__(self, *kept: Path) -> None:
+    def __init__(self, *kept: Path | str | None) -> None:
         super().__init__()
-        self.kept = kept
+        self.kept = tuple(path for path in kept if path not in (None, "-"))
 
 
 @contextmanager
 def report_written_on_interrupt(*files: Path | None) -> Iterator[None]:
     """After Ctrl-C, reports which of these files the work inside has written."""
-    present = [f for f in files if f is not None]
-    before = {f: _version(f) for f in present}
+    before = {f: _version(f) for f in files if f is not None}
     try:
         yield
     except Interrupted:
         raise
     except KeyboardInterrupt:
-        raise Interrupted(*(f for f in present if _version(f) not in (None, before[f]))) from None
+        raise Interrupted(*(f for f, old in before.items() if _version(f) not in (None, old))) from None
 
 
 def after_interrupt(error: KeyboardInterrupt) -> NoReturn:
     """Says what is saved, and ends with `INTERRUPTED`."""
     kept = error.kept if isinstance(error, Interrupted) else ()
-    words = f"saved so far: {', '.join(str(p) for p in kept)}" if kept else "nothing was saved"
+    words = f"saved so far: {', '.join(map(str, kept))}" if kept else "nothing was saved"
     tell(f"interrupted; {words}", "yellow")
     raise typer.Exit(ExitCode.INTERRUPTED)
 

@@ -94,7 +94,7 @@ def fit_surface(
         words=(),
     )
     chosen = f"the chart is chosen: {fits[0].chart_chosen}" if fits[0].chart_chosen else ""
-    terminal.present(facts, sheet, chosen, terminal.written_line([] if output is None else [output]), json=json)
+    terminal.present(facts, sheet, chosen, terminal.written_line([output]), json=json)
 
 
 def _patches(kind: str, degree: str | None, tolerance: str | None) -> tuple[list[str], dict[str, float]]:

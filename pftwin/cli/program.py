@@ -10,6 +10,7 @@ import typer
 from typer import Option
 from typer.core import TyperGroup
 
+from pftwin import __version__
 from pftwin.base.errors import PftwinError, PftwinWarning
 from pftwin.base.written_amounts import numbers_by_name
 from pftwin.cli.exit_codes import ExitCode, after_interrupt, code_of, leave_at_once
@@ -58,8 +59,6 @@ app = typer.Typer(
 
 def _version(wanted: bool) -> None:
     if wanted:
-        from pftwin import __version__
-
         sys.stdout.write(f"pftwin {__version__}\n")
         raise typer.Exit
 

@@ -19,7 +19,6 @@ from pftwin.cli.terminal import spinner, start_computing, tell
 if TYPE_CHECKING:
     from pftwin.dynamics.integrator import Integrator
     from pftwin.geometry.patch.sphere import SphereFit
-    from pftwin.model.measured import Measured
     from pftwin.model.scene import Scene
     from pftwin.results.result import Result
 
@@ -88,11 +87,6 @@ class Chosen:
     contact: str | None
     button: SphereFit | None = None  # where it was fitted to a mesh
     side_as_given: str = ""  # as `LoadedScene` has it
-
-    @property
-    def measured(self) -> Measured | None:
-        """The scene's measurements, where there are any."""
-        return self.scene.measured
 
 
 def chosen_scene(
@@ -222,11 +216,9 @@ class TrialsOptions:
             raise InputError("both scene files and --case given", expected="trials of one knee")
         if again := [str(each) for each in (*files, *cases) if (*files, *cases).count(each) > 1]:
             raise InputError(f"{again[0]} is named twice", expected="each trial once")
-        if not files and not cases:
-            return [chosen_scene(None, None, self.contact)]  # which says what is missing
-        return [chosen_scene(path, None, self.contact) for path in files] + [
-            chosen_scene(None, number, self.contact) for number in cases
-        ]
+        trials = [*((path, None) for path in files), *((None, number) for number in cases)]
+        trials = trials or [(None, None)]  # which says what is missing
+        return [chosen_scene(path, number, self.contact) for path, number in trials]
 
 
 @dataclass(frozen=True)

@@ -133,7 +133,7 @@ def validate(
         check_suffix(path, [".nc"], "results are NetCDF")
     check_outputs(*files, json)
     chosen = knee.load()
-    measured = chosen.measured
+    measured = chosen.scene.measured
     if measured is None:
         raise InputError("nothing to compare with", where=knee.scene, expected="a table [measured] in the scene file")
     from pftwin.results.metrics import PAPER_TABLE_1

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 from typer import Option
 
 from pftwin.base.errors import InputError
+from pftwin.base.runtime import cores, default_cache_dir, describe
 from pftwin.cli import terminal
 from pftwin.cli.exit_codes import Interrupted, exit_flagged, report_written_on_interrupt
 from pftwin.cli.scenes import CaseOption, SceneArgument, allow_outside, limits
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
     from pftwin.studies.hard_cases.verdict import Cell
 
 OWN = "as it is"  # a scene file's contact
+_tell = functools.partial(terminal.tell, style="dim")
 
 
 def accuracy(
@@ -53,7 +55,6 @@ def accuracy(
     terminal.check_folder(folder)
     terminal.check_outputs(json)
     terminal.start_computing()
-    from pftwin.base.runtime import describe
     from pftwin.studies.accuracy.programs import COMMON, FLOATS, chosen, full_table
     from pftwin.studies.accuracy.run import measure_all, write
     from pftwin.studies.accuracy.table import advice, overview
@@ -70,10 +71,6 @@ def accuracy(
     paths = write(found, folder, source.title, about)
     facts = {"about": about, "rows": [asdict(r) for r in found.rows], "files": [str(p) for p in paths]}
     terminal.present(facts, overview(found.rows), advice(found.rows), terminal.written_line(paths), json=json)
-
-
-def _tell(line: str) -> None:
-    terminal.tell(line, "dim")
 
 
 def _keep(rows: list[AccuracyRow], folder: Path) -> None:
@@ -99,24 +96,20 @@ def _source(scene: Path | None, case: int | None) -> _Source:
     if scene is not None:
         from pftwin.files.scene_file import load_scene_file
 
-        allowed = allow_outside.get()
-
-        def of_the_file(name: str) -> Scene:
-            return load_scene_file(
-                scene, contact=None if name == OWN else name, allow_outside=allowed, limits=limits.get()
-            ).scene
-
-        loaded = load_scene_file(scene, allow_outside=allowed, limits=limits.get())
-        return _Source(of_the_file, OWN, loaded.measured, loaded.scene.name)
+        load = functools.partial(load_scene_file, scene, allow_outside=allow_outside.get(), limits=limits.get())
+        loaded = load()
+        return _Source(
+            lambda name: load(contact=None if name == OWN else name).scene, OWN, loaded.measured, loaded.scene.name
+        )
     from pftwin import rig
     from pftwin.studies.accuracy.programs import CYLINDER
 
     n = 1 if case is None else case
 
     def of_the_rig(name: str) -> Scene:
-        if name.endswith(CYLINDER):
-            return rig.case(n, contact=name.removesuffix(CYLINDER), chart="cylinder")
-        return rig.case(n, contact=name)
+        return rig.case(
+            n, contact=name.removesuffix(CYLINDER), chart="cylinder" if name.endswith(CYLINDER) else "plane"
+        )
 
     return _Source(of_the_rig, "P5", rig.measured(n), f"case {n} of the virtual rig")
 
@@ -215,7 +208,6 @@ def hard_cases(
 
 def _run_missing(folder: Path, chosen: Selected, processes: int) -> None:
     """Runs the pieces that are not in a folder yet, with progress on stderr."""
-    from pftwin.base.runtime import cores, default_cache_dir
     from pftwin.studies.hard_cases.whole import run_missing
 
     try:
@@ -226,7 +218,6 @@ def _run_missing(folder: Path, chosen: Selected, processes: int) -> None:
 
 def _run(cases: tuple[HardCase, ...], chosen: Selected, json: str | None) -> KeptPiece:
     """Runs what was chosen, contact by contact, with progress on stderr; Ctrl-C keeps the contacts that are done."""
-    from pftwin.base.runtime import describe
     from pftwin.studies.hard_cases import run_matrix
     from pftwin.studies.hard_cases.table import KeptPiece
     from pftwin.studies.runs import run_each
@@ -241,7 +232,7 @@ def _run(cases: tuple[HardCase, ...], chosen: Selected, json: str | None) -> Kep
     piece = KeptPiece(cells, time.perf_counter() - began, describe(), not chosen.derivatives, chosen.truths)
     terminal.write_json(piece.as_dict(), json)
     if len(found) < len(chosen.contacts):
-        raise Interrupted(*([Path(json)] if json not in (None, "-") else []))
+        raise Interrupted(json)
     return piece
 
 

@@ -14,6 +14,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Option
 
 from pftwin.base.errors import InputError, OutputError
+from pftwin.base.output import check_place, written_whole
+from pftwin.base.runtime import configure, default_cache_dir
 from pftwin.base.sheet import Sheet
 
 if TYPE_CHECKING:
@@ -65,9 +67,10 @@ def present(facts: Any, *parts: Sheet | str, json: str | None, markdown: bool = 
     show(*parts, json=json, markdown=markdown)
 
 
-def written_line(paths: Sequence[Path | str]) -> str:
-    """The line that names the files of a command; empty if there are none."""
-    return f"written: {', '.join(map(str, paths))}" if paths else ""
+def written_line(paths: Sequence[Path | str | None]) -> str:
+    """The line that names the files of a command, None left out; empty if there are none."""
+    there = [str(path) for path in paths if path is not None]
+    return f"written: {', '.join(there)}" if there else ""
 
 
 @contextmanager
@@ -115,8 +118,6 @@ def start_computing(*, batches: bool = False) -> None:
         settings: Any = jax.config
         if settings.jax_enable_x64 and settings.jax_compilation_cache_dir:
             return
-    from pftwin.base.runtime import configure, default_cache_dir
-
     configure(cache_dir=default_cache_dir(), cpu_devices=devices)
 
 
@@ -141,16 +142,12 @@ def check_figure(path: Path | None) -> None:
 
 def save_picture(figure: Figure, path: Path) -> None:
     """Writes a figure, whole or not at all."""
-    from pftwin.base.output import written_whole
-
     with written_whole(path) as temporary:
         figure.savefig(temporary, dpi=150)
 
 
 def check_outputs(*paths: str | os.PathLike[str] | None) -> None:
     """Refuses places that cannot be written to, and two outputs to one file, before any work; skips None and "-"."""
-    from pftwin.base.output import check_place
-
     seen: set[Path] = set()
     for path in paths:
         if path is None or str(path) == "-":

@@ -119,8 +119,8 @@ def _scene(result: Recorded, rods: dict[str, PartTrack]) -> Scene:
     scene.graph.update(frame_to=ROOT, frame_from="knee", matrix=UPRIGHT)
     for body in ("patella", "tibia"):
         scene.graph.update(frame_to=body, frame_from=ROOT, matrix=np.eye(4))
-    shafts = bones.femur(result, every), bones.tibia(result, every)
     every = sys.maxsize  # triangles
+    shafts = bones.femur(result, every), bones.tibia(result, every)
     for part in (*bones.femoral_component(result, every), *shafts, *bones.patella_parts(result, every)):
         colour = *bytes.fromhex(part.colour.removeprefix("#")), _PALE if part.opacity < _SEE_THROUGH else 255
         vertices, triangles = _MM * part.shape.vertices.astype(np.float64), part.shape.triangles.astype(np.int64)

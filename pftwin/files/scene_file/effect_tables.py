@@ -6,7 +6,7 @@ from __future__ import annotations
 import dataclasses
 import re
 from abc import abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
@@ -166,7 +166,7 @@ class DampingSection(EffectSection):
 class Layout(NamedTuple):
     """How the fields of a table become those of an effect."""
 
-    effect: Callable[..., Effect]
+    effect: type[Effect]
     numbers: dict[str, str]  # the effect's name of each field of numbers
     points: dict[str, tuple[str, str]]  # likewise of points, with their frame
     plain: list[str]  # fields that the effect takes as they are
@@ -224,40 +224,37 @@ def declared_table(
         InputError: a field that is neither, or a point whose frame is not declared.
     """
     kind = kind or re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", effect.__name__).lower()
-    words, fields = words or {}, {}
-    numbers: dict[str, str] = {}
-    points: dict[str, tuple[str, str]] = {}
-    plain: list[str] = []
-    obstacles: list[str] = []
+    words, fields, layout = words or {}, {}, Layout(effect, {}, {}, [], [])
     for f in dataclasses.fields(effect):
         if f.name == "name":
             continue
         if "Obstacle" in str(f.type):
             fields[f.name] = Wrap, WRAP
-            obstacles.append(f.name)
+            layout.obstacles.append(f.name)
             continue
         declared = declared_field(effect, f.name)
         default: Any = {} if f.default is dataclasses.MISSING else {"default": f.default}
         if declared is None:
             fields[f.name] = _static(effect, f.name, f.type, default)
-            plain.append(f.name)
+            layout.plain.append(f.name)
             continue
-        label = "_".join(part for part in (f.name, _suffix(declared.unit)) if part)
+        suffix = declared.unit.replace("/", "_per_").replace(" ", "_").replace("^", "")  # N_s_per_m
+        label = f"{f.name}_{suffix}" if suffix else f.name
         described = words.get(f.name, f.name)
         if "Vec3" in str(f.type):
             if not declared.frame:
                 raise _unreadable(effect, f.name, 'quantity(..., frame="patella"), "body", "femur", "tibia", "world"')
-            points[label] = f.name, declared.frame
+            layout.points[label] = f.name, declared.frame
             described = described if f.name in words else f"{f.name} [{declared.unit}], frame: {declared.frame}"
             fields[label] = Points, Field(description=described, **default)
         else:
-            numbers[label] = f.name
+            layout.numbers[label] = f.name
             default = default or ({"default": (defaults or {})[f.name]} if f.name in (defaults or {}) else {})
             default = {k: [float(v)] for k, v in default.items()}
             fields[label] = _values(declared), Field(description=f"{described} [{declared.unit or '-'}]", **default)
     doc = (effect.__doc__ or kind).splitlines()[0]
     made = create_model(f"{effect.__name__}Section", __base__=DeclaredSection, __doc__=doc, **fields)
-    made.kind, made._layout = kind, Layout(effect, numbers, points, plain, obstacles)
+    made.kind, made._layout = kind, layout
     return made
 
 
@@ -277,11 +274,6 @@ def _static(effect: type[Effect], name: str, kind: Any, default: dict[str, Any])
     if plain is None:
         raise _unreadable(effect, name, "quantity(unit), or a static bool, int, float or str")
     return plain, Field(description=name.replace("_", " "), **default)
-
-
-def _suffix(unit: str) -> str:
-    """A unit as field names have it: N_s_per_m."""
-    return unit.replace("/", "_per_").replace(" ", "_").replace("^", "")
 
 
 def _unreadable(effect: type[Effect], name: str, expected: str) -> InputError:

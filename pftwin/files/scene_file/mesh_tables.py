@@ -5,8 +5,7 @@ Starts from which no equilibrium can be found are refused here.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,8 +23,7 @@ if TYPE_CHECKING:
     from pftwin.geometry.patch.region import TrochlearRegion
 
 
-@dataclass(frozen=True, eq=False)
-class FemurMesh:
+class FemurMesh(NamedTuple):
     """The femur's mesh in the femur's frame."""
 
     mesh: SurfaceMesh
@@ -60,8 +58,7 @@ class FemurMeshSection(MeshFileSection):
         return FemurMesh(mesh, lateral_of_groove(mesh, region), region)
 
 
-@dataclass(frozen=True, eq=False)
-class ButtonMesh:
+class ButtonMesh(NamedTuple):
     """The button's mesh, its axes the patella's."""
 
     mesh: SurfaceMesh  # about the origin that results follow

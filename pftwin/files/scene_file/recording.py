@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
@@ -32,11 +31,6 @@ from pftwin.files.scene_file.segments import JointCenterSection, MotionSection, 
 from pftwin.model.limits import Limits
 
 Recorded = TypeVar("Recorded", PoseSeries, MarkerTrajectories)
-
-
-def _check_there(file: Path) -> None:
-    if not file.is_file():
-        raise InputError("no such file", where=file, remedy="check the path; relative ones start at the scene file")
 
 
 class SegmentRecording:
@@ -69,7 +63,7 @@ class SegmentRecording:
                 return self._body(section.body)
         if section.cluster_m is not None:
             with self.document.naming(*at, "cluster_m"):
-                markers = self._filtered(section.marker_names(), section.cluster_m)
+                markers = self._filtered([*section.cluster_m], section.cluster_m)
                 poses = segment_poses(markers, section.cluster_m, source=f"{markers.source}, {at[0]}")
                 self.clusters.take(".".join(at), section.cluster_m, markers, poses)
                 return poses
@@ -136,7 +130,9 @@ class SegmentRecording:
             raise InputError("a body needs a file of poses", remedy='poses = "FILE.csv" in [motion]')
         with self.document.naming("motion", "poses"):
             path = self.document.file(file)
-            _check_there(path)
+            if not path.is_file():
+                remedy = "check the path; relative ones start at the scene file"
+                raise InputError("no such file", where=path, remedy=remedy)
         if name not in self._poses:
             self._poses.update(read_poses(str(path), [name], rate=self.motion.rate_Hz))
         return self._poses[name]

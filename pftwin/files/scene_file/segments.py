@@ -51,20 +51,12 @@ class SegmentSection(Section):
     three_points: ThreePointsSection | None = Field(default=None, description="frame from three markers")
 
     def _check(self) -> None:
-        given = self.sources()
+        given = [n for n in ("fixed", "body", "cluster_m", "three_points") if getattr(self, n) is not None]
         if len(given) != 1:
             raise problem(
                 f"found {' and '.join(given)}" if given else "nothing says where it is",
                 expected="one of fixed, body, cluster_m and three_points",
             )
-
-    def sources(self) -> list[str]:
-        """Which fields say where the segment is."""
-        return [n for n in ("fixed", "body", "cluster_m", "three_points") if getattr(self, n) is not None]
-
-    def marker_names(self) -> list[str]:
-        """The markers it needs."""
-        return list(self.cluster_m or ()) + (self.three_points.markers if self.three_points else [])
 
 
 class StartSection(SegmentSection):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
@@ -115,13 +116,15 @@ class MeshFileSection(Section):
     def read(self, setting: Setting) -> SurfaceMesh:
         """The mesh in its body's frame, as the file has that; notes say what is odd about it."""
         from pftwin.geometry.mesh.doctor import checked_mesh
-        from pftwin.geometry.mesh.mesh import SurfaceMesh
 
         with setting.naming("mesh"):
             found = checked_mesh(setting.path(self.mesh), units=self.units, repair=self.repair)
         setting.notes.extend(found.notes)
-        mesh = found.mesh.flipped() if self.flip else found.mesh
-        return SurfaceMesh(self.mesh_pose.pose().apply(mesh.vertices), mesh.faces, mesh.source)
+        return self._placed(found.mesh)
+
+    def _placed(self, mesh: SurfaceMesh) -> SurfaceMesh:
+        mesh = mesh.flipped() if self.flip else mesh
+        return replace(mesh, vertices=self.mesh_pose.pose().apply(mesh.vertices))
 
 
 class MeshSurfaceSection(MeshFileSection):
@@ -154,17 +157,15 @@ class MeshSurfaceSection(MeshFileSection):
 
     def build(self, setting: Setting) -> Surface:
         """The patch; a note says how well it fits."""
-        from pftwin.geometry.mesh.mesh import SurfaceMesh, load_mesh
+        from pftwin.geometry.mesh.mesh import load_mesh
         from pftwin.geometry.patch.emphasis import emphasis
         from pftwin.geometry.patch.fit import SPLINE, fit_named, parse_name
 
         with setting.naming("mesh"):
             mesh = load_mesh(setting.path(self.mesh), units=self.units, repair=self.repair)
-        frame = self.mesh_pose.pose()
-        mesh = mesh.flipped() if self.flip else mesh
-        mesh = setting.side.mesh("femur", SurfaceMesh(frame.apply(mesh.vertices), mesh.faces, mesh.source))
+        mesh = setting.side.mesh("femur", self._placed(mesh))
         with setting.naming("region"):
-            region = self.region.find(mesh, frame, setting)
+            region = self.region.find(mesh, self.mesh_pose.pose(), setting)
         with setting.naming("degree"):
             name = parse_name(setting.contact or (SPLINE if self.kind == SPLINE else self.degree))
             asked = {"tolerance": self.tolerance_m} if name == SPLINE and self.tolerance_m is not None else {}

@@ -17,7 +17,7 @@ from pftwin.base.spatial import Pose, Scalar, Vec3
 from pftwin.geometry.bvh.descent import Descent, descent, go_down, unpacked
 from pftwin.geometry.bvh.loops import LANES, Queue, member_by_member, pushed_where, queue_of
 from pftwin.geometry.bvh.tree import MeshTree, discs_overlap
-from pftwin.geometry.bvh.triangle import Triangle, crossing
+from pftwin.geometry.bvh.triangle import Triangle, triangles_cross
 
 LEAF = 4  # triangles in a leaf: sixteen pairs of triangles in a pair of leaves
 NODES = 2048  # capacity for pairs of nodes
@@ -118,7 +118,7 @@ def _exact(search: PairSearch, X: Pose, leaves: Queue, candidates: Queue) -> Que
         rows = search.a.triangles[i * LEAF + lane // LEAF], search.b.triangles[j * LEAF + lane % LEAF]
         first, second = (Triangle.of_rows(r) for r in jax.lax.optimization_barrier(rows))
         moved = Triangle(*(X.apply(p) for p in (second.a, second.b, second.c)))
-        yes = crossing(first, moved).crossing & there
+        yes = triangles_cross(first, moved) & there
         return start + LANES, pushed_where(found, yes, lambda lane: entries[lane])
 
     start = jnp.zeros((), jnp.int32), queue_of(search.room.meeting)

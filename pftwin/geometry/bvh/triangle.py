@@ -96,11 +96,23 @@ class Segment(NamedTuple):
     crossing: Array  # bool
 
 
-def crossing(s: Triangle, t: Triangle) -> Segment:
-    """The segment in which two triangles cross; for batches of one shape. Differentiable wherever they do.
+def triangles_cross(s: Triangle, t: Triangle) -> Array:
+    """Whether two triangles cross: an edge of one pierces the other. Triangles in one plane do not count.
 
-    Triangles in one plane do not count.
+    With signed volumes of tetrahedra alone, no division; for batches of one shape. An edge passes all of a triangle's
+    edges on the same side, or it misses; the nine volumes of two edges each serve both triangles.
     """
+    turns = [_volumes(p, q, t) for p, q in _edges(s)]
+    hit = jnp.zeros_like(s.a.x, dtype=bool)
+    for k, crosses in enumerate(_edges_through(s, t)):
+        hit = hit | (crosses & _same_sign(turns[k]))
+    for k, crosses in enumerate(_edges_through(t, s)):
+        hit = hit | (crosses & _same_sign([row[k] for row in turns]))
+    return hit
+
+
+def crossing(s: Triangle, t: Triangle) -> Segment:
+    """The segment in which two triangles cross; for batches of one shape. Differentiable wherever they do."""
     along = s.area_vector().cross(t.area_vector())
     ends = []
     for own, other in ((s, t), (t, s)):
@@ -147,3 +159,26 @@ def _edge_crossings(own: Triangle, other: Triangle) -> tuple[tuple[Vec3, Vec3], 
 def select(first: Array, p: T, q: T) -> T:
     """One structure of arrays where a condition holds, the other elsewhere."""
     return jax.tree.map(lambda x, y: jnp.where(first, x, y), p, q)
+
+
+def _edges(t: Triangle) -> tuple[tuple[Vec3, Vec3], ...]:
+    return (t.a, t.b), (t.b, t.c), (t.c, t.a)
+
+
+def _volumes(start: Vec3, end: Vec3, t: Triangle) -> list[Scalar]:
+    """Of an edge with each of a triangle's edges, six times, signed."""
+    way, a, b, c = end - start, t.a - start, t.b - start, t.c - start
+    return [way.dot(p.cross(q)) for p, q in ((a, b), (b, c), (c, a))]
+
+
+def _edges_through(edges: Triangle, face: Triangle) -> list[Array]:
+    """Which of a triangle's edges have ends on both sides of another's plane."""
+    normal = face.area_vector()
+    above = [(p - face.a).dot(normal) > 0 for p in (edges.a, edges.b, edges.c)]
+    return [above[k] != above[(k + 1) % 3] for k in range(3)]
+
+
+def _same_sign(x: list[Scalar]) -> Array:
+    """Whether no two of three numbers have opposite signs."""
+    up = (x[0] >= 0) & (x[1] >= 0) & (x[2] >= 0)
+    return up | ((x[0] <= 0) & (x[1] <= 0) & (x[2] <= 0))

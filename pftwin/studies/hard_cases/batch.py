@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -21,13 +22,13 @@ from pftwin.studies.hard_cases import derivatives
 from pftwin.studies.hard_cases.case import CaseIntegrator, HardCase
 from pftwin.studies.hard_cases.knee import RATE
 from pftwin.studies.hard_cases.programs import (
+    OPTIONS,
     PARAMETERS,
     Rest,
     compiled,
     equilibrium_with_derivatives,
     poses,
     run,
-    side_by_side,
 )
 
 
@@ -66,29 +67,19 @@ def batches(cases: Sequence[HardCase], contact: str) -> tuple[list[CaseBatch], d
 
 
 def stacked(trees: Sequence[Any]) -> Any:
-    """Values of one structure, stacked along a leading axis.
-
-    Raises:
-        InputError: values of several structures, by the first that differs.
-    """
-    first = _shapes(trees[0])
-    for k, tree in enumerate(trees):
-        if (other := _shapes(tree)) != first:
-            wrong = [f"{a} and {b}" for a, b in zip(first[1], other[1], strict=False) if a != b]
-            raise InputError(
-                f"number {k} is not like the first: {wrong[0] if wrong else 'another tree'}", where="cases of one group"
-            )
+    """Values of one structure, stacked along a leading axis."""
     return jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(x) for x in leaves]), *trees)
-
-
-def _shapes(tree: Any) -> tuple[Any, list[Any]]:
-    leaves, structure = jax.tree.flatten(tree)
-    return structure, [(np.shape(x), np.asarray(x).dtype) for x in leaves]
 
 
 def member(tree: Any, k: int) -> Any:
     """One of a stack, on the host."""
     return jax.tree.map(lambda a: np.asarray(a)[k], tree)
+
+
+def members(tree: Any, which: list[int]) -> Any:
+    """Some of a stack, stacked."""
+    at = np.asarray(which)
+    return jax.tree.map(lambda a: a[at], tree)
 
 
 def steps_of(case: HardCase, method: CaseIntegrator) -> int:
@@ -104,12 +95,6 @@ def short_enough(batch: CaseBatch, method: CaseIntegrator) -> list[int]:
     return [k for k, c in enumerate(batch.cases) if most is None or (frames - 1) * steps_of(c, method) <= most]
 
 
-def selected_cases(batch: CaseBatch, which: list[int]) -> CaseBatch:
-    """The chosen cases of a batch."""
-    at = np.asarray(which)
-    return CaseBatch(tuple(batch.cases[k] for k in which), jax.tree.map(lambda a: a[at], batch.scenes))
-
-
 LARGEST = 2000  # steps of the runs compared: side by side all take as many as the longest
 AGREE = {"float64": 1e-10, "float32": 1e-4}  # of poses, beside other batch mates [m, quaternion components]
 
@@ -123,7 +108,7 @@ def batch_mates(batch: CaseBatch, starts: Any, substeps: Any, method: CaseIntegr
     if not method.side_by_side:
         return {}
     n = len(batch.cases)
-    program = side_by_side(run, dtype == "float64", integrator=method.integrator)
+    program = jax.jit(jax.vmap(partial(run, integrator=method.integrator)), compiler_options=OPTIONS)
     frames = batch.scenes.motion.n_frames - 1
     steps = jnp.minimum(substeps, max(1, LARGEST // frames))
     args = (batch.scenes, starts, steps, jnp.zeros((n, 4)))
@@ -147,13 +132,8 @@ def batch_mates(batch: CaseBatch, starts: Any, substeps: Any, method: CaseIntegr
 
 def _poisoned(scenes: Any, which: Any) -> Any:
     """The batch with all numbers of the chosen members NaN; integers, which order a mesh, stay."""
-
-    def spoil(a: Any) -> Any:
-        if not eqx.is_inexact_array(a):
-            return a
-        return jnp.where(which.reshape((-1,) + (1,) * (a.ndim - 1)), jnp.nan, a)
-
-    return jax.tree.map(spoil, scenes)
+    spoiled = jax.tree.map(lambda a: jnp.full_like(a, jnp.nan) if eqx.is_inexact_array(a) else a, scenes)
+    return _select_members(which, spoiled, scenes)
 
 
 class Starts(NamedTuple):
@@ -181,20 +161,9 @@ def starts_of(batch: CaseBatch, dtype: str) -> Starts:
     return Starts(chosen, _failing_equilibria(batch, found, scenes, search, dtype))
 
 
-def starts_part(starts: Starts, which: list[int]) -> Starts:
-    """The starts of the chosen cases."""
-    at = np.asarray(which)
-    return Starts(jax.tree.map(lambda a: a[at], starts.chosen), starts.wrong)
-
-
 def _select_members(which: Any, a: Any, b: Any) -> Any:
     """Stacked members: of `a` where `which`, else of `b`."""
-    chosen = jnp.asarray(which)
-
-    def pick(x: Any, y: Any) -> Any:
-        return jnp.where(chosen.reshape((-1,) + (1,) * (jnp.ndim(x) - 1)), x, y)
-
-    return jax.tree.map(pick, a, b)
+    return jax.vmap(lambda chosen, x, y: jax.tree.map(partial(jnp.where, chosen), x, y))(jnp.asarray(which), a, b)
 
 
 def _failing_equilibria(batch: CaseBatch, found: Rest, scenes: Any, search: Any, dtype: str) -> dict[str, str]:

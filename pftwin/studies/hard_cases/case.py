@@ -12,14 +12,12 @@ from pftwin.dynamics.status import Status
 from pftwin.studies.hard_cases.contacts import CONTACTS, PATCHES
 
 if TYPE_CHECKING:
+    from pftwin.studies.hard_cases.catalogue import RigNumbers
     from pftwin.studies.hard_cases.knee import KneeNumbers
-    from pftwin.studies.hard_cases.rig_numbers import RigNumbers
 
-NOTHING = Status.OK
 RELEASED = Status.START_NOT_IN_EQUILIBRIUM
-UNKNOWN = (  # flags by which a simulation refuses its own result
-    Status.NOT_FINITE | Status.STEP_TOO_LONG | Status.SEARCH_OVERFLOW | Status.ENERGY_FROM_NOWHERE
-)
+# Flags by which a simulation refuses its own result.
+UNKNOWN = Status.NOT_FINITE | Status.STEP_TOO_LONG | Status.SEARCH_OVERFLOW | Status.ENERGY_FROM_NOWHERE
 
 
 @dataclass(frozen=True)
@@ -30,8 +28,8 @@ class Expected:
     exhaustive search for the nearest point finds them, and nowhere else.
     """
 
-    must: Status = NOTHING  # flags that some frame must have
-    may: Status = NOTHING  # flags that frames may have
+    must: Status = Status.OK  # flags that some frame must have
+    may: Status = Status.OK  # flags that frames may have
     smooth: bool = False  # whether derivatives have to agree with finite differences
     symmetric: bool = False  # about the femur's plane y = 0
     still: bool = False  # nothing moves
@@ -92,9 +90,8 @@ INTEGRATORS = (
     CaseIntegrator("simulate", of="linear_implicit_bdf2", chooses_steps=True, may_refuse=True, side_by_side=False),
     CaseIntegrator("linear_implicit"),
     CaseIntegrator("linear_implicit_bdf2", may_refuse=True),  # not damped enough for impacts shorter than a step
-    CaseIntegrator(
-        "newmark", may_refuse=True, side_by_side=False, differentiated_on=QUICK
-    ),  # a batch compiles for minutes
+    # A batch of it compiles for minutes.
+    CaseIntegrator("newmark", may_refuse=True, side_by_side=False, differentiated_on=QUICK),
     CaseIntegrator("symplectic_euler", longest_step=1e-4, may_refuse=True, differentiated_on=QUICK),
     # Explicit: it gives up where it would take more than 4,096 steps of its own within one, and says so.
     CaseIntegrator("diffrax:Tsit5", most_steps=1000, may_refuse=True, only=("P5",), float32=False, side_by_side=False),
@@ -102,13 +99,7 @@ INTEGRATORS = (
     CaseIntegrator("quasi_static", may_refuse=True, inertia=False, side_by_side=False, differentiated_on=PATCHES),
     # Some 0.3 ms a step, and so few steps; undamped, as Newmark's method.
     CaseIntegrator(
-        "ali3p",
-        most_steps=1000,
-        may_refuse=True,
-        only=("P5",),
-        float32=False,
-        differentiated_on=(),
-        side_by_side=False,
+        "ali3p", most_steps=1000, may_refuse=True, only=("P5",), float32=False, differentiated_on=(), side_by_side=False
     ),
 )
 
@@ -126,7 +117,6 @@ class KnownRefusal(NamedTuple):
     without_inertia: str | None = None  # words of the error for integrators without inertia
 
 
-_NONE = KnownRefusal()
 LIMITS = {
     "contours": KnownRefusal(
         Status.ENERGY_FROM_NOWHERE, Status.START_NOT_IN_EQUILIBRIUM, "forces that jump from triangle to triangle"
@@ -137,4 +127,4 @@ LIMITS = {
 
 def limit_of(contact: str) -> KnownRefusal:
     """Flags by which runs on a kind of contact may refuse their own result."""
-    return LIMITS.get(contact, _NONE)
+    return LIMITS.get(contact, KnownRefusal())

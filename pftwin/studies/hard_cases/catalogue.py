@@ -1,29 +1,74 @@
-"""The catalogue of cases, read from cases.toml."""
+"""The catalogue of cases, read from cases.toml: of the small knee, and of the virtual rig."""
 
 from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping
-from dataclasses import fields, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cache, reduce
 from importlib.resources import files
-from typing import Any
+from typing import Any, Literal
 
+from pftwin import rig
 from pftwin.base.errors import InputError
 from pftwin.dynamics.status import Status
+from pftwin.geometry.patch.charts import CylindricalChart
+from pftwin.model.scene import Scene
+from pftwin.rig import geometry
+from pftwin.rig.contacts import contact_fit
 from pftwin.studies.hard_cases.case import RELEASED, Expected, HardCase
 from pftwin.studies.hard_cases.contacts import CONTACTS, MESHES, PATCHES
-from pftwin.studies.hard_cases.ground import GROUNDS, MESH_MAKERS, PLATE
+from pftwin.studies.hard_cases.ground import CYLINDER, GROUNDS, MESH_MAKERS, PLATE
 from pftwin.studies.hard_cases.knee import (
     MOTIONS,
     RADIUS,
     TROCHLEA,
     KneeNumbers,
+    Law,
     TendonNumbers,
     drawn,
     standing,
 )
-from pftwin.studies.hard_cases.rig_numbers import RigNumbers
+
+STIFFNESS = "contact.law.contact_stiffness"
+
+
+@dataclass(frozen=True)
+class RigNumbers:
+    """A case of the rig, which tells what `pftwin.studies.hard_cases.knee.KneeNumbers` does."""
+
+    case: int
+    factors: Mapping[str, float] = field(default_factory=dict)  # by the numbers' names
+
+    @property
+    def law(self) -> Law:
+        """Of the contact."""
+        return Law(geometry.CONTACT_STIFFNESS * self.factors.get(STIFFNESS, 1.0), restitution=geometry.RESTITUTION)
+
+    @property
+    def radius(self) -> float:
+        """Of the button [m]."""
+        return geometry.BUTTON_RADIUS
+
+    def scene_on(self, kind: str, name: str) -> Scene:
+        """See `KneeNumbers`."""
+        patch, chart = _parts(kind)
+        scene = rig.case(self.case, contact=patch, chart=chart)
+        for number, factor in self.factors.items():
+            scene = scene.set(number, scene.get(number) * factor)
+        return replace(scene, name=name)
+
+    def axis_below(self, kind: str) -> float:
+        """See `KneeNumbers`."""
+        patch, shape = _parts(kind)
+        chart = contact_fit(patch, chart=shape).patch.chart
+        return float(chart.radius) if isinstance(chart, CylindricalChart) else 0.0
+
+
+def _parts(kind: str) -> tuple[str, Literal["plane", "cylinder"]]:
+    """The patch's name, and its chart."""
+    return kind.removesuffix(CYLINDER), "cylinder" if kind.endswith(CYLINDER) else "plane"
+
 
 _ABSENT = TendonNumbers(156, 10.0, (0.02, 0, -0.008), (0.22, 0, 0.035))  # hangs slack wherever the patella is
 _ORIGIN = (0.0, 0.0, 0.0)
@@ -93,11 +138,11 @@ def _knee(entry: dict[str, Any]) -> KneeNumbers | RigNumbers:
 def _changed(value: Any, change: dict[str, Any]) -> Any:
     """A dataclass with changed fields; nested dataclasses are changed by tables of their fields."""
 
-    def field(key: str, new: Any) -> Any:
+    def changed(key: str, new: Any) -> Any:
         if isinstance(new, dict):
             return _changed(getattr(value, key), new)
         if isinstance(new, list):
             return tuple(new)
         return _NAMED[key][new] if key in _NAMED else new
 
-    return replace(value, **{key: field(key, new) for key, new in change.items()})
+    return replace(value, **{key: changed(key, new) for key, new in change.items()})

@@ -58,7 +58,7 @@ class BatchRuns:
             ran = self.with_parameters([n] * len(self._batch.cases), np.zeros(len(PARAMETERS)), [k])
             self._kept[k, n] = member(ran, 0)
         found = self._kept[k, n]
-        return Tried(found, course_of(found), not (found.seen.status & int(Status.STEP_TOO_LONG)).any())
+        return Tried(found, Course.of(found.seen, "contact"), not (found.seen.status & int(Status.STEP_TOO_LONG)).any())
 
     def chosen(self, substeps: Sequence[int], method: CaseIntegrator) -> list[Choice[CaseRun]]:
         """The runs with these steps, or with those that `pftwin.simulate` chooses from there; each with its error."""
@@ -69,11 +69,6 @@ class BatchRuns:
             error = choice.error.with_start(place_unknown(member(self._starts, k)))
             found.append(replace(choice, error=error))
         return found
-
-
-def course_of(ran: CaseRun) -> Course:
-    """What is compared of one case's run."""
-    return Course.of(ran.seen, "contact")
 
 
 def with_flags(ran: CaseRun, error: ErrorEstimate) -> CaseRun:
@@ -93,11 +88,11 @@ class Truth(NamedTuple):
 
     def finds_right(self, ran: CaseRun) -> bool:
         """Whether a run is right, whatever of the truth is not known: but for as many frames as a verdict allows."""
-        return frames_off(self._apart(ran, 2.0)) <= most_frames(Status.INACCURATE, len(self.course.center))
+        return deserved(self._apart(ran, 2.0))[1] <= most_frames(Status.INACCURATE, len(self.course.center))
 
     def _apart(self, ran: CaseRun, known_to: float) -> ErrorEstimate:
         """How far a run is from this one, and so many times what is not known of it."""
-        found = apart(course_of(ran), self.course)
+        found = apart(Course.of(ran.seen, "contact"), self.course)
         off = (getattr(found, n) + known_to * getattr(self.left, n) for n in QUANTITIES)
         path, force, *facets = (np.maximum(a, 0.0) for a in off)
         middle = np.abs(self.course.center[:, 1]) < MIDDLE
@@ -122,41 +117,31 @@ def truths(batch: CaseBatch, starts: Any, contact: str) -> dict[str, Truth]:
     return found
 
 
-def silent_error(ran: CaseRun, truth: Truth, remarked: Callable[[], bool] = lambda: False) -> str | None:
-    """Whether a run is off and does not say so, as users are told: by flags, by its verdict, or by a remark."""
-    words = _silent_error(ran, truth)
-    return None if words is None or remarked() else words
-
-
 def restitution_remarked(scene: Scene, ran: CaseRun, integrator: Integrator, step: float) -> bool:
     """Whether the result remarks that its steps are too long for the contact's restitution."""
     impact = impact_of(scene, integrator, step, float(ran.ledger.approach[-1]))
     return impact is not None and impact.unresolved
 
 
-def frames_off(off: ErrorEstimate) -> int:
-    """At how many frames path or force are off by more than is allowed."""
-    return int(((_wrong(off) & int(Status.INACCURATE)) > 0).sum())
-
-
-def _wrong(off: ErrorEstimate) -> NDArray[np.int64]:
-    """The flags that a run deserves that is off by so much (n,)."""
-    return np.asarray(off.flags_beyond(ALLOWED_PATH_ERROR), np.int64)
-
-
-def _silent_error(ran: CaseRun, truth: Truth) -> str | None:
-    off, flags = truth.off(ran), np.asarray(ran.seen.status, np.int64)
-    wrong = _wrong(off)
-    for flag, told in (
-        (Status.INACCURATE, Status.INACCURATE | UNKNOWN),
-        (Status.FACETS_INACCURATE, Status.FACETS_INACCURATE | Status.INACCURATE | UNKNOWN),
-    ):
-        if (wrong & int(flag)).any() and not (flags & int(told)).any():
-            return f"off a converged run by {off.describe()}, and no frame says so"
-    frames = frames_off(off)
-    if frames > most_frames(Status.INACCURATE, flags.size) and verdict_of(flags & ~_TOLD).valid:
-        return f"off a converged run in {frames} of {flags.size} frames, by {off.describe()}, and called valid"
-    return None
+def deserved(off: ErrorEstimate) -> tuple[NDArray[np.int64], int]:
+    """The flags that a run deserves that is off by so much (n,), and at how many frames it is INACCURATE."""
+    wrong = np.asarray(off.flags_beyond(ALLOWED_PATH_ERROR), np.int64)
+    return wrong, int(((wrong & int(Status.INACCURATE)) > 0).sum())
 
 
 _TOLD = int(Status.START_NOT_IN_EQUILIBRIUM | Status.NO_CONTACT | Status.DEEP_INDENTATION)  # flags of another matter
+
+
+def silent_error(ran: CaseRun, truth: Truth, remarked: Callable[[], bool] = lambda: False) -> str | None:
+    """Whether a run is off and does not say so, as users are told: by flags, by its verdict, or by a remark."""
+    off, flags = truth.off(ran), np.asarray(ran.seen.status, np.int64)
+    (wrong, frames), said = deserved(off), Status(int(np.bitwise_or.reduce(flags)))
+    enough = Status.INACCURATE | UNKNOWN
+    pairs = (Status.INACCURATE, enough), (Status.FACETS_INACCURATE, Status.FACETS_INACCURATE | enough)
+    if any((wrong & int(flag)).any() and not said & told for flag, told in pairs):
+        words = f"off a converged run by {off.describe()}, and no frame says so"
+    elif frames > most_frames(Status.INACCURATE, flags.size) and verdict_of(flags & ~_TOLD).valid:
+        words = f"off a converged run in {frames} of {flags.size} frames, by {off.describe()}, and called valid"
+    else:
+        return None
+    return None if remarked() else words

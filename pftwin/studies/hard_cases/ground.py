@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pftwin.base.arrays import Floats
-from pftwin.base.errors import InputError
 from pftwin.base.leaves import number, vector
 from pftwin.base.spatial import Rotation
 from pftwin.geometry.mesh.doctor import repaired
@@ -25,7 +24,7 @@ Height = Callable[[Floats, Floats], Floats]
 CYLINDER = " cylinder"  # ending of a patch's name: over a cylinder
 CELLS = (8, 8)  # of the spline
 SAMPLES = 41  # along each side of the rectangle, for fits
-MESH = (3, 4)  # cells of the mesh along and across: 12 triangles on each facet
+MESH = (3, 4)  # cells of the mesh along and across, an even number: 12 triangles on each facet
 
 
 @dataclass(frozen=True)
@@ -68,14 +67,11 @@ def patch_on(ground: TiltedGround, kind: str) -> PolynomialPatch | SplinePatch:
 
     All patches of one kind have one structure, so that scenes on them can be stacked.
     """
-    name = kind.removesuffix(CYLINDER)
-    round_ = kind.endswith(CYLINDER)
+    name, round_ = kind.removesuffix(CYLINDER), kind.endswith(CYLINDER)
     coefficients, center, half = _fitted(ground, name, round_)
-    chart = _chart(ground, round_)
-    sizes = (number(center[0]), number(center[1])), (number(half[0]), number(half[1]))
-    if name == "spline":
-        return SplinePatch(chart, number(coefficients), *sizes)
-    return PolynomialPatch(chart, number(coefficients), *sizes, parse_degree(name))
+    sizes = ((number(a), number(b)) for a, b in (center, half))
+    given = (_chart(ground, round_), number(coefficients), *sizes)
+    return SplinePatch(*given) if name == "spline" else PolynomialPatch(*given, parse_degree(name))
 
 
 def axis_below(ground: TiltedGround, kind: str) -> float:
@@ -137,15 +133,9 @@ def _basis(a: Floats, n: int) -> Floats:
     return BSpline.design_matrix(a, knots, 3, extrapolate=True).toarray()
 
 
-def mesh_on(ground: TiltedGround, cells: tuple[int, int] = MESH) -> SurfaceMesh:
-    """A grid's triangles, normals out of the bone, in the femur's frame.
-
-    Raises:
-        InputError: an odd number of cells across, which puts no edge on the border of the facets.
-    """
-    n_u, n_v = (n + 1 for n in cells)
-    if cells[1] % 2:
-        raise InputError(f"{cells[1]} cells across", where="mesh_on", expected="an even number")
+def mesh_on(ground: TiltedGround) -> SurfaceMesh:
+    """A grid's triangles, normals out of the bone, in the femur's frame."""
+    n_u, n_v = (n + 1 for n in MESH)
     k = np.arange(n_u * n_v).reshape(n_u, n_v)
     a, b, c, d = (q.ravel() for q in (k[:-1, :-1], k[1:, :-1], k[1:, 1:], k[:-1, 1:]))
     faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
@@ -163,32 +153,24 @@ def groove(angle: float, rounding: float = 0.005, half: tuple[float, float] = (0
     return TiltedGround(lambda u, v: np.sqrt(v**2 + rounding**2) * slope, half)
 
 
-def _ridge(u: Floats, v: Floats) -> Floats:
-    return -np.sqrt(v**2 + 0.01**2) * np.tan(np.radians(20))
-
-
-def _step_down(u: Floats, v: Floats) -> Floats:
-    """A shallow groove between two shoulders beyond which it falls off."""
-    return 0.002 * (1 - np.cos(np.pi * v / 0.02))
-
-
 PLATE = TiltedGround(lambda u, v: 0.0 * u, (0.1, 0.1), met=True)
 SHALLOW = groove(1)
 GROUNDS = {
     "plate": PLATE,
     "floor": TiltedGround(lambda u, v: 0.0 * u, (0.03, 0.03)),
     "vee": groove(25),
-    "ridge": TiltedGround(_ridge, (0.03, 0.03)),
+    "ridge": TiltedGround(lambda u, v: -np.sqrt(v**2 + 0.01**2) * np.tan(np.radians(20)), (0.03, 0.03)),
     "shallow": SHALLOW,
     "steep": groove(70, 0.006),
     "narrow": groove(55, 0.002),
     "small_patch": groove(18, 0.006, (0.004, 0.004)),
-    "shoulders": TiltedGround(_step_down, (0.03, 0.03)),
+    # A shallow groove between two shoulders beyond which it falls off.
+    "shoulders": TiltedGround(lambda u, v: 0.002 * (1 - np.cos(np.pi * v / 0.02)), (0.03, 0.03)),
     "edge": TiltedGround(TROCHLEA.height, (0.012, 0.012)),
     "no_width": TiltedGround(TROCHLEA.height, (0.024, 0.0)),
     # Long enough for the button: flat, the trochlea's own rectangle ends 13 mm short of the equilibrium.
     "nearly_flat": replace(TROCHLEA, height=SHALLOW.height, half=(0.06, 0.03)),
-    "nearly_vertical": TiltedGround(lambda u, v: np.sqrt(v**2 + 0.004**2) * np.tan(np.radians(80)), (0.02, 0.012)),
+    "nearly_vertical": groove(80, 0.004, (0.02, 0.012)),
 }
 
 
@@ -248,19 +230,12 @@ def _crossing(vertices: Vertices, faces: Faces) -> tuple[Vertices, Faces]:
     return np.concatenate([vertices, sheet]), np.concatenate([faces, [[n, n + 1, n + 2], [n, n + 2, n + 3]]])
 
 
-def _one_triangle(ground: TiltedGround) -> SurfaceMesh:
-    corners = np.array([[-0.03, -0.03, 0.0], [0.06, 0.0, 0.0], [-0.03, 0.03, 0.0]])
-    return SurfaceMesh(corners, np.array([[0, 1, 2]]), "one triangle")
-
-
-def _wide(ground: TiltedGround) -> SurfaceMesh:
-    """A mesh that continues like a patch, so that a small button does not roll over its rim on the way to rest."""
-    return mesh_on(replace(ground, half=(0.03, 0.03)))
-
+_TRIANGLE = np.array([[-0.03, -0.03, 0.0], [0.06, 0.0, 0.0], [-0.03, 0.03, 0.0]])  # [m]
 
 MESH_MAKERS: dict[str, Callable[[TiltedGround], SurfaceMesh]] = {
-    "wide": _wide,
-    "one_triangle": _one_triangle,
+    # It continues like a patch, so that a small button does not roll over its rim on the way to rest.
+    "wide": lambda ground: mesh_on(replace(ground, half=(0.03, 0.03))),
+    "one_triangle": lambda ground: SurfaceMesh(_TRIANGLE, np.array([[0, 1, 2]]), "one triangle"),
     "zero_area": _defective_mesh(_with_faces(lambda v, f: [f[0, 0], f[0, 0], f[0, 1]])),
     "duplicate": _defective_mesh(_with_faces(lambda v, f: f[[7, 7]])),
     "two_faced": _defective_mesh(_with_faces(lambda v, f: f[5, ::-1])),

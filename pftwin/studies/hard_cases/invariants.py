@@ -9,13 +9,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pftwin.base.arrays import Floats
+from pftwin.base.leaves import host_array
 from pftwin.dynamics.status import DEEPEST, Status
 from pftwin.studies.hard_cases.case import UNKNOWN, HardCase
+from pftwin.studies.hard_cases.contacts import MESHES
 from pftwin.studies.hard_cases.programs import CaseRun
 
 if TYPE_CHECKING:
+    from pftwin.studies.hard_cases.catalogue import RigNumbers
     from pftwin.studies.hard_cases.knee import KneeNumbers
-    from pftwin.studies.hard_cases.rig_numbers import RigNumbers
 
 GEOMETRY = Status.NO_CONTACT | Status.LEFT_PATCH | Status.DEEP_INDENTATION  # flags with checks of their own
 ERRORS = Status.INACCURATE | Status.FACETS_INACCURATE  # and those of steps, which are judged by a converged run
@@ -76,16 +78,16 @@ class Look(NamedTuple):
 
 def finite(look: Look) -> str | None:
     """All observations are finite in all frames; facets' own reports may be NaN without contact."""
-    states = look.run.states
-    arrays = [states.position.array(), states.orientation.array(), states.velocity.array(), states.spin.array()]
-    arrays += [look.run.ledger.work, look.run.ledger.heat, look.run.seen.kinetic_energy, look.report("force")]
+    states, ledger = look.run.states, look.run.ledger
+    arrays = [host_array(a) for a in (states.position, states.orientation, states.velocity, states.spin)]
+    arrays += [ledger.work, ledger.heat, look.run.seen.kinetic_energy, look.report("force")]
     bad = ~np.logical_and.reduce([np.isfinite(np.asarray(a)).reshape(len(look.flags), -1).all(axis=1) for a in arrays])
     return f"not finite from frame {np.argmax(bad)}" if bad.any() else None
 
 
 def unit_quaternion(look: Look) -> str | None:
     """The orientation's quaternion has length 1."""
-    off = np.abs(np.linalg.norm(np.asarray(look.run.states.orientation.array(), np.float64), axis=1) - 1)
+    off = np.abs(np.linalg.norm(host_array(look.run.states.orientation), axis=1) - 1)
     worst = off[look.clean()].max(initial=0.0)
     return f"quaternion's length off by {worst:.1g}" if not worst <= look.tolerance.unit else None
 
@@ -110,8 +112,7 @@ def energy(look: Look) -> str | None:
     """
     seen, ledger = look.run.seen, look.run.ledger
     stored = [np.asarray(v, np.float64) for v in seen.potential_energy.values()]
-    kinetic, work = look.kinetic(), np.asarray(ledger.work, np.float64)
-    clean = look.clean()
+    kinetic, work, clean = look.kinetic(), np.asarray(ledger.work, np.float64), look.clean()
     left = (kinetic + sum(stored) - work)[clean]
     parts = [kinetic, *(v - v[0] for v in stored), work]
     scale = max((float(np.abs(p[clean]).max(initial=0.0)) for p in parts), default=0.0)
@@ -145,7 +146,7 @@ def place(look: Look) -> str | None:
     distant = clean & (force > 0) & (depth < -near)
     if distant.any():
         return f"force at a distance of {1e3 * -depth[distant].min():.2g} mm"
-    if look.contact in ("contours", "volume"):  # their indentation is another one than the nearest point's
+    if look.contact in MESHES:  # their indentation is another one than the nearest point's
         # The law's damping can cancel the force on the way out, so an indentation without force is not a miss.
         missed = clean & (force <= 0) & ~(found > 0) & (depth > np.maximum(near, DEEPEST * look.knee.radius))
         return f"no force {1e3 * depth[missed].max():.2g} mm deep" if missed.any() else None
@@ -160,7 +161,7 @@ def geometry_flags(look: Look) -> str | None:
     """NO_CONTACT and DEEP_INDENTATION exactly where the exhaustive search finds them."""
     depth, clean = look.depth, look.clean()
     near = look.tolerance.place * max(1.0, look.knee.radius / 0.022)
-    if look.contact in ("contours", "volume"):
+    if look.contact in MESHES:
         near = near + 0.0105 * look.knee.radius
     none, deep = ((look.flags & int(f)) > 0 for f in (Status.NO_CONTACT, Status.DEEP_INDENTATION))
     limit = DEEPEST * look.knee.radius
@@ -171,7 +172,7 @@ def geometry_flags(look: Look) -> str | None:
         "too deep, does not say so": clean & ~deep & (depth > limit + 2 * near),
         "says too deep, is not": clean & deep & (depth < limit - 2 * near),
     }
-    if look.contact in ("contours", "volume"):
+    if look.contact in MESHES:
         del wrong["says too deep, is not"], wrong["too deep, does not say so"]  # by area or volume, not by depth
     said = [f"frame {np.argmax(w)}: {words}" for words, w in wrong.items() if w.any()]
     return said[0] if said else None
@@ -179,9 +180,9 @@ def geometry_flags(look: Look) -> str | None:
 
 def symmetric(look: Look) -> str | None:
     """A scene symmetric about y = 0 stays so."""
-    if not look.case.expected.symmetric or look.contact in ("contours", "volume"):  # a mesh's diagonals differ
+    if not look.case.expected.symmetric or look.contact in MESHES:  # a mesh's diagonals differ
         return None
-    p, q = (np.asarray(a, np.float64)[look.clean()] for a in _poses(look))
+    p, q = (host_array(a)[look.clean()] for a in (look.run.states.position, look.run.states.orientation))
     off = max(np.abs(p[:, 1]).max(initial=0.0), np.abs(q[:, [1, 3]]).max(initial=0.0))
     return f"leaves the plane of symmetry by {off:.1g}" if off > look.tolerance.symmetric else None
 
@@ -190,7 +191,7 @@ def stays_in_place(look: Look) -> str | None:
     """What must not move stays in place."""
     if not look.case.expected.still:
         return None
-    p, q = (np.asarray(a, np.float64) for a in _poses(look))
+    p, q = host_array(look.run.states.position), host_array(look.run.states.orientation)
     off = max(np.abs(p - p[0]).max(), 0.02 * np.abs(q - q[0]).max())
     return f"moves by {1e3 * off:.2g} mm" if off > look.tolerance.still else None
 
@@ -206,11 +207,6 @@ def at_end(look: Look) -> str | None:
     if wanted is None or (force > law.stiffness * rounding**law.exponent) == wanted:
         return None
     return f"a force of {force:.2g} N at the end"
-
-
-def _poses(look: Look) -> tuple[Floats, Floats]:
-    states = look.run.states
-    return np.asarray(states.position.array(), np.float64), np.asarray(states.orientation.array(), np.float64)
 
 
 CHECKS: tuple[Callable[[Look], str | None], ...] = (

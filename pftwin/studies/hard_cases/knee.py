@@ -17,7 +17,6 @@ from pftwin.base.spatial import Pose, Quaternion
 from pftwin.files.mocap.poses import PoseSeries
 from pftwin.geometry.mesh.mesh import SurfaceMesh
 from pftwin.geometry.patch.polynomial import exponents
-from pftwin.model.effects.base import Effect
 from pftwin.model.effects.contact_law import Flores
 from pftwin.model.effects.gravity import Gravity
 from pftwin.model.effects.tendon import Tendon
@@ -46,9 +45,8 @@ class TendonNumbers:
 
     def tendon(self, body: str, name: str) -> Tendon:
         """As an effect."""
-        stiffness, slack = number(self.stiffness), number(self.slack_length)
-        damping = number(self.damping_time * self.stiffness)
-        return Tendon(stiffness, slack, damping, vector(self.insertion), vector(self.origin), body, name=name)
+        numbers = map(number, (self.stiffness, self.slack_length, self.damping_time * self.stiffness))
+        return Tendon(*numbers, vector(self.insertion), vector(self.origin), body, name=name)
 
 
 @dataclass(frozen=True)
@@ -62,8 +60,8 @@ class Law:
 
     def flores(self) -> Flores:
         """As a law."""
-        stiffness, exponent = number(self.stiffness), number(self.exponent)
-        restitution, floor = number(self.restitution), number(self.floor)
+        exponent, floor = number(self.exponent), number(self.floor)
+        stiffness, restitution = number(self.stiffness), number(self.restitution)
         return Flores(stiffness, restitution, hertz_exponent=exponent, approach_speed_floor=floor)
 
 
@@ -86,9 +84,9 @@ def swinging(n: int = FRAMES, speed: float = 1.0) -> PoseSeries:
     return flexed(flexion(n, speed))
 
 
-def standing(n: int = FRAMES) -> PoseSeries:
+def standing() -> PoseSeries:
     """45 deg of flexion throughout."""
-    return flexed(np.full(n, 45.0))
+    return flexed(np.full(FRAMES, 45.0))
 
 
 QUADRICEPS = TendonNumbers(156, 0.1432, (0.02, 0, -0.008), (0.22, 0.012, 0.035))
@@ -120,24 +118,21 @@ class KneeNumbers:
         Raises:
             InputError: impossible numbers, motion or surface.
         """
-        return self._scene(contact_on(self, kind), name)
-
-    def axis_below(self, kind: str) -> float:
-        """Depth of a cylindrical patch's axis below the ground; 0 where there is none [m]."""
-        return axis_below(self.ground, kind)
-
-    def _scene(self, contact: Effect, name: str) -> Scene:
         inertia = tuple(i * self.mass / MASS for i in INERTIA)
         effects = (
             Gravity(number(self.mass), vector(self.gravity)),
             self.quadriceps.tendon("femur", "quadriceps"),
             self.patellar_tendon.tendon("tibia", "patellar_tendon"),
-            contact,
+            contact_on(self, kind),
         )
         turn = Quaternion.from_rotation_vector(vector(self.turn))
         body = PatellaBody(number(self.mass), vector(inertia), vector(self.center_of_mass))
         motion = KneeMotion.from_poses(None, self.tibia())
         return Scene(body, effects, motion, Pose(vector(self.start), turn), name, synthetic=True)
+
+    def axis_below(self, kind: str) -> float:
+        """Depth of a cylindrical patch's axis below the ground; 0 where there is none [m]."""
+        return axis_below(self.ground, kind)
 
 
 _NOISE = (0.5e-3, 0.3)  # of positions [m] and of flexion [deg], standard deviations

@@ -20,10 +20,9 @@ from pftwin.studies.hard_cases.batch import (
     batch_mates,
     batches,
     member,
-    selected_cases,
+    members,
     short_enough,
     starts_of,
-    starts_part,
     steps_of,
 )
 from pftwin.studies.hard_cases.case import INTEGRATORS, CaseIntegrator, HardCase, limit_of
@@ -73,14 +72,6 @@ def run_matrix(cases: Sequence[HardCase], selection: Selection = EVERYTHING, say
     return cells
 
 
-class Stack(NamedTuple):
-    """A batch of cases, with what every integrator needs of it."""
-
-    batch: CaseBatch
-    starts: Starts
-    truths: dict[str, Truth]  # by case; none where they are not looked at
-
-
 class Prepared:
     """The cases on one kind of contact: made, and their starts and converged runs found, when first asked for."""
 
@@ -88,41 +79,29 @@ class Prepared:
         """Computes nothing yet."""
         self.cases, self.contact, self.selection = cases, contact, selection
         self._built: dict[str, tuple[list[CaseBatch], dict[str, InputError]]] = {}
-        self._starts: dict[str, list[Starts]] = {}
+        self._stacks: dict[str, list[tuple[CaseBatch, Starts]]] = {}
 
-    def refused(self, dtype: str) -> dict[str, InputError]:
-        """Why scenes could not be made, by case."""
-        return self._batches(dtype)[1]
-
-    def batches(self, dtype: str) -> list[CaseBatch]:
-        """The others."""
-        return self._batches(dtype)[0]
-
-    def stacks(self, dtype: str) -> list[Stack]:
-        """The same with their starts and converged runs."""
-        known = self._truths if self.selection.truths else {}
-        return [Stack(b, s, known) for b, s in zip(self.batches(dtype), self._starts_of(dtype), strict=True)]
-
-    def _batches(self, dtype: str) -> tuple[list[CaseBatch], dict[str, InputError]]:
+    def batches(self, dtype: str) -> tuple[list[CaseBatch], dict[str, InputError]]:
+        """The batches, and by case why a scene could not be made."""
         if dtype not in self._built:
             with jax.enable_x64(dtype == "float64"):
                 self._built[dtype] = batches(self.cases, self.contact)
         return self._built[dtype]
 
-    def _starts_of(self, dtype: str) -> list[Starts]:
-        if dtype not in self._starts:
+    def stacks(self, dtype: str) -> list[tuple[CaseBatch, Starts]]:
+        """The batches with their starts."""
+        if dtype not in self._stacks:
             with jax.enable_x64(dtype == "float64"):
-                self._starts[dtype] = [starts_of(batch, dtype) for batch in self.batches(dtype)]
-        return self._starts[dtype]
+                self._stacks[dtype] = [(batch, starts_of(batch, dtype)) for batch in self.batches(dtype)[0]]
+        return self._stacks[dtype]
 
     @cached_property
-    def _truths(self) -> dict[str, Truth]:
-        """By case; in float64, whatever float type they are compared with."""
-        found: dict[str, Truth] = {}
+    def truths(self) -> dict[str, Truth]:
+        """Converged runs by case, where they are looked at; in float64, whatever they are compared with."""
         with jax.enable_x64(True):
-            for batch, starts in zip(self.batches("float64"), self._starts_of("float64"), strict=True):
-                found |= truths(batch, starts.chosen, self.contact)
-        return found
+            stacks = self.stacks("float64") if self.selection.truths else []
+            found = [truths(batch, starts.chosen, self.contact) for batch, starts in stacks]
+        return {name: truth for part in found for name, truth in part.items()}
 
 
 def cells_of(prepared: Prepared, method: CaseIntegrator, say: Say = lambda _: None) -> list[Cell]:
@@ -144,49 +123,46 @@ def _of_float_type(
     prepared: Prepared, method: CaseIntegrator, dtype: str, references: dict[str, Reference], say: Say
 ) -> list[Cell]:
     """In one float type; finite differences are kept for the other."""
-    contact, refused = prepared.contact, prepared.refused(dtype)
-    cells = [_refusal(c, contact, method, dtype, refused[c.name]) for c in prepared.cases if c.name in refused]
-    if limit_of(contact).without_inertia is not None and not method.inertia:
-        return cells + [_refusal_cell(c, b, contact, method, dtype) for b in prepared.batches(dtype) for c in b.cases]
-    for stack in prepared.stacks(dtype):
+    contact, (made, refused) = prepared.contact, prepared.batches(dtype)
+    said = {c.name: _refusal(c, refused[c.name]) for c in prepared.cases if c.name in refused}
+    unfit = limit_of(contact).without_inertia is not None and not method.inertia
+    if unfit:
+        said |= {c.name: _without_inertia(batch, contact, method) for batch in made for c in batch.cases}
+    cells = [Cell(name, contact, method.name, dtype, *outcome) for name, outcome in said.items()]
+    for batch, starts in [] if unfit else prepared.stacks(dtype):
         began = time.perf_counter()
-        which = short_enough(stack.batch, method)
+        which = short_enough(batch, method)
         if not which:
             continue
-        own = Stack(selected_cases(stack.batch, which), starts_part(stack.starts, which), stack.truths)
-        cells += _run_batch(own, contact, method, dtype, prepared.selection, references)
+        own = CaseBatch(tuple(batch.cases[k] for k in which), members(batch.scenes, which))
+        chosen = starts._replace(chosen=members(starts.chosen, which))
+        cells += _run_batch(prepared, own, chosen, method, dtype, references)
         say(f"{contact}, {method.name}, {dtype}: {len(which)} cases in {time.perf_counter() - began:.1f} s")
     return cells
 
 
-def _refusal(case: HardCase, contact: str, method: CaseIntegrator, dtype: str, error: InputError) -> Cell:
-    words, outcome, reason = case.expected.refusal, "fail", f"refused: {error}"
-    if words is not None:
-        right = words in str(error)
-        outcome, reason = ("refused", str(error)) if right else ("fail", f"refused for another reason: {error}")
-    return Cell(case.name, contact, method.name, dtype, outcome, reason)
+def _refusal(case: HardCase, error: InputError) -> tuple[str, str]:
+    """Outcome and reason of a case whose scene could not be made."""
+    words = case.expected.refusal
+    if words is not None and words in str(error):
+        return "refused", str(error)
+    return "fail", f"{'refused' if words is None else 'refused for another reason'}: {error}"
 
 
-def _refusal_cell(case: HardCase, batch: CaseBatch, contact: str, method: CaseIntegrator, dtype: str) -> Cell:
-    """The cell of an integrator that must refuse this contact."""
-    words = limit_of(contact).without_inertia or ""
+def _without_inertia(batch: CaseBatch, contact: str, method: CaseIntegrator) -> tuple[str, str]:
+    """Outcome and reason of an integrator that must refuse this contact."""
     try:
         method.integrator.refuse_unfit(batch.scenes.effects)
     except InputError as error:
-        outcome = "refused" if words in str(error) else "fail"
-        return Cell(case.name, contact, method.name, dtype, outcome, str(error))
-    return Cell(case.name, contact, method.name, dtype, "fail", "not refused")
+        return "refused" if (limit_of(contact).without_inertia or "") in str(error) else "fail", str(error)
+    return "fail", "not refused"
 
 
 def _run_batch(
-    stack: Stack,
-    contact: str,
-    method: CaseIntegrator,
-    dtype: str,
-    selection: Selection,
+    prepared: Prepared, batch: CaseBatch, starts: Starts, method: CaseIntegrator, dtype: str,
     references: dict[str, Reference],
-) -> list[Cell]:
-    batch, starts, double = stack.batch, stack.starts, dtype == "float64"
+) -> list[Cell]:  # fmt: skip
+    contact, selection, double = prepared.contact, prepared.selection, dtype == "float64"
     n, chosen = len(batch.cases), method.integrator
     tried = BatchRuns(batch, starts.chosen, chosen, double)
     choices = tried.chosen([steps_of(c, method) for c in batch.cases], method)
@@ -198,15 +174,15 @@ def _run_batch(
         columns = compiled(slopes, double, integrator=chosen)(batch.scenes, starts.chosen, jnp.asarray(substeps))
         if double:
             found = _references(batch, columns, partial(tried.with_parameters, substeps))
-            references.update(
-                {batch.cases[k].name: Reference(d, np.asarray(poses(runs[k].states))) for k, d in found.items()}
-            )
+            paths = {k: np.asarray(poses(runs[k].states)) for k in found}
+            references |= {batch.cases[k].name: Reference(d, paths[k]) for k, d in found.items()}
     mates: dict[str, str] = {}
     if selection.mates and n > 1 and contact in PATCHES:  # batched mesh searches compile for minutes
         mates = batch_mates(batch, starts.chosen, jnp.asarray(substeps), method, dtype)
     by_name = {c.name: runs[k] for k, c in enumerate(batch.cases)}
     cells = []
     for k, case in enumerate(batch.cases):
+        step = 1 / RATE / substeps[k]
         evidence = Evidence(
             by_name,
             None if columns is None else columns[k],
@@ -214,9 +190,9 @@ def _run_batch(
             starts.wrong.get(case.name),
             mates.get(case.name),
             depth[k],
-            1 / RATE / choices[k].substeps,
-            stack.truths.get(case.name) if method.inertia else None,
-            partial(restitution_remarked, member(batch.scenes, k), runs[k], chosen, 1 / RATE / choices[k].substeps),
+            step,
+            prepared.truths.get(case.name) if method.inertia else None,
+            partial(restitution_remarked, member(batch.scenes, k), runs[k], chosen, step),
         )
         cells.append(verdict(case, contact, method, dtype, evidence))
     return cells

@@ -56,20 +56,14 @@ class CaseRun(eqx.Module):
 def with_parameters(scene: Scene, p: Array) -> Scene:
     """The scene with its parameters changed by p (4,), in `UNITS`."""
     quadriceps, tendon, button = (scene.index(n) for n in ("quadriceps", "patellar_tendon", "contact"))
-    scene = eqx.tree_at(
-        lambda s: (
-            s.effects[quadriceps].stiffness,
-            s.effects[tendon].slack_length,
-            s.effects[button].law.contact_stiffness,
-        ),
-        scene,
-        (
-            scene.effects[quadriceps].stiffness * (1 + UNITS[0] * p[0]),  # pyright: ignore
-            scene.effects[tendon].slack_length + UNITS[1] * p[1],  # pyright: ignore
-            scene.effects[button].law.contact_stiffness * (1 + UNITS[3] * p[3]),  # pyright: ignore
-        ),
-    )
-    assert scene.contact is not None  # every case has a first tendon
+
+    def numbers(s: Any) -> tuple[Any, Any, Any]:
+        return s.effects[quadriceps].stiffness, s.effects[tendon].slack_length, s.effects[button].law.contact_stiffness
+
+    stiffness, slack, hardness = numbers(scene)
+    changed = stiffness * (1 + UNITS[0] * p[0]), slack + UNITS[1] * p[1], hardness * (1 + UNITS[3] * p[3])
+    scene = eqx.tree_at(numbers, scene, changed)
+    assert scene.contact is not None  # every case has one
     return scene.with_effect(_raised(scene.contact, UNITS[2] * p[2]))
 
 
@@ -102,12 +96,10 @@ def equilibrium_with_derivatives(scene: Scene, p: Array) -> Rest:
         return poses(starting_equilibrium(with_parameters(scene, p + change)).pose)
 
     changed = with_parameters(scene, p)
-    pose, system = scene.center_of_mass_pose(), System.of(scene)
-    solution = starting_equilibrium(changed)
-    memories = system.remember(patella_at_rest(first_guide(scene), pose))
-    unknown = jnp.full_like(solution.residual, jnp.inf)
-    nothing = jnp.zeros_like(solution.residual)
-    released = Solution(pose, memories, unknown, solution.iterations * 0, 0 * solution.stiffness, nothing)
+    pose, solution = scene.center_of_mass_pose(), starting_equilibrium(changed)
+    memories = System.of(scene).remember(patella_at_rest(first_guide(scene), pose))
+    zero = jnp.zeros_like(solution.residual)
+    released = Solution(pose, memories, zero + jnp.inf, 0 * solution.iterations, 0 * solution.stiffness, zero)
     return Rest(solution, released, _columns(found))
 
 
@@ -130,9 +122,8 @@ def slopes(scene: Scene, start: Solution, substeps: Array, integrator: Integrato
     """(n, 7, 4): derivatives of the frames' poses by `PARAMETERS`, from a fixed start."""
 
     def path(p: Array) -> Array:
-        return poses(
-            frame_states(with_parameters(scene, p), integrator=integrator, substeps=substeps, start=start).states
-        )
+        changed = with_parameters(scene, p)
+        return poses(frame_states(changed, integrator=integrator, substeps=substeps, start=start).states)
 
     return _columns(path)
 
@@ -158,12 +149,6 @@ def compiled(function: Callable[..., Any], float64: bool, **fixed: Any) -> Calla
     return each
 
 
-@lru_cache(maxsize=64)
-def side_by_side(function: Callable[..., Any], float64: bool, **fixed: Any) -> Callable[..., Any]:
-    """A program of a whole batch at once, over the leading axis of all arguments."""
-    return jax.jit(jax.vmap(partial(function, **fixed)), compiler_options=OPTIONS)
-
-
 SAMPLES = 61  # along each side of a square about the point below the centre
 WIDE = 1.5  # half that square's side at first, in radii
 ZOOMS = 4  # times that the square shrinks around the nearest sample
@@ -175,9 +160,7 @@ def depth_everywhere(button: Contact, center: Vec3) -> Array:
     Negative where it touches nothing. A centre below a patch counts as inside; a mesh's side is told by its nearest
     triangle's normal, but a mesh that is open has no inside past its rim.
 
-    Args:
-        button: a contact, made ready by `recentred`.
-        center: of the sphere, femur frame [m].
+    `button` is made ready by `recentred`; `center` is the sphere's, in the femur's frame.
     """
     surface, femur, corners = button.fitted_surface(), button.femur_triangles(), button.button_triangles()
     radius = button.button_radius() if corners is None else jnp.max(Vec3.from_array(corners.reshape(-1, 3)).norm())
@@ -209,11 +192,8 @@ def _above_patch(surface: Any, center: Vec3, radius: Scalar) -> Array:
     places = (surface.chart.foot(c), WIDE * radius), (surface.center, WIDE * jnp.maximum(*surface.half_size))
     squares = [(*middle, jnp.minimum(half, turn), half) for middle, half in places]
     found = [jax.lax.fori_loop(0, ZOOMS, closer, square) for square in squares]
-    return jnp.where(
-        jnp.abs(_signed(surface, c, *found[0][:2])) < jnp.abs(_signed(surface, c, *found[1][:2])),
-        _signed(surface, c, *found[0][:2]),
-        _signed(surface, c, *found[1][:2]),
-    )
+    below, beside = (_signed(surface, c, u, v) for u, v, *_ in found)
+    return jnp.where(jnp.abs(below) < jnp.abs(beside), below, beside)
 
 
 def _signed(surface: Any, c: Vec3, u: Array, v: Array) -> Array:

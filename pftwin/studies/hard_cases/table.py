@@ -53,11 +53,6 @@ def by_case(cells: Sequence[Cell]) -> Sheet:
     return Sheet("by case", ("case", *integrators), tuple(rows))
 
 
-def _failing(cells: Sequence[Cell]) -> list[str]:
-    """Names of the cases with a failure, each once."""
-    return list(dict.fromkeys(c.case for c in cells if c.outcome == "fail"))
-
-
 def outcomes(cells: Sequence[Cell]) -> Sheet:
     """Rows of contact, integrator, float type, outcome and the cases that have it."""
     groups: dict[tuple[str, str, str, str], list[str]] = {}
@@ -87,28 +82,25 @@ def reasons(cells: Sequence[Cell], outcome: str) -> Sheet:
 def markdown(cells: Sequence[Cell], cases: Sequence[HardCase], pieces: Sequence[KeptPiece]) -> str:
     """The page docs/hard_cases.md, from the pieces that were run."""
     found, m = counts(cells), pieces[-1].machine
-    by_name = {c.name: c for c in cases}
-    why = {name: c.unmended or c.limit for name, c in by_name.items()}
-    known = {name: why[name] for name in _failing(cells) if why.get(name)}
-    lists = {topic: _list(c for c in cases if c.topic == topic) for topic in dict.fromkeys(c.topic for c in cases)}
+    why = {c.name: c.unmended or c.limit for c in cases}
+    failing = dict.fromkeys(c.case for c in cells if c.outcome == "fail")
+    topics: dict[str, list[str]] = {}
+    for c in cases:
+        topics.setdefault(c.topic, []).append(f"- **{c.name}**: {c.about}")
     page = files("pftwin.studies.hard_cases").joinpath("page.md").read_text(encoding="utf-8")
     return page.format(
         size=f"{len(cases)} cases, {len(cells)} cells: {', '.join(f'{found[o]} {o}' for o in OUTCOMES)}",
         minutes=sum(p.seconds for p in pieces) / 60,
         machine=f"{m['cpu']}, {m['cores']} cores, jax {m['jax']}",
         failing=reasons(cells, "fail").grid() if found["fail"] else "Nothing.",
-        known="\n".join(f"- **{name}**: {words}" for name, words in known.items()),
+        known="\n".join(f"- **{name}**: {why[name]}" for name in failing if why.get(name)),
         summary=summary(cells).grid(),
         by_case=by_case(cells).grid(),
         refused=reasons(cells, "refused").grid(),
         outcomes=outcomes(cells).grid(),
-        cases="\n\n".join(f"### {topic[0].upper()}{topic[1:]}\n{text}" for topic, text in lists.items()),
+        cases="\n\n".join("\n".join([f"### {t[0].upper()}{t[1:]}", *lines]) for t, lines in topics.items()),
         runs=runs(pieces).grid(),
     )
-
-
-def _list(cases: Iterable[HardCase]) -> str:
-    return "\n".join(f"- **{c.name}**: {c.about}" for c in cases)
 
 
 def _short(text: str) -> str:
@@ -189,12 +181,10 @@ def runs(pieces: Sequence[KeptPiece]) -> Sheet:
     """Rows of the pieces: what was run, when and where."""
     rows = []
     for piece in pieces:
-        names = (
-            ", ".join(dict.fromkeys(getattr(c, n) for c in piece.rows)) for n in ("contact", "integrator", "dtype")
-        )
-        cases = str(len({c.case for c in piece.rows}))
+        cases, *names = (dict.fromkeys(cell[k] for cell in piece.rows) for k in range(4))
         looked = _LOOKED[piece.quick, piece.truths]
-        rows.append((str(piece.machine["date"])[:16], f"{piece.seconds / 60:.1f}", *names, cases, looked))
+        when, minutes = str(piece.machine["date"])[:16], f"{piece.seconds / 60:.1f}"
+        rows.append((when, minutes, *map(", ".join, names), str(len(cases)), looked))
     headings = ("date", "minutes", "contacts", "integrators", "float types", "cases", "looked at")
     return Sheet("what was run", headings, tuple(rows))
 
@@ -202,10 +192,9 @@ def runs(pieces: Sequence[KeptPiece]) -> Sheet:
 def results(
     cases: Sequence[HardCase], contact: str = "P5", integrator: str = "linear_implicit"
 ) -> dict[str, Result | InputError]:
-    """The result or the refusal of each case that exists with a kind of contact, in float64.
+    """The result or the refusal of each case that exists with a kind of contact, in float64, as `run_matrix` runs it.
 
-    Unlike `pftwin.simulate` it can release a patella that is not in equilibrium, where a case says so. The programs and
-    the steps are those of `run_matrix`; of several cases at once they are compiled once.
+    Unlike `pftwin.simulate` it can release a patella that is not in equilibrium, where a case says so.
     """
     method, found = method_named(integrator), {}
     with jax.enable_x64(True):

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pftwin.base.leaves import host_array
 from pftwin.dynamics.status import Status
 from pftwin.results.verdict import most_frames
 from pftwin.studies.hard_cases import derivatives, invariants
@@ -17,9 +18,8 @@ from pftwin.studies.hard_cases.errors import Truth, silent_error
 from pftwin.studies.hard_cases.invariants import CHECKS, ERRORS, GEOMETRY, TOLERANCES, Look
 from pftwin.studies.hard_cases.programs import CaseRun, poses
 
-REFUSES = (
-    Status.STEP_TOO_LONG | Status.SEARCH_OVERFLOW | Status.ENERGY_FROM_NOWHERE
-)  # flags of a run, or a step, that is not to be trusted
+# Flags of a run, or a step, that is not to be trusted.
+REFUSES = Status.STEP_TOO_LONG | Status.SEARCH_OVERFLOW | Status.ENERGY_FROM_NOWHERE
 # In reasons of cells that the estimated error of steps refuses.
 THOUGH_RIGHT = "though right in place and force, by a converged run"
 
@@ -66,19 +66,15 @@ def verdict(case: HardCase, contact: str, method: CaseIntegrator, dtype: str, ev
     invalid = inaccurate > most_frames(Status.INACCURATE, look.flags.size)  # then steps are too long by their estimate
     if every & UNKNOWN and (method.may_refuse or invalid or case.expected.may & UNKNOWN or _at_limit(look)):
         return _refused(look, every, cell)
-    wrong = [words for check in CHECKS if (words := check(look)) is not None]
-    wrong += [
-        w
-        for w in (
-            evidence.start,
-            evidence.mates,
-            _equals_other_case(look, evidence),
-            _slopes(look, evidence, dtype, invalid),
-            None if evidence.truth is None else silent_error(run, evidence.truth, evidence.remarked),
-        )
-        if w
+    found = [
+        *(check(look) for check in CHECKS),
+        evidence.start,
+        evidence.mates,
+        _equals_other_case(look, evidence),
+        _slopes(look, evidence, dtype, invalid),
+        None if evidence.truth is None else silent_error(run, evidence.truth, evidence.remarked),
     ]
-    if wrong:
+    if wrong := [words for words in found if words]:
         return cell("fail", "; ".join(wrong))
     if invalid:
         doubt = f"; {THOUGH_RIGHT}" if evidence.truth is not None and evidence.truth.finds_right(run) else ""
@@ -95,20 +91,20 @@ def _at_limit(look: Look) -> bool:
     return bool(look.flags[first] & int(own)) and not until & ~allowed
 
 
-def _refused(look: Look, every: Status, cell: object) -> Cell:
+def _refused(look: Look, every: Status, cell: Callable[[str, str], Cell]) -> Cell:
     """A run that refuses itself must do so by the first frame that is not finite, and be right until then."""
     flags = look.flags
     lost, said = (flags & int(Status.NOT_FINITE)) > 0, (flags & int(REFUSES)) > 0
     first = np.argmax(lost) if lost.any() else len(flags)
     if lost.any() and not said[: first + 1].any():
-        return cell("fail", f"not finite from frame {first}, and nothing said before")  # pyright: ignore
+        return cell("fail", f"not finite from frame {first}, and nothing said before")
     skipped = {invariants.finite, invariants.flags_allowed, invariants.at_end, invariants.stays_in_place}
     if every & Status.ENERGY_FROM_NOWHERE:
         skipped |= {invariants.energy, invariants.penetration}  # the run flags it by the share of its largest energy
     wrong = [w for check in CHECKS if check not in skipped and (w := check(look)) is not None]
     if wrong:
-        return cell("fail", "before it refuses itself: " + "; ".join(wrong))  # pyright: ignore
-    return cell("refused", (every & UNKNOWN).describe())  # pyright: ignore
+        return cell("fail", "before it refuses itself: " + "; ".join(wrong))
+    return cell("refused", (every & UNKNOWN).describe())
 
 
 def _equals_other_case(look: Look, evidence: Evidence) -> str | None:
@@ -116,8 +112,7 @@ def _equals_other_case(look: Look, evidence: Evidence) -> str | None:
     other = look.case.expected.same_as
     if other is None:
         return None
-    a, b = (np.asarray(r.states.position.array(), np.float64) for r in (look.run, evidence.runs[other]))
-    off = np.abs(a - b).max()
+    off = np.abs(np.subtract(*(host_array(r.states.position) for r in (look.run, evidence.runs[other])))).max()
     return f"{1e3 * off:.2g} mm from {other}" if not off <= look.tolerance.same else None
 
 

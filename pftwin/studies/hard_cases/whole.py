@@ -11,6 +11,7 @@ import multiprocessing
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from functools import partial
 from pathlib import Path
 
 import jax
@@ -19,7 +20,7 @@ from pftwin.base.runtime import configure, describe
 from pftwin.base.text_files import write_text
 from pftwin.studies.hard_cases.case import CaseIntegrator
 from pftwin.studies.hard_cases.catalogue import catalogue
-from pftwin.studies.hard_cases.matrix import EVERYTHING, Prepared, Selection, cells_of
+from pftwin.studies.hard_cases.matrix import Prepared, Selection, cells_of
 from pftwin.studies.hard_cases.table import KeptPiece
 
 Say = Callable[[str], None]
@@ -31,7 +32,7 @@ def piece_path(folder: Path, contact: str, method: CaseIntegrator) -> Path:
     return folder / f"{contact}_{method.name}.json".replace(" ", "-").replace(":", "-")
 
 
-def missing(folder: Path, selection: Selection = EVERYTHING) -> dict[str, tuple[CaseIntegrator, ...]]:
+def missing(folder: Path, selection: Selection) -> dict[str, tuple[CaseIntegrator, ...]]:
     """By kind of contact, the integrators whose cells have no file yet; what takes longest comes first."""
     found = {}
     for contact in sorted(selection.contacts, key=LONGEST_FIRST.index):
@@ -42,7 +43,7 @@ def missing(folder: Path, selection: Selection = EVERYTHING) -> dict[str, tuple[
 
 
 def run_missing(
-    folder: Path, selection: Selection = EVERYTHING, *, processes: int, cache_dir: str, say: Say = lambda _: None
+    folder: Path, selection: Selection, *, processes: int, cache_dir: str, say: Say = lambda _: None
 ) -> list[Path]:
     """Runs all cases where `missing` says so, and writes a file for each contact and integrator as soon as it is done.
 
@@ -62,17 +63,13 @@ def run_missing(
         return [path for c, methods in work.items() for path in run_contact(folder, c, methods, selection, say)]
     written = []
     context = multiprocessing.get_context("spawn")  # a forked JAX hangs
-    with ProcessPoolExecutor(processes, context, configure_process, (cache_dir,), max_tasks_per_child=1) as pool:
+    as_the_command = partial(configure, cache_dir=cache_dir)
+    with ProcessPoolExecutor(processes, context, as_the_command, max_tasks_per_child=1) as pool:
         running = {pool.submit(run_contact, folder, c, m, selection): c for c, m in work.items()}
         for done in as_completed(running):
             written += done.result()
             say(f"{running[done]}: done")
     return written
-
-
-def configure_process(cache_dir: str) -> None:
-    """Sets up a process of `run_missing` as the command line does."""
-    configure(cache_dir=cache_dir)
 
 
 def run_contact(
@@ -85,8 +82,7 @@ def run_contact(
         cells = cells_of(prepared, method, say)
         seconds = time.perf_counter() - began
         piece = KeptPiece(tuple(cells), seconds, describe(), not selection.derivatives, selection.truths)
-        path = piece_path(folder, contact, method)
-        write_text(path, json.dumps(piece.as_dict(), indent=1))
-        written.append(path)
+        written.append(piece_path(folder, contact, method))
+        write_text(written[-1], json.dumps(piece.as_dict(), indent=1))
     jax.clear_caches()
     return written

@@ -9,6 +9,7 @@ import pytest
 from pftwin.base.errors import InputError
 from pftwin.studies.hard_cases import CONTACTS, INTEGRATORS, case_named, method_named, whole
 from pftwin.studies.hard_cases.batch import batches, short_enough
+from pftwin.studies.hard_cases.matrix import EVERYTHING
 from pftwin.studies.hard_cases.table import KeptPiece, merged_pieces, read_piece, read_pieces, runs
 from pftwin.studies.hard_cases.verdict import Cell
 
@@ -94,7 +95,7 @@ def test_what_is_missing_is_run_and_what_is_there_is_not(tmp_path, monkeypatch):
         return [Cell("a", prepared.contact, method.name, "float64", "pass", "")]
 
     monkeypatch.setattr(whole, "cells_of", cells_of)
-    chosen = whole.EVERYTHING._replace(contacts=("P2", "P5"))
+    chosen = EVERYTHING._replace(contacts=("P2", "P5"))
     wanted = {c: [m.name for m in INTEGRATORS if m.only is None or c in m.only] for c in ("P5", "P2")}
     with pytest.raises(KeyboardInterrupt):
         whole.run_missing(tmp_path, chosen, processes=1, cache_dir="")

@@ -40,11 +40,7 @@ class CaseBatch(NamedTuple):
 
 
 def built_scene(case: HardCase, contact: str) -> Scene:
-    """The case as a scene that may be simulated.
-
-    Raises:
-        InputError: the case is refused.
-    """
+    """The case as a scene that may be simulated; InputError where the case is refused."""
     scene = case.builder().scene_on(contact, case.name)
     check(scene)
     return scene
@@ -90,9 +86,8 @@ def steps_of(case: HardCase, method: CaseIntegrator) -> int:
 
 def short_enough(batch: CaseBatch, method: CaseIntegrator) -> list[int]:
     """Which of a batch's cases need no more steps than a method is given."""
-    frames = batch.scenes.motion.n_frames
-    most = method.most_steps
-    return [k for k, c in enumerate(batch.cases) if most is None or (frames - 1) * steps_of(c, method) <= most]
+    frames, most = batch.scenes.motion.n_frames - 1, method.most_steps
+    return [k for k, c in enumerate(batch.cases) if most is None or frames * steps_of(c, method) <= most]
 
 
 LARGEST = 2000  # steps of the runs compared: side by side all take as many as the longest
@@ -114,12 +109,13 @@ def batch_mates(batch: CaseBatch, starts: Any, substeps: Any, method: CaseIntegr
     args = (batch.scenes, starts, steps, jnp.zeros((n, 4)))
     alone = np.asarray(poses(program(*args).states))
     back = np.arange(n)[::-1]
+    scenes, *others = jax.tree.map(lambda a: a[jnp.asarray(back)], args)
+    # Integers, which order a mesh, stay.
+    nowhere = jax.tree.map(lambda a: jnp.full_like(a, jnp.nan) if eqx.is_inexact_array(a) else a, scenes)
     said: dict[str, str] = {}
     for parity in (0, 1):
-        poison = jnp.asarray(back % 2 == parity)
-        turned = jax.tree.map(lambda a: a[jnp.asarray(back)], args)
-        spoiled = (_poisoned(turned[0], poison), *turned[1:])
-        mixed = np.asarray(poses(program(*spoiled).states))[back]
+        spoiled = _select_members(back % 2 == parity, nowhere, scenes)
+        mixed = np.asarray(poses(program(spoiled, *others).states))[back]
         for k, case in enumerate(batch.cases):
             if k % 2 == parity:
                 continue
@@ -128,12 +124,6 @@ def batch_mates(batch: CaseBatch, starts: Any, substeps: Any, method: CaseIntegr
             if not off <= AGREE[dtype]:
                 said[case.name] = f"depends on its batch: {off:.1g} off"
     return said
-
-
-def _poisoned(scenes: Any, which: Any) -> Any:
-    """The batch with all numbers of the chosen members NaN; integers, which order a mesh, stay."""
-    spoiled = jax.tree.map(lambda a: jnp.full_like(a, jnp.nan) if eqx.is_inexact_array(a) else a, scenes)
-    return _select_members(which, spoiled, scenes)
 
 
 class Starts(NamedTuple):
@@ -156,8 +146,7 @@ def starts_of(batch: CaseBatch, dtype: str) -> Starts:
         scenes = eqx.tree_at(lambda s: s.start, scenes, _select_members(usable, there, scenes.start))
         again: Rest = search(scenes, nothing)
         found = _select_members(lost & converged_on_host(again.equilibrium), again, found)
-    released = jnp.asarray(~wanted)
-    chosen = _select_members(released, found.released, found.equilibrium)
+    chosen = _select_members(~wanted, found.released, found.equilibrium)
     return Starts(chosen, _failing_equilibria(batch, found, scenes, search, dtype))
 
 
@@ -168,7 +157,9 @@ def _select_members(which: Any, a: Any, b: Any) -> Any:
 
 def _failing_equilibria(batch: CaseBatch, found: Rest, scenes: Any, search: Any, dtype: str) -> dict[str, str]:
     """Cases that start from an equilibrium: does the search end, and are its derivatives finite, and right."""
-    n, near = len(batch.cases), eqx.tree_at(lambda s: s.start, scenes, _patella_frame(scenes, found.equilibrium))
+    in_patella_frame = jax.vmap(lambda pose, center: Pose(pose.apply(-center), pose.orientation))
+    at = in_patella_frame(found.equilibrium.pose, scenes.patella.center_of_mass)
+    n, near = len(batch.cases), eqx.tree_at(lambda s: s.start, scenes, at)
     said, columns = {}, np.asarray(found.slopes)
     at_rest = converged_on_host(found.equilibrium)
     # A failed search flags every frame.
@@ -176,12 +167,11 @@ def _failing_equilibria(batch: CaseBatch, found: Rest, scenes: Any, search: Any,
     smooth = [k for k in looked if batch.cases[k].expected.smooth and dtype == "float64"]
     reference: dict[int, np.ndarray] = {}
     if smooth:
-        sides = [
-            [poses(search(near, jnp.tile(jnp.asarray(p), (n, 1)), only=smooth).equilibrium.pose) for p in side]
-            for side in derivatives.parameter_changes()
-        ]
-        ahead, back = (np.stack(side) for side in sides)
-        reference = dict(zip(smooth, derivatives.differences(ahead, back), strict=True))
+
+        def changed(p: Any) -> Any:
+            return poses(search(near, jnp.tile(jnp.asarray(p), (n, 1)), only=smooth).equilibrium.pose)
+
+        reference = dict(zip(smooth, derivatives.differences(changed), strict=True))
     for k in looked:
         words = derivatives.not_finite(columns[k][None], np.array([True]))
         if words is None and k in reference:
@@ -189,8 +179,3 @@ def _failing_equilibria(batch: CaseBatch, found: Rest, scenes: Any, search: Any,
         if words is not None:
             said[batch.cases[k].name] = f"equilibrium: {words}"
     return said
-
-
-def _patella_frame(scenes: Any, solution: Solution) -> Any:
-    """The equilibria as poses of the patella's frame."""
-    return jax.vmap(lambda p, c: Pose(p.apply(-c), p.orientation))(solution.pose, scenes.patella.center_of_mass)

@@ -40,10 +40,7 @@ class Expected:
 
 @dataclass(frozen=True)
 class HardCase:
-    """A scene that is hard to simulate.
-
-    `builder` makes its numbers; the scene follows from them and a kind of contact.
-    """
+    """A scene that is hard to simulate: its numbers are the builder's, and its contact is of any of some kinds."""
 
     name: str
     topic: str
@@ -76,11 +73,7 @@ class CaseIntegrator(NamedTuple):
 
     @property
     def integrator(self) -> Integrator:
-        """The integrator itself.
-
-        Raises:
-            InputError: no such integrator.
-        """
+        """The integrator itself; InputError where there is none of that name."""
         return integrator_from_text(self.of or self.name)
 
 

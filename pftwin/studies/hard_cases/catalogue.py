@@ -16,19 +16,10 @@ from pftwin.geometry.patch.charts import CylindricalChart
 from pftwin.model.scene import Scene
 from pftwin.rig import geometry
 from pftwin.rig.contacts import contact_fit
+from pftwin.studies.hard_cases import knee
 from pftwin.studies.hard_cases.case import RELEASED, Expected, HardCase
 from pftwin.studies.hard_cases.contacts import CONTACTS, MESHES, PATCHES
 from pftwin.studies.hard_cases.ground import CYLINDER, GROUNDS, MESH_MAKERS, PLATE
-from pftwin.studies.hard_cases.knee import (
-    MOTIONS,
-    RADIUS,
-    TROCHLEA,
-    KneeNumbers,
-    Law,
-    TendonNumbers,
-    drawn,
-    standing,
-)
 
 STIFFNESS = "contact.law.contact_stiffness"
 
@@ -41,9 +32,9 @@ class RigNumbers:
     factors: Mapping[str, float] = field(default_factory=dict)  # by the numbers' names
 
     @property
-    def law(self) -> Law:
+    def law(self) -> knee.Law:
         """Of the contact."""
-        return Law(geometry.CONTACT_STIFFNESS * self.factors.get(STIFFNESS, 1.0), restitution=geometry.RESTITUTION)
+        return knee.Law(geometry.CONTACT_STIFFNESS * self.factors.get(STIFFNESS, 1.0), restitution=geometry.RESTITUTION)
 
     @property
     def radius(self) -> float:
@@ -70,25 +61,25 @@ def _parts(kind: str) -> tuple[str, Literal["plane", "cylinder"]]:
     return kind.removesuffix(CYLINDER), "cylinder" if kind.endswith(CYLINDER) else "plane"
 
 
-_ABSENT = TendonNumbers(156, 10.0, (0.02, 0, -0.008), (0.22, 0, 0.035))  # hangs slack wherever the patella is
+_ABSENT = knee.TendonNumbers(156, 10.0, (0.02, 0, -0.008), (0.22, 0, 0.035))  # hangs slack wherever the patella is
 _ORIGIN = (0.0, 0.0, 0.0)
-FREE = KneeNumbers(
-    ground=PLATE, center_of_mass=_ORIGIN, quadriceps=_ABSENT, patellar_tendon=_ABSENT, tibia=standing,
-    start=(0.0, 0.0, RADIUS),
+FREE = knee.KneeNumbers(
+    ground=PLATE, center_of_mass=_ORIGIN, quadriceps=_ABSENT, patellar_tendon=_ABSENT, tibia=knee.standing,
+    start=(0.0, 0.0, knee.RADIUS),
 )  # fmt: skip
 KNEES = {
-    "plain": KneeNumbers(),
+    "plain": knee.KneeNumbers(),
     "free": FREE,
     "level": replace(
         FREE,
-        quadriceps=TendonNumbers(156, 0.06, (0.02, 0, -0.008), (0.1, 0.0, RADIUS - 0.02)),
-        patellar_tendon=TendonNumbers(156, 0.06, (-0.02, 0, -0.008), (-0.1, 0.0, RADIUS - 0.02)),
+        quadriceps=knee.TendonNumbers(156, 0.06, (0.02, 0, -0.008), (0.1, 0.0, knee.RADIUS - 0.02)),
+        patellar_tendon=knee.TendonNumbers(156, 0.06, (-0.02, 0, -0.008), (-0.1, 0.0, knee.RADIUS - 0.02)),
     ),
     # A button of triangles lands on one of them: on a corner it would balance, and fall to a side by rounding.
-    "on_mesh": replace(FREE, ground=GROUNDS["floor"], start=(0.004, 0.006, RADIUS + 5e-4), turn=(0.0, 0.087, 0.0)),
+    "on_mesh": replace(FREE, ground=GROUNDS["floor"], start=(0.004, 0.006, knee.RADIUS + 5e-4), turn=(0.0, 0.087, 0.0)),
 }
 _NAMED: dict[str, Mapping[str, Any]] = {
-    "ground": {**GROUNDS, "trochlea": TROCHLEA}, "tibia": MOTIONS, "mesh": MESH_MAKERS,
+    "ground": {**GROUNDS, "trochlea": knee.TROCHLEA}, "tibia": knee.MOTIONS, "mesh": MESH_MAKERS,
 }  # fmt: skip
 _KINDS = {"patches": PATCHES, "meshes": MESHES}
 
@@ -102,11 +93,7 @@ def catalogue() -> tuple[HardCase, ...]:
 
 
 def case_named(name: str) -> HardCase:
-    """The case of that name.
-
-    Raises:
-        InputError: no such case.
-    """
+    """The case of that name; InputError where there is none."""
     for case in catalogue():
         if case.name == name:
             return case
@@ -128,10 +115,10 @@ def _case(topic: str, entry: dict[str, Any], texts: dict[str, str]) -> HardCase:
     return HardCase(topic=topic, builder=lambda: _knee(entry), expected=expected, contacts=tuple(kinds), **own)
 
 
-def _knee(entry: dict[str, Any]) -> KneeNumbers | RigNumbers:
+def _knee(entry: dict[str, Any]) -> knee.KneeNumbers | RigNumbers:
     if "rig" in entry:
         return RigNumbers(entry["rig"], entry.get("factors", {}))
-    base = drawn(entry["seed"]) if "seed" in entry else KNEES[entry.get("knee", "plain")]
+    base = knee.drawn(entry["seed"]) if "seed" in entry else KNEES[entry.get("knee", "plain")]
     return _changed(base, entry.get("change", {}))
 
 

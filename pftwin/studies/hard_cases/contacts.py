@@ -36,11 +36,7 @@ _NOWHERE = -1e3  # [m] where padding edges lie
 
 
 def contact_on(knee: KneeNumbers, kind: str) -> Effect:
-    """The contact of that kind for a knee.
-
-    Raises:
-        InputError: an impossible surface.
-    """
+    """The contact of that kind for a knee; InputError for an impossible surface."""
     law, center, radius = knee.law.flores(), vector(knee.center), number(knee.radius)
     if kind in PATCHES:
         return SphereContact(patch_on(knee.ground, kind), law, center, radius)

@@ -7,7 +7,8 @@ quartering the parameters' changes alters the differences, that frame and all la
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,11 +24,6 @@ PARTED = 2e-5  # [m or quaternion component] between paths in float32 and float6
 SHARE_IN_SINGLE = 0.10  # tolerance of float32 derivatives against float64 differences
 
 
-def parameter_changes(share: float = 1.0) -> Floats:
-    """(2, 4, 4): the parameters' changes, forward and backward, a row for each parameter; or a share of them."""
-    return share * CHANGE * np.stack([np.eye(len(PARAMETERS)), -np.eye(len(PARAMETERS))])
-
-
 class Reference(NamedTuple):
     """What derivatives of a run are compared with, in whichever float type they are."""
 
@@ -35,8 +31,10 @@ class Reference(NamedTuple):
     path: Floats  # (n, 7) poses of float64 that they belong to
 
 
-def differences(ahead: Floats, back: Floats, share: float = 1.0) -> Floats:
-    """Central differences of poses (4, ..., 7), a parameter in each row; the parameters' axis becomes the last."""
+def differences(forward: Callable[[Floats], Any], share: float = 1.0) -> Floats:
+    """Central differences (..., 7, 4) of poses (..., 7) by changes of the parameters (4,), or by a share of them."""
+    change = share * CHANGE * np.eye(len(PARAMETERS))
+    ahead, back = (np.stack([forward(p) for p in side]) for side in (change, -change))
     return np.moveaxis((ahead - back) / (2 * share * CHANGE), 0, -1)
 
 

@@ -61,19 +61,15 @@ class BatchRuns:
         return Tried(found, Course.of(found.seen, "contact"), not (found.seen.status & int(Status.STEP_TOO_LONG)).any())
 
     def chosen(self, substeps: Sequence[int], method: CaseIntegrator) -> list[Choice[CaseRun]]:
-        """The runs with these steps, or with those that `pftwin.simulate` chooses from there; each with its error."""
+        """Runs with these steps, or with those that `pftwin.simulate` chooses from there; flagged by their errors."""
         choose = accurate_enough if method.chooses_steps else with_estimate
         found = []
         for k, n in enumerate(substeps):
             choice = choose(partial(self.tried, k), n, method.integrator.order)
             error = choice.error.with_start(place_unknown(member(self._starts, k)))
-            found.append(replace(choice, error=error))
+            flagged = eqx.tree_at(lambda r: r.seen.status, choice.run, choice.run.seen.status | error.flags)
+            found.append(replace(choice, run=flagged, error=error))
         return found
-
-
-def with_flags(ran: CaseRun, error: ErrorEstimate) -> CaseRun:
-    """The run with the flags that its error raises."""
-    return eqx.tree_at(lambda r: r.seen.status, ran, ran.seen.status | error.flags)
 
 
 class Truth(NamedTuple):
@@ -82,16 +78,12 @@ class Truth(NamedTuple):
     course: Course
     left: ErrorEstimate  # how far it is known, at every frame
 
-    def off(self, ran: CaseRun) -> ErrorEstimate:
-        """How far a run is off at every frame, beyond what is known."""
-        return self._apart(ran, -2.0)
-
     def finds_right(self, ran: CaseRun) -> bool:
         """Whether a run is right, whatever of the truth is not known: but for as many frames as a verdict allows."""
-        return deserved(self._apart(ran, 2.0))[1] <= most_frames(Status.INACCURATE, len(self.course.center))
+        return deserved(self.off(ran, 2.0))[1] <= most_frames(Status.INACCURATE, len(self.course.center))
 
-    def _apart(self, ran: CaseRun, known_to: float) -> ErrorEstimate:
-        """How far a run is from this one, and so many times what is not known of it."""
+    def off(self, ran: CaseRun, known_to: float) -> ErrorEstimate:
+        """How far a run is from this one at every frame, and so many times what is not known of it."""
         found = apart(Course.of(ran.seen, "contact"), self.course)
         off = (getattr(found, n) + known_to * getattr(self.left, n) for n in QUANTITIES)
         path, force, *facets = (np.maximum(a, 0.0) for a in off)
@@ -134,7 +126,7 @@ _TOLD = int(Status.START_NOT_IN_EQUILIBRIUM | Status.NO_CONTACT | Status.DEEP_IN
 
 def silent_error(ran: CaseRun, truth: Truth, remarked: Callable[[], bool] = lambda: False) -> str | None:
     """Whether a run is off and does not say so, as users are told: by flags, by its verdict, or by a remark."""
-    off, flags = truth.off(ran), np.asarray(ran.seen.status, np.int64)
+    off, flags = truth.off(ran, -2.0), np.asarray(ran.seen.status, np.int64)
     (wrong, frames), said = deserved(off), Status(int(np.bitwise_or.reduce(flags)))
     enough = Status.INACCURATE | UNKNOWN
     pairs = (Status.INACCURATE, enough), (Status.FACETS_INACCURATE, Status.FACETS_INACCURATE | enough)

@@ -69,8 +69,8 @@ def patch_on(ground: TiltedGround, kind: str) -> PolynomialPatch | SplinePatch:
     """
     name, round_ = kind.removesuffix(CYLINDER), kind.endswith(CYLINDER)
     coefficients, center, half = _fitted(ground, name, round_)
-    sizes = ((number(a), number(b)) for a, b in (center, half))
-    given = (_chart(ground, round_), number(coefficients), *sizes)
+    middle, size = ((number(a), number(b)) for a, b in (center, half))
+    given = _chart(ground, round_), number(coefficients), middle, size
     return SplinePatch(*given) if name == "spline" else PolynomialPatch(*given, parse_degree(name))
 
 

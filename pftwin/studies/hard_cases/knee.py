@@ -45,8 +45,9 @@ class TendonNumbers:
 
     def tendon(self, body: str, name: str) -> Tendon:
         """As an effect."""
-        numbers = map(number, (self.stiffness, self.slack_length, self.damping_time * self.stiffness))
-        return Tendon(*numbers, vector(self.insertion), vector(self.origin), body, name=name)
+        given = self.stiffness, self.slack_length, self.damping_time * self.stiffness
+        stiffness, slack, damping = map(number, given)
+        return Tendon(stiffness, slack, damping, vector(self.insertion), vector(self.origin), body, name=name)
 
 
 @dataclass(frozen=True)
@@ -113,11 +114,7 @@ class KneeNumbers:
     facets: int = 2  # of that mesh
 
     def scene_on(self, kind: str, name: str) -> Scene:
-        """The scene with a kind of contact.
-
-        Raises:
-            InputError: impossible numbers, motion or surface.
-        """
+        """The scene with a kind of contact; InputError for impossible numbers, motion or surface."""
         inertia = tuple(i * self.mass / MASS for i in INERTIA)
         effects = (
             Gravity(number(self.mass), vector(self.gravity)),

@@ -28,7 +28,7 @@ from pftwin.studies.hard_cases.batch import (
 from pftwin.studies.hard_cases.case import INTEGRATORS, CaseIntegrator, HardCase, limit_of
 from pftwin.studies.hard_cases.contacts import CONTACTS, PATCHES
 from pftwin.studies.hard_cases.derivatives import Reference
-from pftwin.studies.hard_cases.errors import BatchRuns, Truth, restitution_remarked, truths, with_flags
+from pftwin.studies.hard_cases.errors import BatchRuns, Truth, restitution_remarked, truths
 from pftwin.studies.hard_cases.knee import RATE
 from pftwin.studies.hard_cases.programs import CaseRun, compiled, depths, poses, slopes
 from pftwin.studies.hard_cases.verdict import Cell, Evidence, verdict
@@ -54,15 +54,9 @@ EVERYTHING = Selection()
 
 
 def run_matrix(cases: Sequence[HardCase], selection: Selection = EVERYTHING, say: Say = lambda _: None) -> list[Cell]:
-    """Runs cases and judges them.
+    """Runs cases and judges them: a cell for each case, contact, integrator and float type that there is.
 
-    Args:
-        cases: from `pftwin.studies.hard_cases.catalogue`.
-        selection: contacts, integrators, float types; whether to look at derivatives, batches and converged runs.
-        say: called with the current step.
-
-    Returns:
-        A cell for each case, contact, integrator and float type for which there is such a scene.
+    `say` is called with the current step.
     """
     cells: list[Cell] = []
     for contact in selection.contacts:
@@ -167,7 +161,7 @@ def _run_batch(
     tried = BatchRuns(batch, starts.chosen, chosen, double)
     choices = tried.chosen([steps_of(c, method) for c in batch.cases], method)
     substeps = [choice.substeps for choice in choices]
-    runs = [with_flags(choice.run, choice.error) for choice in choices]
+    runs = [choice.run for choice in choices]
     depth = _depths(batch, runs, double)
     columns = None
     if selection.derivatives and (method.differentiated_on is None or contact in method.differentiated_on):
@@ -213,17 +207,12 @@ def _references(batch: CaseBatch, slopes: NDArray[Any], forward: Forward) -> dic
     smooth = [k for k, c in enumerate(batch.cases) if c.expected.smooth]
     if not smooth:
         return {}
-    found = dict(zip(smooth, _differences(forward, smooth), strict=True))
+
+    def differences(which: list[int], share: float = 1.0) -> dict[int, NDArray[np.float64]]:
+        by_case = derivatives.differences(lambda p: poses(forward(p, which).states), share)
+        return dict(zip(which, by_case, strict=True))
+
+    found = differences(smooth)
     off = [k for k in smooth if derivatives.disagree(slopes[k], found[k], "float64")]
-    if off:
-        finer = _differences(forward, off, derivatives.FINER)
-        found |= {k: derivatives.agreeing_differences(found[k], fine) for k, fine in zip(off, finer, strict=True)}
-    return found
-
-
-def _differences(forward: Forward, which: list[int], share: float = 1.0) -> NDArray[np.float64]:
-    """(cases, frames, 7, 4): central differences of the poses."""
-    ahead, back = (
-        np.stack([poses(forward(p, which).states) for p in side]) for side in derivatives.parameter_changes(share)
-    )
-    return derivatives.differences(ahead, back, share)
+    finer = differences(off, derivatives.FINER) if off else {}
+    return found | {k: derivatives.agreeing_differences(found[k], fine) for k, fine in finer.items()}

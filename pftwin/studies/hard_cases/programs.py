@@ -130,13 +130,10 @@ def slopes(scene: Scene, start: Solution, substeps: Array, integrator: Integrato
 
 @lru_cache(maxsize=256)
 def compiled(function: Callable[..., Any], float64: bool, **fixed: Any) -> Callable[..., Any]:
-    """A program of one case, for members of a batch one after the other: whoever is left out costs nothing.
+    """A program of one case, for members of a batch one after the other; one for each float type, that in force.
 
-    One for each float type, whose settings must be in force.
-
-    Returns:
-        A function of stacked arguments, and of `only`: the numbers of the members that are wanted, all by default.
-        Their results are stacked on the host.
+    It takes stacked arguments, and `only`: the numbers of the wanted members, all by default. Whoever is left out costs
+    nothing. Results are stacked on the host.
     """
     program = jax.jit(partial(function, **fixed), compiler_options=OPTIONS)
 

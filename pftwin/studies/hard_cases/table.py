@@ -13,13 +13,13 @@ import jax.numpy as jnp
 
 from pftwin.base.errors import InputError
 from pftwin.base.sheet import Sheet
+from pftwin.base.text_files import read_json
 from pftwin.results.result import Result
 from pftwin.studies.hard_cases.batch import batches, built_scene, member, starts_of, steps_of
 from pftwin.studies.hard_cases.case import HardCase, method_named
 from pftwin.studies.hard_cases.knee import RATE
 from pftwin.studies.hard_cases.programs import PARAMETERS, compiled, run
 from pftwin.studies.hard_cases.verdict import Cell
-from pftwin.studies.tables import read_rows
 
 OUTCOMES = ("pass", "fail", "refused")
 LONGEST_REASON = 160  # characters
@@ -35,46 +35,44 @@ def named_cases(cases: Sequence[HardCase]) -> Sheet:
     return Sheet("hard cases", ("case", "what is hard"), tuple((c.name, c.about) for c in cases))
 
 
+def _grouped(cells: Iterable[Cell], *fields: str) -> dict[tuple[str, ...], list[Cell]]:
+    """Cells by what they have in these fields."""
+    groups: dict[tuple[str, ...], list[Cell]] = {}
+    for c in cells:
+        groups.setdefault(tuple(getattr(c, name) for name in fields), []).append(c)
+    return groups
+
+
 def summary(cells: Sequence[Cell]) -> Sheet:
     """Rows of contact, integrator and float type with their counts."""
-    rows = []
-    for key in dict.fromkeys((c.contact, c.integrator, c.dtype) for c in cells):
-        found = counts(c for c in cells if (c.contact, c.integrator, c.dtype) == key)
-        rows.append((*key, *(str(found[o]) for o in OUTCOMES)))
-    return Sheet("hard cases", ("contact", "integrator", "float type", *OUTCOMES), tuple(rows))
+    groups = _grouped(cells, "contact", "integrator", "dtype")
+    rows = tuple((*key, *(str(counts(group)[o]) for o in OUTCOMES)) for key, group in groups.items())
+    return Sheet("hard cases", ("contact", "integrator", "float type", *OUTCOMES), rows)
 
 
 def by_case(cells: Sequence[Cell]) -> Sheet:
     """Rows of cases, columns of integrators: in each the outcomes over contacts and float types."""
     integrators, rows = tuple(dict.fromkeys(c.integrator for c in cells)), []
-    for case in dict.fromkeys(c.case for c in cells):
-        found = [counts(c for c in cells if (c.case, c.integrator) == (case, i)) for i in integrators]
+    for (case,), group in _grouped(cells, "case").items():
+        found = [counts(c for c in group if c.integrator == i) for i in integrators]
         rows.append((case, *(", ".join(f"{n[o]} {o}" for o in OUTCOMES if n[o]) or "-" for n in found)))
     return Sheet("by case", ("case", *integrators), tuple(rows))
 
 
 def outcomes(cells: Sequence[Cell]) -> Sheet:
     """Rows of contact, integrator, float type, outcome and the cases that have it."""
-    groups: dict[tuple[str, str, str, str], list[str]] = {}
-    for c in cells:
-        groups.setdefault((c.contact, c.integrator, c.dtype, c.outcome), []).append(c.case)
-    headings = ("contact", "integrator", "float type", "outcome", "cases")
-    return Sheet("every cell", headings, tuple((*k, ", ".join(g)) for k, g in groups.items()))
+    groups = _grouped(cells, "contact", "integrator", "dtype", "outcome")
+    rows = tuple((*key, ", ".join(c.case for c in group)) for key, group in groups.items())
+    return Sheet("every cell", ("contact", "integrator", "float type", "outcome", "cases"), rows)
 
 
 def reasons(cells: Sequence[Cell], outcome: str) -> Sheet:
     """Rows of case, where, and why, for one outcome; contacts and float types of one case and reason share a row."""
-    groups: dict[tuple[str, str], list[Cell]] = {}
-    for c in cells:
-        if c.outcome == outcome:
-            groups.setdefault((c.case, c.integrator), []).append(c)
     rows = []
-    for (case, integrator), group in groups.items():
-        where: dict[str, list[str]] = {}
-        for c in group:
-            where.setdefault(c.contact, []).append(c.dtype.removeprefix("float"))
-        places = ", ".join(f"{contact} ({'/'.join(bits)})" for contact, bits in where.items())
-        rows.append((case, integrator, places, _short(group[0].reason)))
+    for key, group in _grouped((c for c in cells if c.outcome == outcome), "case", "integrator").items():
+        where = _grouped(group, "contact").items()
+        bits = (f"{contact} ({'/'.join(c.dtype.removeprefix('float') for c in found)})" for (contact,), found in where)
+        rows.append((*key, ", ".join(bits), _short(group[0].reason)))
     title = "what fails" if outcome == "fail" else f"what is {outcome}"
     return Sheet(title, ("case", "integrator", "contacts", "why (of the first)"), tuple(rows))
 
@@ -125,25 +123,18 @@ class KeptPiece(NamedTuple):
 
 
 def read_piece(path: Path) -> KeptPiece:
-    """A piece that `pftwin hard-cases --json` has written.
-
-    Raises:
-        InputError: no such file, or another one's content.
-    """
-    found, rows = read_rows(path, Cell, _EXPECTED)
+    """A piece that `pftwin hard-cases --json` has written; InputError for no such file, or another one's content."""
+    found = read_json(path, expected=_EXPECTED)
     try:
+        rows = tuple(Cell(**one) for one in found["rows"])
         words = float(found["seconds"]), dict(found["machine"]), bool(found["quick"]), bool(found.get("truths"))
-        return KeptPiece(tuple(rows), *words)
+        return KeptPiece(rows, *words)
     except (ValueError, KeyError, TypeError) as error:
         raise InputError(f"no piece of the matrix: {error}", where=path, expected=_EXPECTED) from error
 
 
 def read_pieces(path: Path) -> list[KeptPiece]:
-    """A piece, or all *.json pieces of a folder, from the oldest to the newest.
-
-    Raises:
-        InputError: no such file, another one's content, or a folder without a piece.
-    """
+    """A piece, or all *.json pieces of a folder, from the oldest to the newest; errors as of `read_piece`."""
     if not path.is_dir():
         return [read_piece(path)]
     found = [read_piece(one) for one in sorted(path.glob("*.json"))]
@@ -153,12 +144,7 @@ def read_pieces(path: Path) -> list[KeptPiece]:
 
 
 def merged_pieces(pieces: Sequence[KeptPiece], order: Sequence[tuple[str, ...]]) -> list[Cell]:
-    """All cells, each from the last piece that has it.
-
-    Args:
-        pieces: from the oldest to the newest.
-        order: names of cases, contacts, integrators and float types, each in the order in which they are to be shown.
-    """
+    """All cells, each from the last piece that has it, by the order of cases, contacts, integrators and float types."""
     kept = {cell[:4]: cell for piece in pieces for cell in piece.rows}
     ranks = [{name: k for k, name in enumerate(names)} for names in order]
 

@@ -47,15 +47,8 @@ def run_missing(
 ) -> list[Path]:
     """Runs all cases where `missing` says so, and writes a file for each contact and integrator as soon as it is done.
 
-    Args:
-        folder: of the pieces.
-        selection: contacts and integrators; float types are both.
-        processes: contacts at a time.
-        cache_dir: of compiled programs, for the processes.
-        say: called with what is done.
-
-    Returns:
-        The files that were written.
+    So many contacts at a time, in processes of their own with a folder of compiled programs; float types are both.
+    Returns the files that were written.
     """
     folder.mkdir(parents=True, exist_ok=True)
     work = missing(folder, selection)

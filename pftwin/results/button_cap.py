@@ -59,14 +59,9 @@ class CapUse:
 
 
 def cap_use(result: Result, cap: SphereFit) -> CapUse:
-    """Where on the button the contacts of a simulation lay.
+    """Where the contacts of a simulation lay on the button, to which a cap was fitted in the patella's frame.
 
-    Args:
-        result: of a scene with a sphere contact.
-        cap: the sphere that was fitted to the button, in the patella's frame.
-
-    Raises:
-        InputError: a scene without sphere contact; an axis that is no unit vector.
+    Raises InputError for a scene without sphere contact, and for an axis that is no unit vector.
     """
     if result.contact is None:
         raise InputError("no sphere contact", where=result.scene_name, remedy="add a SphereContact to the scene")

@@ -47,18 +47,15 @@ _ROWS = (
 )
 
 
-def _paper(*columns: tuple[str, tuple[float, ...]]) -> dict[str, dict[str, float]]:
-    return {name: dict(zip((key for key, _, _ in _ROWS), values, strict=True)) for name, values in columns}
-
-
+_PAPER = {
+    "CM": (4.90, 1.52, 1.96, 3.72, 2.47, 11.38, 2.36, 2.16, 2.20, 2.98, 2.37, 0.19),
+    "FM": (3.44, 1.39, 2.01, 0.65, 1.49, 4.85, 2.02, 2.10, 2.10, 2.78, 33.29, 0.07),
+    "P2": (4.06, 3.45, 2.27, 0.45, 1.82, 4.46, 4.53, 3.67, 5.81, 7.25, 0.51, 6.00),
+    "P4": (3.38, 1.30, 1.96, 0.74, 1.66, 6.60, 2.71, 1.88, 2.70, 2.99, 0.63, 4.97),
+    "P5": (3.33, 0.89, 2.15, 0.59, 1.38, 4.45, 1.44, 1.36, 1.70, 2.30, 0.72, 4.55),
+}
 # Michaud et al. 2024, Table 1: means over the four cases, by contact model and the fields of `Validation`.
-PAPER_TABLE_1 = _paper(
-    ("CM", (4.90, 1.52, 1.96, 3.72, 2.47, 11.38, 2.36, 2.16, 2.20, 2.98, 2.37, 0.19)),
-    ("FM", (3.44, 1.39, 2.01, 0.65, 1.49, 4.85, 2.02, 2.10, 2.10, 2.78, 33.29, 0.07)),
-    ("P2", (4.06, 3.45, 2.27, 0.45, 1.82, 4.46, 4.53, 3.67, 5.81, 7.25, 0.51, 6.00)),
-    ("P4", (3.38, 1.30, 1.96, 0.74, 1.66, 6.60, 2.71, 1.88, 2.70, 2.99, 0.63, 4.97)),
-    ("P5", (3.33, 0.89, 2.15, 0.59, 1.38, 4.45, 1.44, 1.36, 1.70, 2.30, 0.72, 4.55)),
-)
+PAPER_TABLE_1 = {model: dict(zip((key for key, _, _ in _ROWS), row, strict=True)) for model, row in _PAPER.items()}
 
 
 @dataclass(frozen=True)
@@ -103,9 +100,8 @@ class Validation:
             InputError: no such column.
         """
         if paper is not None and paper not in PAPER_TABLE_1:
-            raise InputError(
-                f"no column {paper!r} in the paper's Table 1", expected=f"one of: {', '.join(PAPER_TABLE_1)}"
-            )
+            known = f"one of: {', '.join(PAPER_TABLE_1)}"
+            raise InputError(f"no column {paper!r} in the paper's Table 1", expected=known)
         column = PAPER_TABLE_1[paper] if paper else {}
         rows = [ValidationRow(key, label, unit, getattr(self, key), column.get(key)) for key, label, unit in _ROWS]
         return [*rows, *self.readings]
@@ -136,8 +132,7 @@ def validate(
     placed = bool(present.any())
     if not (placed or measured.skin_markers):
         raise InputError("no frame has a measured position", where=measured.source, expected="at least one")
-    readings = {name: _reading_error(result, name, values) for name, values in measured.readings.items()}
-    skin = [name for name in readings if name.rpartition(".")[0] in measured.skin_markers]
+    skin = [name for name in measured.readings if name.rpartition(".")[0] in measured.skin_markers]
     return Validation(
         contact_force=_force_error(result, result.contact, "force", measured.contact_force, measured),
         tibial_spring=_force_error(result, tibial, "tension", measured.tibial_spring_force, measured),
@@ -153,15 +148,16 @@ def validate(
         frames_compared=int(np.count_nonzero(present)),
         scene=result.scene_name,
         synthetic=measured.synthetic,
-        readings=tuple(row for name, row in readings.items() if name not in skin),
+        readings=tuple(_reading_error(result, *of) for of in measured.readings.items() if of[0] not in skin),
         skin_markers=tuple(_course(result, name, measured) for name in skin),
     )
 
 
 def _course(result: Result, name: str, measured: Measured) -> SkinMarker:
     """A coordinate of a marker on the skin against the simulated one."""
-    told, words = reading(result, name), Reported.of(name, result.observables, result.scene_name).long_name
-    return SkinMarker.of(name, words, told.unit, told.values, told.scale * measured.readings[name], measured.source)
+    told = reading(result, name)
+    measures = told.scale * measured.readings[name]
+    return SkinMarker.of(name, told.words, told.unit, told.values, measures, measured.source)
 
 
 def _reading_error(result: Result, name: str, measured: NDArray[np.float64]) -> ValidationRow:
@@ -176,29 +172,22 @@ class Reading(NamedTuple):
     values: NDArray[np.float64]
     scale: float
     unit: str
+    words: str  # what it is
 
 
 def reading(result: Result, name: str) -> Reading:
-    """By "EFFECT.OBSERVABLE".
-
-    Raises:
-        InputError: no such effect or observable, or one of several numbers a frame.
-    """
+    """By "EFFECT.OBSERVABLE"; InputError for no such effect or observable, or one of several numbers a frame."""
     told = Reported.of(name, result.observables, result.scene_name)
     values = np.asarray(result.effects[told.effect][told.key], dtype=np.float64)
     if values.ndim != 1:
         expected = "one number a frame, as a measurement has"
         raise InputError(f"{name} has {values[0].size} numbers a frame", where=result.scene_name, expected=expected)
     scale, unit = as_read(told.unit)
-    return Reading(scale * values, scale, unit)
+    return Reading(scale * values, scale, unit, told.long_name)
 
 
 def mean_of(validations: Sequence[Validation]) -> Validation:
-    """Means over several cases, as in the paper's table; None in a row that a case lacks. Readings are left out.
-
-    Raises:
-        InputError: no cases.
-    """
+    """Means over several cases; None in a row that a case lacks. Readings are left out. InputError for no cases."""
     if not validations:
         raise InputError("no validations to take the mean of", where="validations", expected="at least one")
     columns = {key: [getattr(v, key) for v in validations] for key, _, _ in _ROWS}
@@ -247,8 +236,13 @@ def _force_error(
             expected=f"one of: {', '.join(result.effects)}",
             remedy="name the effect (tibial=..., femoral=...), or leave the force out",
         )
-    ours = result.effects[effect][observable].reshape(result.times.size, -1).sum(axis=1)
+    ours = summed(result.effects[effect][observable])
     return _rms(ours - force, np.isfinite(force)) if np.isfinite(force).any() else None
+
+
+def summed(values: NDArray[Any]) -> NDArray[np.float64]:
+    """What a group reports (n, ...), summed over its elements (n,)."""
+    return np.asarray(values, dtype=np.float64).reshape(len(values), -1).sum(axis=1)
 
 
 def _rms(error: NDArray[np.float64], present: NDArray[np.bool_]) -> float:

@@ -28,7 +28,7 @@ from pftwin.dynamics.error_estimate import ErrorEstimate
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.observe import Observation
 from pftwin.dynamics.rebound import Impact
-from pftwin.dynamics.status import Status
+from pftwin.dynamics.status import FLAGS, Status
 from pftwin.model.effects.base import Observable
 from pftwin.model.limits import upward_lines
 from pftwin.model.motion import KneeMotion
@@ -114,26 +114,18 @@ class Result:
         """The result from what the compiled program returned for one scene.
 
         Args:
-            scene: what was simulated.
-            start: the equilibrium it started from.
-            seen: its observation.
-            ledger: the energy account at the frames, where one was kept.
+            scene, start, seen, ledger: what was simulated, from which equilibrium, and its observation and account.
             relaxed: whether damped relaxation helped to find the starting equilibrium.
-            settings: integrator, "dt_s", "substeps".
-            timing: "equilibrium_s", "run_s", "estimate_s", "compile_s".
-            error: estimated error of its steps; frames where it is large are flagged.
-            impact: the hardest approach of its contact.
+            settings, timing: "integrator", "dt_s", "substeps"; "equilibrium_s", "run_s", "estimate_s", "compile_s".
+            error, impact: as the fields; frames where the error is large are flagged.
         """
         seen, ledger, start = on_host((seen, ledger, start))
         first = jax.tree.map(lambda a: a[0], (seen.patella, seen.effects))
         contact, lines = scene.contact, [e.line_element() for e in scene.effects]
         kinetic, account = _double(seen.kinetic_energy), (None, None, None)
         if ledger is not None:
-            account = (
-                _double(ledger.work),
-                _double(ledger.heat),
-                _double(ledger.numerical_dissipation(seen.kinetic_energy)),
-            )
+            taken = ledger.numerical_dissipation(seen.kinetic_energy)
+            account = _double(ledger.work), _double(ledger.heat), _double(taken)
         stored = {name: _double(energy) for name, energy in seen.potential_energy.items()}
         return cls(
             scene_name=scene.name,
@@ -299,7 +291,7 @@ class Result:
 
     def _facts(self) -> list[str]:
         """One fact a line; all but the first begin with their subject and a colon."""
-        counts = [(f, int(np.count_nonzero(self.flags & f))) for f in Status if f]
+        counts = [(f, int(np.count_nonzero(self.flags & f))) for f in FLAGS]
         said = {f: f"{n} of {self.times.size} frames: {f.describe()}" for f, n in counts if n}
         remarks = [f"remark: {words}" for f, words in said.items() if f in REMARKS]
         if self.impact is not None and self.impact.unresolved:
@@ -374,6 +366,3 @@ class Result:
 
 def _double(values: Any) -> NDArray[np.float64]:
     return np.asarray(values, dtype=np.float64)
-
-
-__all__ = ["Energies", "EquilibriumReport", "Result"]

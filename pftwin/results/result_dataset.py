@@ -8,7 +8,7 @@ import jax
 import numpy as np
 
 from pftwin.base.quantities import about
-from pftwin.dynamics.status import Status
+from pftwin.dynamics.status import FLAGS
 from pftwin.model.effects.base import Observable
 from pftwin.model.measured import SYNTHETIC
 
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
 _AXES = ("x", "y", "z")
 _COMPONENTS = ("w", "x", "y", "z")
-_MEANINGS = " ".join(str(f.name).lower() for f in Status if f)
 Variables = dict[str, tuple[tuple[str, ...], Any, dict[str, Any]]]
 
 
@@ -34,12 +33,11 @@ def dataset(result: Result) -> Dataset:
             attributes = about(described.unit, f"{name.replace('_', ' ')}: {described.long_name}")
             variables[f"{name}_{key}"] = (_dimensions(result, name, values), values, attributes)
     variables |= {**_energies(result), **_errors(result)}
-    flags = [f for f in Status if f]
     status = {
         **about("1", "how far the frame can be trusted; 0: no reservation"),
-        "flag_masks": np.array([int(f) for f in flags], dtype=np.int32),
-        "flag_meanings": _MEANINGS,
-        "flag_descriptions": [f.describe() for f in flags],
+        "flag_masks": np.array([int(f) for f in FLAGS], dtype=np.int32),
+        "flag_meanings": " ".join(str(f.name).lower() for f in FLAGS),
+        "flag_descriptions": [f.describe() for f in FLAGS],
     }
     variables["status"] = (("time",), result.flags, status)
     coordinates = {
@@ -131,28 +129,26 @@ def _tracking(result: Result) -> Variables:
     outcome = result.dislocations()
     if outcome is None:  # the motion may not be spoken of
         return found
-    dimensions, out, attributes = _row(
-        outcome.dislocated.astype(np.int8), "1", "whether the button has left the groove"
-    )
+    out = outcome.dislocated.astype(np.int8)
+    dimensions, out, attributes = _row(out, "1", "whether the button has left the groove")
     flags = {"flag_values": np.array([0, 1], dtype=np.int8), "flag_meanings": "in_the_groove dislocated"}
     return {**found, "dislocated": (dimensions, out, {**attributes, **flags})}
 
 
 def _energies(result: Result) -> Variables:
     e = result.energies
-    found = {"kinetic_energy": (e.kinetic, "kinetic energy of the patella")}
+    found: dict[str, tuple[Any, str]] = {"kinetic_energy": (e.kinetic, "kinetic energy of the patella")}
     for name, values in e.stored.items():
         found[f"stored_energy_{name}"] = (values, f"energy stored by {name.replace('_', ' ')}")
     found["total_energy"] = (e.total, "kinetic and stored energy")
     taken = "energy that the integrator's steps took out since the start; negative: put in"
-    account = {
+    found |= {
         "work": (e.work, "work of the guided bodies and of known pulls since the start"),
         "heat": (e.heat, "energy lost in damping since the start"),
         "numerical_dissipation": (e.numerical_dissipation, taken),
         "energy_budget_error": (e.budget_error, "energy that is left over: the error of the account itself"),
     }
-    found |= {name: (values, text) for name, (values, text) in account.items() if values is not None}
-    return {name: _row(values, "J", text) for name, (values, text) in found.items()}
+    return {name: _row(values, "J", text) for name, (values, text) in found.items() if values is not None}
 
 
 def _errors(result: Result) -> Variables:

@@ -49,10 +49,14 @@ def has_rectangle(surface: Any) -> bool:
     return hasattr(surface, "center") and hasattr(surface, "half_size")
 
 
+def rectangle_of(surface: Any) -> list[tuple[float, float]]:
+    """Least and largest u, and v, to which a smooth surface was fitted [m]."""
+    return [(float(c - h), float(c + h)) for c, h in zip(surface.center, surface.half_size, strict=True)]
+
+
 def fitted_surface(surface: Surface) -> Mesh:
     """A smooth surface over the rectangle to which it was fitted."""
-    lines = [np.linspace(low, high, ALONG) for low, high in _rectangle(surface)]
-    return _grid_mesh(surface, *lines)
+    return _grid_mesh(surface, *(np.linspace(*ends, ALONG) for ends in rectangle_of(surface)))
 
 
 def continuation(surface: Surface, points: NDArray[np.float64]) -> Mesh | None:
@@ -61,7 +65,7 @@ def continuation(surface: Surface, points: NDArray[np.float64]) -> Mesh | None:
         return None
     at = surface.chart.coordinates(Vec3(*points.T))
     lines, grown = [], False
-    for (low, high), c in zip(_rectangle(surface), (np.asarray(at.x), np.asarray(at.y)), strict=True):
+    for (low, high), c in zip(rectangle_of(surface), (np.asarray(at.x), np.asarray(at.y)), strict=True):
         first, last = min(low, c.min() - MARGIN), max(high, c.max() + MARGIN)
         grown = grown or c.min() < low or c.max() > high
         before, beyond = (np.linspace(*ends, 2 + int(np.ptp(ends) / STEP)) for ends in ((first, low), (high, last)))
@@ -78,10 +82,6 @@ def indexed(corners: ArrayLike) -> Mesh:
     return np.multiply(keys, ROUNDING, dtype=np.float64), faces[np.sort(first)]
 
 
-def _rectangle(surface: Any) -> list[tuple[float, float]]:
-    return [(float(c - h), float(c + h)) for c, h in zip(surface.center, surface.half_size, strict=True)]
-
-
 def _grid_mesh(surface: Any, u: NDArray[np.float64], v: NDArray[np.float64], *, outside: bool = False) -> Mesh:
     """The mesh of a grid; of its cells outside the surface's rectangle alone, if so wanted."""
     from pftwin.geometry.patch.tessellate import points_and_normals
@@ -91,26 +91,16 @@ def _grid_mesh(surface: Any, u: NDArray[np.float64], v: NDArray[np.float64], *, 
     a, b, c, d = k[:-1, :-1], k[1:, :-1], k[1:, 1:], k[:-1, 1:]
     cells = np.ones(a.shape, dtype=bool)
     if outside:
-        inside = [_intervals_between(x, *ends) for x, ends in zip((u, v), _rectangle(surface), strict=True)]
+        middles = (0.5 * (x[1:] + x[:-1]) for x in (u, v))
+        inside = [(low < m) & (m < high) for m, (low, high) in zip(middles, rectangle_of(surface), strict=True)]
         cells = ~np.logical_and.outer(*inside)
     faces = np.stack([a[cells], b[cells], c[cells], a[cells], c[cells], d[cells]], axis=1).reshape(-1, 3)
     used, which = np.unique(faces, return_inverse=True)
     return points.reshape(-1, 3)[used], which.reshape(-1, 3)
 
 
-def _intervals_between(lines: NDArray[np.float64], low: float, high: float) -> NDArray[np.bool_]:
-    """Which intervals between grid lines lie between two of them."""
-    middle = 0.5 * (lines[1:] + lines[:-1])
-    return (middle > low) & (middle < high)
-
-
 def geometry(scene: Scene, effects: Effects | None = None) -> Dataset:
-    """The dataset of a scene.
-
-    Args:
-        scene: what was simulated.
-        effects: what its effects reported: contact points say how far a fitted surface has to be continued.
-    """
+    """The dataset of a scene; what its effects reported says how far a fitted surface was touched, and is continued."""
     from xarray import Dataset
 
     variables: Variables = {}
@@ -170,18 +160,12 @@ def _points(report: dict[str, NDArray[Any]]) -> NDArray[np.float64]:
 
 
 def _mesh(name: str, mesh: tuple[NDArray[Any], NDArray[Any]], frame: str, words: str) -> Variables:
-    vertices, triangles = mesh
+    vertices, triangles = mesh[0].astype(np.float32), mesh[1].astype(np.int32)
+    points = _about("m", f"{words}: vertices", frame)
+    faces = _about("1", f"{words}: vertices of each triangle, counter-clockwise seen from outside", frame)
     return {
-        f"{name}_vertices": (
-            (f"{name}_vertex", "axis"),
-            vertices.astype(np.float32),
-            _about("m", f"{words}: vertices", frame),
-        ),
-        f"{name}_triangles": (
-            (f"{name}_triangle", "corner"),
-            triangles.astype(np.int32),
-            _about("1", f"{words}: vertices of each triangle, counter-clockwise seen from outside", frame),
-        ),
+        f"{name}_vertices": ((f"{name}_vertex", "axis"), vertices, points),
+        f"{name}_triangles": ((f"{name}_triangle", "corner"), triangles, faces),
     }
 
 

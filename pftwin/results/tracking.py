@@ -50,33 +50,26 @@ def groove_line(surface: Surface) -> GrooveLine | None:
     half_u, half_v = (float(x) for x in getattr(surface, "half_size", (_HALF_WIDTH, _HALF_WIDTH)))
     u = np.linspace(u0 - half_u, u0 + half_u, _SECTIONS)
     v = np.linspace(v0 - half_v, v0 + half_v, _SAMPLES)
-    grid = np.meshgrid(u, v, indexing="ij")
-    heights = np.asarray(_heights(surface, grid[0], grid[1]), dtype=np.float64)
+    heights = np.asarray(_heights(surface, *np.meshgrid(u, v, indexing="ij")), dtype=np.float64)
     sections = [_minima(v, h) for h in heights]
     depths = [max((d for _, d in s), default=-np.inf) for s in sections]
     deepest = int(np.argmax(depths))
     if not np.isfinite(depths[deepest]):
         return None
     line = {deepest: max(sections[deepest], key=lambda m: m[1])}
-    for direction in (1, -1):
-        i = deepest + direction
-        while 0 <= i < _SECTIONS and sections[i]:
-            before = line[i - direction][0]
-            nearest = min(sections[i], key=lambda m: abs(m[0] - before))
-            if abs(nearest[0] - before) > _LARGEST_JUMP:
+    for way in (range(deepest + 1, _SECTIONS), range(deepest - 1, -1, -1)):
+        before = line[deepest][0]
+        for i in way:
+            nearest = min(sections[i], key=lambda m: abs(m[0] - before), default=None)
+            if nearest is None or abs(nearest[0] - before) > _LARGEST_JUMP:
                 break
-            line[i] = nearest
-            i += direction
+            line[i], before = nearest, nearest[0]
     rows = sorted(line)
     return GrooveLine(u[rows], np.array([line[i][0] for i in rows]), np.array([line[i][1] for i in rows]))
 
 
 def groove_offset(surface: Surface, centers: ArrayLike) -> tuple[Floats, Floats]:
-    """Where sphere centres are relative to the groove.
-
-    Args:
-        surface: the trochlea.
-        centers: (n, 3) in the femur frame [m].
+    """Where sphere centres (n, 3) [m] of the femur frame are relative to the groove of a trochlea.
 
     Returns:
         Place along the groove (the chart's u), and distance from the groove's bottom, positive lateral; (n,) each, in
@@ -125,11 +118,9 @@ class Dislocation:
     def describe(self) -> str:
         """The event in words."""
         flexion = "" if self.knee_flexion is None else f" at {np.degrees(self.knee_flexion):.1f} deg of knee flexion"
-        back = (
-            "did not re-engage within the recording"
-            if self.re_engaged_at is None
-            else f"re-engaged at {self.re_engaged_at:.2f} s"
-        )
+        back = "did not re-engage within the recording"
+        if self.re_engaged_at is not None:
+            back = f"re-engaged at {self.re_engaged_at:.2f} s"
         return f"{self.side} dislocation at {self.time:.2f} s{flexion}, {1e3 * self.farthest:.1f} mm off; {back}"
 
 
@@ -154,19 +145,11 @@ class Tracking:
 def find_dislocations(
     times: ArrayLike, offset: ArrayLike, knee_flexion: ArrayLike | None = None, *, threshold: float = DISLOCATED
 ) -> Tracking:
-    """Finds dislocations in a recording.
+    """Finds dislocations in a recording (n,): times [s], offsets [m] (`groove_offset`), and for reports flexion [rad].
 
-    The button has left the groove when |offset| exceeds `threshold`, and is back when |offset| falls below
-    `RE_ENGAGED * threshold`. A frame that is missing (NaN) keeps the state before it.
-
-    Args:
-        times: (n,) [s].
-        offset: (n,) from the groove's bottom, positive lateral [m] (`groove_offset`).
-        knee_flexion: (n,) [rad], for the report.
-        threshold: [m].
-
-    Raises:
-        InputError: arrays of different lengths; a threshold that is not positive.
+    The button has left the groove when |offset| exceeds `threshold` [m], and is back when |offset| falls below
+    `RE_ENGAGED * threshold`. A frame that is missing (NaN) keeps the state before it. Raises InputError for arrays of
+    different lengths, and for a threshold that is not positive.
     """
     t, y = np.asarray(times, dtype=np.float64), np.asarray(offset, dtype=np.float64)
     flexion = None if knee_flexion is None else np.asarray(knee_flexion, dtype=np.float64)
@@ -180,16 +163,14 @@ def find_dislocations(
         state = bool(far > threshold) if not state else not far < RE_ENGAGED * threshold
         out[i] = state
     edges = np.diff(np.concatenate([[0], out.astype(int), [0]]))
-    events = []
-    for start, stop in zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1), strict=True):
-        span = y[start:stop]
-        events.append(
-            Dislocation(
-                float(t[start]),
-                None if flexion is None else float(flexion[start]),
-                "lateral" if y[start] > 0 else "medial",
-                float(np.nanmax(np.abs(span))),
-                float(t[stop]) if stop < t.size else None,
-            )
+    events = tuple(
+        Dislocation(
+            float(t[start]),
+            None if flexion is None else float(flexion[start]),
+            "lateral" if y[start] > 0 else "medial",
+            float(np.nanmax(np.abs(y[start:stop]))),
+            float(t[stop]) if stop < t.size else None,
         )
-    return Tracking(y, out, tuple(events))
+        for start, stop in zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1), strict=True)
+    )
+    return Tracking(y, out, events)

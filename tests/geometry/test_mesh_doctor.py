@@ -16,7 +16,7 @@ from pftwin.geometry.mesh.doctor import Diagnosis, examine, examine_file, repair
 from pftwin.geometry.mesh.mesh import SurfaceMesh, check_mesh, load_mesh, save_mesh
 from pftwin.geometry.patch.directions import principal_axes
 from pftwin.geometry.patch.implant import rig_implant
-from pftwin.results.plots.mesh_axes import plot_principal
+from pftwin.results.plots.region import plot_principal
 
 
 def ball(radius: float = 0.025) -> tuple[np.ndarray, np.ndarray]:

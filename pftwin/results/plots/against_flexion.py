@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,21 +11,9 @@ from numpy.typing import NDArray
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.results.metrics import validate
+from pftwin.results.plots import style
 from pftwin.results.plots.quantities import PlottedQuantity, provenance, quantities
 from pftwin.results.plots.strokes import WAYS, Course, Strokes, by_outcome, common_grid
-from pftwin.results.plots.style import (
-    BAND,
-    COLOURS,
-    SMALL,
-    figure_of,
-    footer,
-    given_axes,
-    house_style,
-    legend_below,
-    legend_entries,
-    panels_in_rows,
-)
-from pftwin.results.plots.style import title as name_figure
 from pftwin.results.tracking import find_dislocations, groove_offset
 
 if TYPE_CHECKING:
@@ -35,8 +23,6 @@ if TYPE_CHECKING:
     from pftwin.model.measured import Measured
     from pftwin.results.result import Result
 
-
-Results = Any  # a Result, several of them, or either by the name in the legend
 SHOWN = ("tilt", "shift", "rotation", "contact_force")
 _DASHED = {", straightening": (0, (4, 1.5))}
 _MEANING = "line: mean over n strokes; band: one standard deviation"
@@ -79,42 +65,34 @@ def against_flexion(
     if strokes not in WAYS:
         raise InputError(f"found {strokes!r}", where="strokes", expected=f"one of: {', '.join(WAYS)}")
     panels = quantities(list(show))
-    own = given_axes(axes, len(panels), f"one for each of {', '.join(panels)}")
+    own = style.given_axes(axes, len(panels), f"one for each of {', '.join(panels)}")
     everything = [r for group in groups.values() for r in group]
     if measured is not None:
         validate(everything[0], measured, tibial=None, femoral=None)  # refuses other frames
     grid = common_grid([knee_flexion(r) for r in everything])
-    sources = [] if measured is None else [(measured.label, "black", [_Source(everything[0], measured)])]
+    sources = [] if measured is None else [(measured.label, "black", [_source(everything[0], measured)])]
     for i, (name, group) in enumerate(groups.items()):
-        sources.append((name, COLOURS[i % len(COLOURS)], [_Source(r, None) for r in group]))
-    with house_style():
+        sources.append((name, style.COLOURS[i % len(style.COLOURS)], [_source(r, None) for r in group]))
+    with style.house_style():
         if own is None:
-            figure, own = panels_in_rows(len(panels), 2, height=2.3)
+            figure, own = style.panels_in_rows(len(panels), 2, height=2.3)
         alone = False
         for ax, quantity in zip(own, panels.values(), strict=True):
             for name, colour, group in sources:
-                alone |= _draw(ax, [source.course(quantity) for source in group], grid, strokes, name, colour)
+                alone |= _draw(ax, [course(quantity) for course in group], grid, strokes, name, colour)
             ax.set(xlabel="knee flexion [deg]", ylabel=quantity.label)
-            ax.yaxis.label.set_fontsize(SMALL)
+            ax.yaxis.label.set_fontsize(style.SMALL)
         if axes is None:
-            name_figure(figure, title or "; ".join(dict.fromkeys(r.scene_name for r in everything)))
-            footer(figure, _MEANING, _ALONE if alone else None, provenance(*everything))
-            legend_below(figure, *legend_entries(own), most=2)
-    return figure_of(own[0])
+            style.title(figure, title or "; ".join(dict.fromkeys(r.scene_name for r in everything)))
+            style.footer(figure, _MEANING, _ALONE if alone else None, provenance(*everything))
+            style.legend_below(figure, *style.legend_entries(own), most=2)
+    return style.figure_of(own[0])
 
 
-def grouped(results: Results) -> dict[str, list[Result]]:
-    """Groups by name.
-
-    Raises:
-        InputError: no result, or an empty group.
-    """
-    if isinstance(results, Mapping):
-        groups = {str(k): list(v) if isinstance(v, Sequence) else [v] for k, v in results.items()}
-    elif isinstance(results, Sequence):
-        groups = {"simulated": list(results)}
-    else:
-        groups = {"simulated": [results]}
+def grouped(results: Any) -> dict[str, list[Result]]:
+    """Groups by name; InputError for no result or an empty group."""
+    named = results if isinstance(results, Mapping) else {"simulated": results}
+    groups = {str(k): list(v) if isinstance(v, Sequence) else [v] for k, v in named.items()}
     if not groups or not all(groups.values()):
         raise InputError("nothing to draw", where="results", expected="at least one result in every group")
     return groups
@@ -125,27 +103,23 @@ def knee_flexion(result: Result) -> Floats:
     return np.degrees(np.asarray(result.knee.flexion, dtype=np.float64))
 
 
-class _Source:
-    """A result, or measurements of its motion."""
+def _source(result: Result, measured: Measured | None) -> Callable[[PlottedQuantity], Course]:
+    """The courses of a result, or of measurements of its motion; NaN where there is no such quantity."""
+    flexion, out = knee_flexion(result), _dislocated(result, measured)
 
-    def __init__(self, result: Result, measured: Measured | None) -> None:
-        self._result, self._measured = result, measured
-        self._flexion, self._out = knee_flexion(result), _dislocated(result, measured)
+    def course(quantity: PlottedQuantity) -> Course:
+        values = quantity.simulated(result) if measured is None else quantity.measured(measured)
+        return Course(flexion, np.full_like(flexion, np.nan) if values is None else values, out, result.scene_name)
 
-    def course(self, quantity: PlottedQuantity) -> Course:
-        """Of a quantity; NaN if there is none of it."""
-        values = quantity.simulated(self._result) if self._measured is None else quantity.measured(self._measured)
-        shown = np.full_like(self._flexion, np.nan) if values is None else values
-        return Course(self._flexion, shown, self._out, self._result.scene_name)
+    return course
 
 
 def _dislocated(result: Result, measured: Measured | None) -> NDArray[np.bool_]:
     """Frames in which the patella is out of its groove (n,), simulated or measured; none without a groove."""
+    found = None
     if measured is None:
         found = result.dislocations()
-    elif result.surface is None:
-        found = None
-    else:
+    elif result.surface is not None:
         found = find_dislocations(measured.times, groove_offset(result.surface, measured.center)[1])
     return np.zeros(result.times.size, dtype=bool) if found is None else found.dislocated
 
@@ -159,7 +133,7 @@ def _draw(ax: Axes, courses: list[Course], grid: Floats, way: Strokes, name: str
             x, mean, sd = found.with_gaps()
             ax.plot(x, mean, label=f"{name}{words} (n = {len(found.there)})", linestyle=dashes, color=colour)
             if np.isfinite(sd).any():
-                ax.fill_between(x, mean - sd, mean + sd, color=colour, **BAND)
+                ax.fill_between(x, mean - sd, mean + sd, color=colour, **style.BAND)
         if any(np.isfinite(course.values).any() for course in alone):
             _draw_alone(ax, alone, f"{name}{words}, dislocates (n = {len(alone)})", dashes, colour)
             apart = True
@@ -168,11 +142,12 @@ def _draw(ax: Axes, courses: list[Course], grid: Floats, way: Strokes, name: str
 
 def _draw_alone(ax: Axes, strokes: list[Course], label: str, dashes: Any, colour: str) -> None:
     """Strokes by themselves, with gaps between them; both parts of one share the frames at which it goes over."""
-    gap = np.full(1, np.nan)
-    x, y = (np.concatenate([v for c in strokes for v in (c[k], gap)]) for k in (0, 1))
-    out = np.concatenate([v for c in strokes for v in (c.out, [False])])
-    leaves = np.concatenate([v for c in strokes for v in ([False], c.out[1:] & ~c.out[:-1], [False])])
-    back = np.concatenate([v for c in strokes for v in ([False], ~c.out[1:] & c.out[:-1], [False])])
+    x, y = (np.concatenate([np.append(c[k], np.nan) for c in strokes]) for k in (0, 1))
+    out = np.concatenate([np.append(c.out, False) for c in strokes])
+    leaves, back = (
+        np.concatenate([np.r_[False, way[1:] & ~way[:-1], False] for way in ways])
+        for ways in ([c.out for c in strokes], [~c.out for c in strokes])
+    )
     ax.plot(x, np.where(out & ~leaves, np.nan, y), linestyle=dashes, linewidth=_THIN, color=colour)
     ax.plot(
         x, np.where(out | back, y, np.nan), linestyle=":", color=colour, label=label,

@@ -8,24 +8,9 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from pftwin.base.errors import InputError
-from pftwin.model.measured import Measured
 from pftwin.results.metrics import Validation, validate
+from pftwin.results.plots import style
 from pftwin.results.plots.quantities import FEMORAL, QUANTITIES, TIBIAL, PlottedQuantity, provenance, read, tension
-from pftwin.results.plots.style import (
-    MEASURED,
-    SMALL,
-    START,
-    WIDE,
-    figure_of,
-    footer,
-    given_axes,
-    house_style,
-    legend_above,
-    legend_below,
-    line,
-    panels_in_rows,
-)
-from pftwin.results.plots.style import title as name_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -53,27 +38,32 @@ def case_figure(results: Mapping[str, Result], measured: Measured | None, title:
 
     if not results and measured is None:
         raise InputError("nothing to draw", where="case_figure", expected="at least one result")
-    with house_style():
-        figure = Figure(figsize=(WIDE, 6.0))
-        name_figure(figure, title)
-        footer(figure, provenance(*results.values()))
+    with style.house_style():
+        figure = Figure(figsize=(style.WIDE, 6.0))
+        style.title(figure, title)
+        style.footer(figure, provenance(*results.values()))
         panels = figure.subplot_mosaic([["y", "z", "tilt"], ["y", "z", "force"]], width_ratios=[1.0, 1.0, 2.2])
         across, sagittal, tilt, force = (panels[name] for name in ("y", "z", "tilt", "force"))
         if measured is not None:
-            _path(across, sagittal, measured.center, label=measured.label, **MEASURED)
+            _path(across, sagittal, measured.center, label=measured.label, **style.MEASURED)
             if measured.angles is not None:
-                tilt.plot(measured.times, np.degrees(measured.angles.tilt), **MEASURED)
+                tilt.plot(measured.times, np.degrees(measured.angles.tilt), **style.MEASURED)
             if measured.contact_force is not None:
-                force.plot(measured.times, measured.contact_force, **MEASURED)
+                force.plot(measured.times, measured.contact_force, **style.MEASURED)
         for i, (name, result) in enumerate(results.items()):
-            look = {**line(i), "zorder": 2}
+            look = {**style.line(i), "zorder": 2}
             _path(across, sagittal, result.center, label=name, **look)
             tilt.plot(result.times, np.degrees(result.angles.tilt), **look)
             if result.contact is not None:
                 force.plot(result.times, result.effects[result.contact]["force"], **look)
-        _name_axes(across, sagittal, tilt, force)
-        handles, labels = across.get_legend_handles_labels()
-        legend_below(figure, handles, labels, most=6)
+        across.set(title="Coronal path (dot: start)", xlabel="y, lateral [mm]")
+        sagittal.set(title="Sagittal path", xlabel="z, anterior [mm]")
+        for ax in (across, sagittal):
+            ax.set(ylabel="sphere centre x, proximal [mm]")
+            ax.set_aspect("equal", adjustable="datalim")
+        tilt.set(title="Patellar tilt, lateral positive", xlabel="time [s]", ylabel="tilt [deg]")
+        force.set(title="Normal contact force", xlabel="time [s]", ylabel="force [N]")
+        style.legend_below(figure, *across.get_legend_handles_labels(), most=6)
     return figure
 
 
@@ -82,16 +72,7 @@ def _path(across: Axes, sagittal: Axes, center: np.ndarray, *, label: str, **loo
     x, y, z = 1e3 * center.T
     for axes, sideways in ((across, y), (sagittal, z)):
         axes.plot(sideways, x, label=label, **look)
-        axes.plot(sideways[:1], x[:1], color=look["color"], alpha=look.get("alpha", 1.0), **START)
-
-
-def _name_axes(across: Axes, sagittal: Axes, tilt: Axes, force: Axes) -> None:
-    across.set(title="Coronal path (dot: start)", xlabel="y, lateral [mm]", ylabel="sphere centre x, proximal [mm]")
-    sagittal.set(title="Sagittal path", xlabel="z, anterior [mm]", ylabel="sphere centre x, proximal [mm]")
-    tilt.set(title="Patellar tilt, lateral positive", xlabel="time [s]", ylabel="tilt [deg]")
-    force.set(title="Normal contact force", xlabel="time [s]", ylabel="force [N]")
-    for axes in (across, sagittal):
-        axes.set_aspect("equal", adjustable="datalim")
+        axes.plot(sideways[:1], x[:1], color=look["color"], alpha=look.get("alpha", 1.0), **style.START)
 
 
 def compared(
@@ -135,18 +116,17 @@ def compared(
     errors = {name: validate(r, measured, tibial=tibial, femoral=femoral) for name, r in named.items()}
     panels = _panels(measured, list(errors.values()), tibial, femoral)
     panels += [read(next(iter(named.values())), name) for name in measured.readings]
-    own = given_axes(axes, len(panels), f"one for each of {', '.join(q.words for q in panels)}")
-    with house_style():
+    own = style.given_axes(axes, len(panels), f"one for each of {', '.join(q.words for q in panels)}")
+    with style.house_style():
         if own is None:
-            figure, own = panels_in_rows(len(panels), 3, height=1.85 + 0.14 * len(named))
-            names = dict.fromkeys(r.scene_name for r in named.values())
-            name_figure(figure, title or "; ".join(names))
-            footer(figure, provenance(*named.values()))
+            figure, own = style.panels_in_rows(len(panels), 3, height=1.85 + 0.14 * len(named))
+            style.title(figure, title or "; ".join(dict.fromkeys(r.scene_name for r in named.values())))
+            style.footer(figure, provenance(*named.values()))
         for ax, quantity in zip(own, panels, strict=True):
             _panel(ax, quantity, named, measured, errors, against)
         if axes is None:
-            legend_below(figure, own[0].get_lines(), [measured.label, *named], most=6)
-    return figure_of(own[0])
+            style.legend_below(figure, own[0].get_lines(), [measured.label, *named], most=6)
+    return style.figure_of(own[0])
 
 
 def _panels(
@@ -156,10 +136,9 @@ def _panels(
     springs = {"tibial_spring": tibial, "femoral_spring": femoral}
     found = []
     for name in _SHOWN:
-        quantity = QUANTITIES[name]
-        effect = springs.get(name)
+        quantity, effect = QUANTITIES[name], springs.get(name)
         if effect is not None:
-            quantity = tension(effect, effect.replace("_", " "), f"{name}_force", name)
+            quantity = tension(effect, effect.replace("_", " "), name)
         if quantity.measured(measured) is not None and any(_error(e, quantity) is not None for e in errors):
             found.append(quantity)
     return found
@@ -176,14 +155,14 @@ def _panel(
 ) -> None:  # fmt: skip
     first = next(iter(named.values()))
     across = first.times if against == "time" else np.degrees(np.asarray(first.knee.flexion))
-    ax.plot(across, quantity.measured(measured), **MEASURED)
+    ax.plot(across, quantity.measured(measured), **style.MEASURED)
     for i, (name, result) in enumerate(named.items()):
         values, error = quantity.simulated(result), _error(errors[name], quantity)
         if values is None or error is None:
             continue
         # Whose it is says the legend of all panels: names here would be wider than a panel.
         of_course = " less mean offset" if quantity.error in {m.key for m in errors[name].skin_markers} else ""
-        ax.plot(across, values, label=f"RMSE {error:.3g} {quantity.unit}{of_course}", zorder=2, **line(i))
+        ax.plot(across, values, label=f"RMSE {error:.3g} {quantity.unit}{of_course}", zorder=2, **style.line(i))
     ax.set(xlabel=_AXES[against], ylabel=quantity.label)
-    ax.yaxis.label.set_fontsize(SMALL)
-    legend_above(ax)
+    ax.yaxis.label.set_fontsize(style.SMALL)
+    style.legend_above(ax)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy as np
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.model.measured import SYNTHETIC
-from pftwin.results.metrics import reading
+from pftwin.results.metrics import reading, summed
 
 if TYPE_CHECKING:
     from pftwin.model.measured import Measured
@@ -48,16 +48,10 @@ def _place(axis: int, words: str) -> PlottedQuantity:
     return PlottedQuantity(words, "mm", of, of, "xyz"[axis])
 
 
-def contact_force(result: Result) -> Floats | None:
-    """Total normal force of the tracked contact (n,) [N]; None without contact."""
-    return None if result.contact is None else _sum_over_elements(result, result.contact, "force")
-
-
-def tension(effect: str, words: str, attribute: str, error: str) -> PlottedQuantity:
-    """The tension of a tendon or a group of strands, beside a measured spring force."""
-    return PlottedQuantity(
-        words, "N", lambda r: _sum_over_elements(r, effect, "tension"), lambda m: getattr(m, attribute), error
-    )
+def tension(effect: str, words: str, spring: str) -> PlottedQuantity:
+    """The tension of a tendon or a group of strands, beside the measured force of a spring, "tibial_spring"."""
+    force = f"{spring}_force"
+    return PlottedQuantity(words, "N", lambda r: _reported(r, effect, "tension"), lambda m: getattr(m, force), spring)
 
 
 def read(result: Result, name: str) -> PlottedQuantity:
@@ -68,10 +62,10 @@ def read(result: Result, name: str) -> PlottedQuantity:
     )
 
 
-def _sum_over_elements(result: Result, effect: str, observable: str) -> Floats | None:
-    """An observable summed over the elements of a group, as `pftwin.results.metrics` does."""
-    values = result.effects.get(effect, {}).get(observable)
-    return None if values is None else np.asarray(values, dtype=np.float64).reshape(result.times.size, -1).sum(axis=1)
+def _reported(result: Result, effect: str | None, observable: str) -> Floats | None:
+    """An observable, of a group summed over its elements; None where there is none."""
+    values = result.effects.get(effect or "", {}).get(observable)
+    return None if values is None else summed(values)
 
 
 QUANTITIES: dict[str, PlottedQuantity] = {
@@ -79,26 +73,23 @@ QUANTITIES: dict[str, PlottedQuantity] = {
     "shift": _place(1, "shift, lateral positive"),
     "rotation": _angle("rotation", "rotation, internal positive"),
     "flexion": _angle("flexion", "patellar flexion"),
-    "contact_force": PlottedQuantity("contact force", "N", contact_force, lambda m: m.contact_force, "contact_force"),
+    "contact_force": PlottedQuantity(
+        "contact force", "N", lambda r: _reported(r, r.contact, "force"), lambda m: m.contact_force, "contact_force"
+    ),
     "x": _place(0, "centre x, proximal"),
     "y": _place(1, "centre y, lateral"),
     "z": _place(2, "centre z, anterior"),
-    "tibial_spring": tension(TIBIAL, "patellar tendon", "tibial_spring_force", "tibial_spring"),
-    "femoral_spring": tension(FEMORAL, "quadriceps", "femoral_spring_force", "femoral_spring"),
+    "tibial_spring": tension(TIBIAL, "patellar tendon", "tibial_spring"),
+    "femoral_spring": tension(FEMORAL, "quadriceps", "femoral_spring"),
 }
 
 
-def quantities(names: tuple[str, ...] | list[str]) -> dict[str, PlottedQuantity]:
-    """Some of them, by name.
-
-    Raises:
-        InputError: none, or an unknown one.
-    """
+def quantities(names: Sequence[str]) -> dict[str, PlottedQuantity]:
+    """Some of them, by name; InputError for none or an unknown one."""
     if not names:
         raise InputError("nothing to draw", where="quantities", expected="at least one name")
-    for name in names:
-        if name not in QUANTITIES:
-            raise InputError(f"no quantity {name!r}", where="quantities", expected=f"of: {', '.join(QUANTITIES)}")
+    if unknown := [name for name in names if name not in QUANTITIES]:
+        raise InputError(f"no quantity {unknown[0]!r}", where="quantities", expected=f"of: {', '.join(QUANTITIES)}")
     return {name: QUANTITIES[name] for name in names}
 
 

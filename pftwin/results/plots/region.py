@@ -1,7 +1,8 @@
-"""Figures of the trochlear region that was found on a mesh."""
+"""Figures of a mesh: the trochlear region that was found on it, and which of its axes are which."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -9,19 +10,20 @@ import numpy as np
 from pftwin.results.plots.style import COLOURS, START, WIDE, house_style, legend_below
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from pftwin.geometry.mesh.mesh import SurfaceMesh
+    from pftwin.geometry.mesh.principal import PrincipalAxis
+    from pftwin.geometry.patch.directions import Candidate
     from pftwin.geometry.patch.region import TrochlearRegion
+
+_PANEL = 4.4  # height of a panel [in]
 
 
 def plot_region(region: TrochlearRegion, mesh: SurfaceMesh, ax: Any = None) -> Any:
-    """Draw a region for inspection: front view with the groove line, and, without `ax`, the sagittal view beside it.
+    """The figure of a region and the mesh it was found on: the front view with the groove line, and the sagittal one.
 
-    Args:
-        region, mesh: as found, and the mesh it was found on.
-        ax: matplotlib axes for the front view alone; a new figure with both views if None.
-
-    Returns:
-        The figure.
+    Into matplotlib's axes, where they are given, only the front view is drawn.
     """
     from matplotlib.figure import Figure
 
@@ -51,3 +53,50 @@ def _draw_region(views: list[Any], region: TrochlearRegion, mesh: SurfaceMesh) -
         else:
             view.figure.colorbar(dots, ax=view, label="distance from the axis [mm]")
     views[0].set_title(f"{region.source.rsplit('/', 1)[-1]}: {region.n_vertices} vertices")
+
+
+def plot_grooves(candidates: Sequence[Candidate], mesh: SurfaceMesh) -> Figure:
+    """The region and the groove line of each candidate in a front view of its own, proximal upwards."""
+    from matplotlib.figure import Figure
+
+    rows = -(-len(candidates) // 2)
+    with house_style():
+        figure = Figure(figsize=(WIDE, _PANEL * rows + 0.6))
+        panels = figure.subplots(rows, 2, squeeze=False).ravel()
+        for ax, candidate in zip(panels, candidates, strict=False):
+            plot_region(candidate.region, mesh, ax)
+            ax.set_title(f"anterior {candidate.anterior}, proximal {candidate.proximal}")
+        for ax in panels[len(candidates) :]:
+            ax.remove()
+        legend_below(figure, *panels[0].get_legend_handles_labels())
+    return figure
+
+
+def plot_principal(axes: Sequence[PrincipalAxis], mesh: SurfaceMesh) -> Figure:
+    """Three views, each along one principal direction, with arrows along the axes of the mesh's frame."""
+    from matplotlib.figure import Figure
+
+    turn = np.stack([axis.direction for axis in axes], axis=1)
+    points, normals = 1e3 * mesh.vertices @ turn, mesh.vertex_normals @ turn
+    points -= 0.5 * (points.min(axis=0) + points.max(axis=0))
+    with house_style():
+        figure = Figure(figsize=(WIDE, _PANEL))
+        for ax, (i, j, k) in zip(figure.subplots(1, 3), ((0, 1, 2), (1, 2, 0), (2, 0, 1)), strict=True):
+            _draw_view(ax, points[normals[:, k] > 0], turn, (i, j, k))
+    return figure
+
+
+def _draw_view(ax: Any, points: Any, turn: Any, view: tuple[int, int, int]) -> None:
+    """Vertices that face the viewer, the nearer the darker."""
+    i, j, k = view
+    ax.scatter(points[:, i], points[:, j], s=1.0, c=points[:, k], cmap="Greys", rasterized=True)
+    length = 0.8 * float(np.abs(points).max())
+    for n, name in enumerate("xyz"):
+        tip = length * turn[n, [i, j]]
+        if np.linalg.norm(tip) < 0.15 * length:
+            continue  # it looks at the viewer, or away
+        ax.plot(*np.stack([0 * tip, 1.1 * tip], axis=1), color=COLOURS[n], linewidth=1.8)
+        box = {"facecolor": "white", "edgecolor": "none", "pad": 1.0}
+        ax.text(*(1.1 * tip), f"+{name}", color=COLOURS[n], ha="center", va="center", fontweight="bold", bbox=box)
+    names = [f"along ({', '.join(f'{v:.2f}' for v in np.round(turn[:, n], 2) + 0.0)}) [mm]" for n in (i, j)]
+    ax.set(aspect="equal", xlabel=names[0], ylabel=names[1])

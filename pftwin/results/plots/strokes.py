@@ -57,14 +57,9 @@ class Band(NamedTuple):
 
 
 def strokes_of(flexion: Floats, where: str = "motion") -> list[Stroke]:
-    """The strokes of a motion; every frame is in one of them, as a whole.
+    """The strokes of a motion, of the knee's flexion (n,) [deg]; every frame is in one of them, as a whole.
 
-    Args:
-        flexion: of the knee at the frames (n,) [deg].
-        where: the motion's name, for the message.
-
-    Raises:
-        InputError: the knee bends by less than `LEAST`, or its flexion is not known.
+    Raises InputError, of the motion of that name, where the knee bends by less than `LEAST` or its flexion is unknown.
     """
     known = np.isfinite(flexion)
     reach = float(np.ptp(flexion[known])) if known.any() else 0.0
@@ -105,18 +100,12 @@ def _turning_points(flexion: Floats, least: float) -> list[int]:
 def band(courses: Sequence[tuple[Floats, Floats]], grid: Floats) -> Band:
     """Mean and standard deviation over strokes, each interpolated linearly in flexion, where they reach a flexion.
 
-    Args:
-        courses: flexion (n,), strictly rising [deg], and values (n,) of each stroke.
-        grid: flexions (k,) [deg].
+    Of each stroke: flexion (n,), strictly rising [deg], and values (n,). The grid: flexions (k,) [deg].
     """
     rows = [np.interp(grid, x, y, left=np.nan, right=np.nan) for x, y in courses]
-    table = np.array(rows).reshape(len(rows), grid.size)
-    there = np.isfinite(table)
-    count = there.sum(axis=0)
-    mean = np.where(count > 0, np.where(there, table, 0.0).sum(axis=0) / np.maximum(count, 1), np.nan)
-    squares = np.where(there, np.square(table - mean), 0.0).sum(axis=0)
-    sd = np.where(count > 1, np.sqrt(squares / np.maximum(count - 1, 1)), np.nan)
-    return Band(grid, mean, sd, there)
+    table = np.ma.masked_invalid(np.array(rows).reshape(len(rows), grid.size))
+    mean, sd = (found.filled(np.nan) for found in (table.mean(axis=0), table.std(axis=0, ddof=1)))
+    return Band(grid, mean, sd, ~table.mask)
 
 
 def common_grid(flexions: Sequence[Floats]) -> Floats:
@@ -135,13 +124,7 @@ class Averaged(NamedTuple):
 
 
 def by_outcome(courses: Sequence[Course], grid: Floats, way: Strokes = "apart") -> dict[str, Averaged]:
-    """The strokes of courses, for each way of moving, by what the legend adds.
-
-    Args:
-        courses: of each recording.
-        grid: flexions (k,) [deg].
-        way: which strokes are averaged.
-    """
+    """The strokes of recordings, averaged at flexions (k,) [deg], for each way of moving, by what the legend adds."""
     kept: dict[str, list[tuple[Floats, Floats]]] = {words: [] for words, _ in WAYS[way]}
     alone: dict[str, list[Course]] = {words: [] for words, _ in WAYS[way]}
     for flexion, values, out, name in courses:

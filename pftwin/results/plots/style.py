@@ -85,12 +85,9 @@ def save_figure(
 
 
 def panels_in_rows(count: int, columns: int, height: float) -> tuple[Figure, list[Axes]]:
-    """A page wide, with one horizontal axis for all, named under the lowest panel of each column.
+    """`count` panels in at most `columns`, a page wide, with rows of that height [in].
 
-    Args:
-        count: of panels.
-        columns: at most so many.
-        height: of a row [in].
+    They have one horizontal axis, named under the lowest panel of each column.
     """
     from matplotlib.figure import Figure
 
@@ -108,11 +105,7 @@ def panels_in_rows(count: int, columns: int, height: float) -> tuple[Figure, lis
 
 
 def given_axes(axes: Any, count: int, what: str) -> list[Any] | None:
-    """A user's axes as a list; None where there are none.
-
-    Raises:
-        InputError: another number than there are panels.
-    """
+    """A user's axes as a list; None where there are none. InputError for another number than there are panels."""
     if axes is None:
         return None
     found = list(np.ravel(np.asarray(axes, dtype=object)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import equinox as eqx
@@ -13,10 +14,9 @@ from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.base.spatial import Rotation, Vec3
 from pftwin.geometry.patch.charts import CylindricalChart, PlaneChart
+from pftwin.results.plots import style
 from pftwin.results.plots.quantities import provenance
-from pftwin.results.plots.style import COLOURS, DASHES, MEASURED, START, figure_of, footer, house_style, legend_below
-from pftwin.results.plots.style import title as name_figure
-from pftwin.results.scene_geometry import has_rectangle, indexed
+from pftwin.results.scene_geometry import has_rectangle, indexed, rectangle_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -72,39 +72,33 @@ class Relief(NamedTuple):
 
 
 def relief(result: Result, *paths: Floats) -> Relief:
-    """The map of a result's trochlea around paths (n, 3) [m] of the femur frame.
-
-    Raises:
-        InputError: a scene without contact between a button and a trochlea.
-    """
-    contact = result.scene.contact
+    """The map of a result's trochlea around paths (n, 3) [m] of the femur frame; InputError without a contact."""
+    contact, surface = result.scene.contact, result.surface
     femur = None if contact is None else contact.femur_triangles()
-    mesh = None if femur is None else indexed(femur)
-    surface = result.surface
-    if surface is None and mesh is None:
+    if femur is not None:
+        mesh = indexed(femur)
+        chart = _facing_plane(result, mesh) if surface is None else surface.chart
+        return _of_mesh(chart, mesh, _window(chart, np.concatenate(paths)))
+    if surface is None:
         raise InputError(
             "no contact between a button and a trochlea, so no surface to draw",
             where=result.scene_name,
             remedy="result.plot.against_flexion(), which needs none",
         )
-    chart = _facing_plane(result, mesh) if surface is None else surface.chart
-    window = _window(chart, np.concatenate(paths))
-    if mesh is not None:
-        return _of_mesh(chart, mesh, window)
-    return _of_surface(surface, window)
+    return _of_surface(surface, _window(surface.chart, np.concatenate(paths)))
 
 
 def _of_surface(surface: Any, window: Floats) -> Relief:
     """A smooth surface over its rectangle, and beyond it as far as the paths go."""
     rectangle = None
     if has_rectangle(surface):
-        ends = [(float(c - h), float(c + h)) for c, h in zip(surface.center, surface.half_size, strict=True)]
-        rectangle = (1e3 * ends[0][0], 1e3 * ends[0][1], 1e3 * ends[1][0], 1e3 * ends[1][1])
-        low, high = np.array([rectangle[0], rectangle[2]]), np.array([rectangle[1], rectangle[3]])
-        window = np.stack([np.fmin(window[0], low), np.fmax(window[1], high)])
+        (u0, u1), (v0, v1) = 1e3 * np.array(rectangle_of(surface))
+        rectangle = u0, u1, v0, v1
+        window = np.stack([np.fmin(window[0], [u0, v0]), np.fmax(window[1], [u1, v1])])
     lines = [np.linspace(window[0, k], window[1, k], _SAMPLES) for k in (0, 1)]
     u, v = np.meshgrid(*lines, indexing="ij")
-    return Relief(surface.chart, u, v, _heights(surface, u, v), None, rectangle)
+    height = _compiled(surface.height, *(jnp.asarray(1e-3 * a, float) for a in (u, v)))
+    return Relief(surface.chart, u, v, 1e3 * np.asarray(height, dtype=np.float64), None, rectangle)
 
 
 def _of_mesh(chart: Any, mesh: tuple[Floats, NDArray[np.int64]], window: Floats) -> Relief:
@@ -122,8 +116,7 @@ def _of_mesh(chart: Any, mesh: tuple[Floats, NDArray[np.int64]], window: Floats)
 def _window(chart: Any, points: Floats) -> Floats:
     """Least and largest (u, v) of the points, with a margin, (2, 2) [mm]."""
     u, v, _ = _coordinates(chart, points)
-    ends = [[np.nanmin(c) - MARGIN, np.nanmax(c) + MARGIN] for c in (u, v)]
-    return np.array(ends).T
+    return np.array([[np.nanmin(c) - MARGIN, np.nanmax(c) + MARGIN] for c in (u, v)]).T
 
 
 def _facing_plane(result: Result, mesh: Any) -> PlaneChart:
@@ -142,24 +135,14 @@ def _facing_plane(result: Result, mesh: Any) -> PlaneChart:
 
 def _coordinates(chart: Any, points: Floats) -> tuple[Floats, Floats, Floats]:
     """(u, v, height) of points (n, 3) [m], in millimetres."""
-    at = _in_chart(chart, Vec3(*np.asarray(points, dtype=np.float64).T))
+    at = _compiled(chart.coordinates, Vec3(*(jnp.asarray(c, float) for c in points.T)))
     u, v, height = (1e3 * np.asarray(c, dtype=np.float64) for c in (at.x, at.y, at.z))
     return u, v, height
 
 
 @eqx.filter_jit
-def _in_chart(chart: Any, points: Any) -> Vec3:
-    return chart.coordinates(Vec3(*(jnp.asarray(c, float) for c in (points.x, points.y, points.z))))
-
-
-def _heights(surface: Any, u: Floats, v: Floats) -> Floats:
-    """Heights at (u, v) [mm], in millimetres."""
-    return 1e3 * np.asarray(_height(surface, 1e-3 * u, 1e-3 * v), dtype=np.float64)
-
-
-@eqx.filter_jit
-def _height(surface: Any, u: Any, v: Any) -> Any:
-    return surface.height(jnp.asarray(u, float), jnp.asarray(v, float))
+def _compiled(method: Callable[..., Any], *given: Any) -> Any:
+    return method(*given)
 
 
 def _direction_label(axis: Vec3) -> str:
@@ -194,23 +177,23 @@ def trajectory(
         contacts.pop(_POINTS[-1][1])
     paths = [result.center, *contacts.values(), *([] if measured is None else [measured.center])]
     drawn = relief(result, *paths)
-    with house_style(axes__grid=False):
+    with style.house_style(axes__grid=False):
         own = ax
         if own is None:
             figure = Figure(figsize=_size(drawn))
             own = figure.subplots()
-            name_figure(figure, title or result.scene_name)
-            footer(figure, provenance(result))
+            style.title(figure, title or result.scene_name)
+            style.footer(figure, provenance(result))
         _map(own, drawn)
         if measured is not None:
-            _line(own, drawn, measured.center, f"centre, {measured.label}", MEASURED)
+            _line(own, drawn, measured.center, f"centre, {measured.label}", style.MEASURED)
         _line(own, drawn, result.center, "centre of the button", {"color": "black", "linewidth": 1.0, "zorder": 3})
         for i, (words, points) in enumerate(contacts.items()):
-            look = {"color": COLOURS[i], "linestyle": DASHES[0], "linewidth": 1.2, "zorder": 4}
+            look = {"color": style.COLOURS[i], "linestyle": style.DASHES[0], "linewidth": 1.2, "zorder": 4}
             _line(own, drawn, points, words, look)
         if ax is None:
-            legend_below(figure, *own.get_legend_handles_labels(), most=2)
-    return figure_of(own)
+            style.legend_below(figure, *own.get_legend_handles_labels(), most=2)
+    return style.figure_of(own)
 
 
 def _map(ax: Axes, drawn: Relief) -> None:
@@ -243,7 +226,7 @@ def _line(ax: Axes, drawn: Relief, points: np.ndarray, words: str, look: dict[st
     u, v = drawn.place(points)
     ax.plot(v, u, label=words, **look)
     known = np.flatnonzero(np.isfinite(u))[:1]
-    ax.plot(v[known], u[known], color=look["color"], zorder=look["zorder"], alpha=look.get("alpha", 1.0), **START)
+    ax.plot(v[known], u[known], color=look["color"], zorder=look["zorder"], alpha=look.get("alpha", 1.0), **style.START)
 
 
 def _size(drawn: Relief) -> tuple[float, float]:

@@ -20,7 +20,7 @@ from pftwin.dynamics.packing import Layout
 from pftwin.dynamics.state import Guide, State, System
 from pftwin.model.effects.base import Change, Effect, Instant, Load
 from pftwin.model.scene import Scene
-from pftwin.studies.audit.step import Rates, frame_time, guide_over, one_step, rates, step_length
+from pftwin.studies.audit.step import Rates, guides, rates, step_length
 
 
 class PartAccount(NamedTuple):
@@ -47,19 +47,19 @@ def account(scene: Scene, start: Solution, integrator: Integrator, substeps: int
     Power is taken at the end of every step, from the loads there: the sum of works differs from the change of
     kinetic energy by an error of first order in the step.
     """
-    chosen, system, motion = integrator, System.of(scene), scene.motion
+    system, motion = System.of(scene), scene.motion
     step, listed = step_length(motion, substeps), parts(scene)
     first = Guide.sample(motion, jnp.asarray(motion.start_time, dtype=float))
-    state = chosen.begin(system, starting_state(scene, start), first, step)
+    state = integrator.begin(system, starting_state(scene, start), first, step)
     nothing = jax.tree.map(jnp.zeros_like, jax.eval_shape(lambda: _at_end(scene, listed, state, first, step)))
     layout = Layout.of(lambda: state)
 
     def one_frame(now: tuple[State, Any], index: Scalar) -> tuple[tuple[State, Any], Array]:
-        piece, began = motion.between_frames(index), frame_time(motion, index)
+        guide_of = guides(motion, index, step)
 
         def further(k: Scalar, now: tuple[State, Any]) -> tuple[State, Any]:
-            guide_at = guide_over(piece, began + step * k.astype(float), step)
-            after = one_step(system, now[0], guide_at, step, integrator)
+            guide_at = guide_of(k)
+            after = integrator.advance(system, now[0], guide_at, step, None)[0]
             return after, _added(now[1], _at_end(scene, listed, after, guide_at(1.0), step))
 
         now = jax.lax.fori_loop(0, substeps, further, now)

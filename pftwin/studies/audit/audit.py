@@ -17,14 +17,7 @@ from pftwin.dynamics.trajectory import checked_integrator
 from pftwin.model.scene import Scene, check
 from pftwin.results.result import Result
 from pftwin.results.verdict import INVALID
-from pftwin.studies.audit.runs import (
-    Changes,
-    VariantRun,
-    compare_runs,
-    run_alone,
-    run_side_by_side,
-    why_incomparable,
-)
+from pftwin.studies.audit.runs import Changes, VariantRun, compare_runs, run_alone, run_side_by_side, why_incomparable
 from pftwin.studies.audit.variants import KINDS, Kind, NotApplicable, Variant, ablations, additions
 from pftwin.studies.runs import Cost, run_each, time_in_turn
 
@@ -106,7 +99,8 @@ def audit(
     # What is left out and doubled may be no knee any more.
     listed = _selected_variants(replace(scene, limits=None), integrator, only)
     wanted = sorted((v for v in listed if isinstance(v, Variant)), key=lambda v: KINDS.index(v.kind))
-    groups = _groups(wanted)
+    alike = [v for v in wanted if v.alike]  # that differ in numbers only: run side by side
+    groups = [alike] * bool(alike) + [[v] for v in wanted if not v.alike]
     of = len(groups) + 3  # and `simulate`, the scene's own run, times
     progress(0, of, "the scene itself")
     simulated = simulate(scene, integrator=integrator, dt=dt)
@@ -115,15 +109,15 @@ def audit(
     own = run_alone(scene, integrator, substeps)
     runs = _runs(scene, groups, integrator, substeps, lambda k, group: progress(2 + k, of, _spelled(group)))
     done = [v for v in wanted if (v.name, v.kind) in runs]
+    answers = [runs[v.name, v.kind] for v in done]
     shares: list[Cost | None] = [None] * (1 + len(done))
     if len(done) == len(wanted):
         progress(of - 1, of, "times, in turn")
-        shares = _shares(own, [runs[v.name, v.kind] for v in done])
+        shares = _shares([own, *answers])
         progress(of, of, "times, in turn")
-    judged = simulated.verdict.valid
     rows = [
-        _worth(scene, v, runs[v.name, v.kind].result, own.result, share, tolerance, judged)
-        for v, share in zip(done, shares[1:], strict=True)
+        _worth(scene, v, run.result, own.result, share, tolerance if simulated.verdict.valid else None)
+        for v, run, share in zip(done, answers, shares[1:], strict=True)
     ]
     return Audit(
         scene=scene.name,
@@ -155,12 +149,6 @@ def _selected_variants(
         found = only if isinstance(only, str) else ", ".join(unknown)
         raise InputError(f"found {found!r}", where="only", expected=f"a list of some of: {', '.join(names)}")
     return [v for v in listed if v.name in only]
-
-
-def _groups(wanted: list[Variant]) -> list[list[Variant]]:
-    """Variants that differ in numbers only, together, and each of the others."""
-    alike = [v for v in wanted if v.alike]
-    return [alike] * bool(alike) + [[v] for v in wanted if not v.alike]
 
 
 def _spelled(group: list[Variant]) -> str:
@@ -198,27 +186,24 @@ def _programs(scene: Scene, wanted: list[Variant], integrator: Integrator) -> in
     return 1 + len(kinds) + len(moving) + (len(alone) < len(wanted))
 
 
-def _shares(own: VariantRun, runs: list[VariantRun]) -> list[Cost | None]:
+def _shares(runs: list[VariantRun]) -> list[Cost | None]:
     """Times of the scene's own run and of all that ran alone, in turn; none of them after Ctrl-C."""
-    timed = [run.again for run in (own, *runs) if run.again is not None]
     try:
-        shares = iter(time_in_turn(timed))
+        shares = iter(time_in_turn([run.again for run in runs if run.again is not None]))
     except KeyboardInterrupt:
-        return [None] * (1 + len(runs))
-    return [None if run.again is None else next(shares) for run in (own, *runs)]
+        return [None] * len(runs)
+    return [None if run.again is None else next(shares) for run in runs]
 
 
-def _worth(
-    scene: Scene, v: Variant, result: Result, own: Result, share: Cost | None, tolerance: float, judged: bool
-) -> Worth:
-    """`judged`: whether the scene's own motion may be spoken of."""
+def _worth(scene: Scene, v: Variant, result: Result, own: Result, share: Cost | None, tolerance: float | None) -> Worth:
+    """No tolerance: the scene's own motion may not be spoken of."""
     trouble = why_incomparable(result, own)
     found = None if trouble is not None else compare_runs(scene, result, own)
     outcome = trouble or _outcome(result, own)
     cost = None
     if share is not None:
         cost = 1 - share.ratio if v.kind == "left out" else share.ratio - 1
-    verdict = _verdict(v.kind, found, outcome, tolerance) if judged else INVALID
+    verdict = INVALID if tolerance is None else _verdict(v.kind, found, outcome, tolerance)
     return Worth(v.name, v.kind, v.sentence, found, cost, share and share.spread, outcome, verdict)
 
 

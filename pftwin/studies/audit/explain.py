@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import Any
 
-import jax
 import numpy as np
 from numpy.typing import NDArray
 
@@ -118,12 +117,10 @@ def explain(
     progress(len(stages), len(stages), stages[-1])
     total, step = equations(scene, integrator), scene.motion.frame_interval / substeps
     steps = substeps * (scene.motion.n_frames - 1)
-    sums = jax.tree.map(float, kept.sums)
     costs = [
         _cost(part, total - equations(part.without.unnamed(), integrator), share, entry, step)
-        for part, share, entry in zip(listed, shares[1:], sums, strict=True)
+        for part, share, entry in zip(listed, shares[1:], kept.sums, strict=True)
     ]
-    kinetic = np.asarray(kept.kinetic, dtype=np.float64)
     return Explanation(
         scene=name,
         integrator=integrator.text,
@@ -132,7 +129,7 @@ def explain(
         equations=total,
         step_time=shares[0].seconds / steps,
         parts=tuple(costs),
-        kinetic_change=float(kinetic[1] - kinetic[0]),
+        kinetic_change=float(np.diff(np.asarray(kept.kinetic, dtype=np.float64))[0]),
         flags=simulated.flags,
         verdict=simulated.verdict.describe(),
         programs=4 + len(listed),  # equilibrium, motion, account, a timed one with all and one without each
@@ -148,29 +145,13 @@ def _shares(
     before: Callable[[int], None],
 ) -> list[Cost]:
     """Of the whole scene, and of it without each part."""
-    runs = [partial(through_frames, scene, kept.states, integrator, substeps)]
-    for part in listed:
-        state = kept.states
-        less = type(state)(
-            state.position, state.orientation, state.velocity, state.spin,
-            part.forgetting(state.memories), state.carried,
-        )  # fmt: skip
-        runs.append(partial(through_frames, part.without.unnamed(), less, integrator, substeps))
-    return time_in_turn(runs, before=before)
+    state = kept.states
+    pairs = [(scene, state)]
+    pairs += [(p.without.unnamed(), replace(state, memories=p.forgetting(state.memories))) for p in listed]
+    return time_in_turn([partial(through_frames, *pair, integrator, substeps) for pair in pairs], before=before)
 
 
 def _cost(part: EffectPart, added: int, share: Cost, sums: PartAccount, step: float) -> PartCost:
-    longest = float(sums.fastest.longest_step())
-    return PartCost(
-        name=part.name,
-        kind=part.kind,
-        of=part.of,
-        equations=added,
-        share=1 - share.ratio,
-        spread=share.spread,
-        longest_step=longest,
-        stiff=longest < step,
-        work=float(sums.work),
-        moved=float(sums.moved),
-        heat=float(sums.heat),
-    )
+    longest, energies = float(sums.fastest.longest_step()), map(float, (sums.work, sums.moved, sums.heat))
+    stiff = longest < step
+    return PartCost(part.name, part.kind, part.of, added, 1 - share.ratio, share.spread, longest, stiff, *energies)

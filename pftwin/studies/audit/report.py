@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pftwin.base.sheet import Sheet
 from pftwin.model.measured import SYNTHETIC
-from pftwin.results.plots.style import COLOURS, SMALL, WIDE, footer, house_style, legend_below
-from pftwin.results.plots.style import title as name_figure
+from pftwin.results.plots import style
 from pftwin.studies.audit.audit import Audit, Worth
 from pftwin.studies.audit.explain import Explanation, PartCost
 from pftwin.studies.tables import Column, short_number, to_dataset
@@ -124,8 +124,10 @@ def _time(cost: float | None, spread: float | None) -> str:
 def columns(found: Audit) -> list[Column]:
     """All figures, in the units of a reader: mm, deg, N, percent."""
 
-    def of(key: str, unit: str, long_name: str, field: str, factor: float = 1.0) -> Column:
-        values = (None if row.changes is None else getattr(row.changes, field) for row in found.rows)
+    changes = [row.changes for row in found.rows]
+
+    def of(key: str, unit: str, long_name: str, field: str, factor: float = 1, rows: Sequence[Any] = changes) -> Column:
+        values = (None if row is None else getattr(row, field) for row in rows)
         return Column(key, [np.nan if v is None else factor * v for v in values], unit, long_name)
 
     degrees = float(np.degrees(1.0))
@@ -139,14 +141,9 @@ def columns(found: Audit) -> list[Column]:
         of("contact_max_N", "N", "change of the contact force, largest", "contact_max"),
         of("tension_rms_N", "N", "change of the tension that changes most, rms", "tension_rms"),
         of("tension_max_N", "N", "change of that tension, largest", "tension_max"),
-        Column("time_percent", _percent(found, "cost"), "percent", "time that it takes, of the scene's run"),
-        Column("time_spread_percent", _percent(found, "spread"), "percent", "half of the rounds' middle half"),
+        of("time_percent", "percent", "time that it takes, of the scene's run", "cost", 100, found.rows),
+        of("time_spread_percent", "percent", "half of the rounds' middle half", "spread", 100, found.rows),
     ]
-
-
-def _percent(found: Audit, field: str) -> list[float]:
-    values = (getattr(row, field) for row in found.rows)
-    return [np.nan if v is None else 100 * v for v in values]
 
 
 def table(found: Audit) -> list[Column]:
@@ -181,9 +178,10 @@ def dataset(found: Audit) -> Dataset:
     return to_dataset(table(found), "variant", about, names="what")
 
 
-_COLOUR = {"left out": COLOURS[0], "put in": COLOURS[1], "changed": COLOURS[2], "yardstick": "0.55"}
+_COLOUR = {"left out": style.COLOURS[0], "put in": style.COLOURS[1], "changed": style.COLOURS[2], "yardstick": "0.55"}
 _MOST = 150.0  # [%] longer times are written as numbers
 _LEAST = 1e-3  # [mm], [N] smaller changes are drawn as zero
+_BESIDE: dict[str, Any] = {"xytext": (4, 0), "textcoords": "offset points", "va": "center", "fontsize": style.SMALL}
 
 
 def audit_figure(found: Audit, title: str) -> Figure:
@@ -193,15 +191,13 @@ def audit_figure(found: Audit, title: str) -> Figure:
 
     data = {c.key: c for c in columns(found)}
     rows = found.rows
-    with house_style():
-        figure = Figure(figsize=(WIDE, 1.6 + 0.34 * len(rows)))
+    with style.house_style():
+        figure = Figure(figsize=(style.WIDE, 1.6 + 0.34 * len(rows)))
         path, force, time = figure.subplots(1, 3, sharey=True, width_ratios=[1.5, 1.2, 1.0])
         _bars(path, rows, data["path_rms_mm"], data["path_max_mm"])
-        path.axvline(1e3 * found.tolerance, color="black", linestyle=(0, (4, 2)), linewidth=1.0)
-        path.annotate(
-            f"tolerance {1e3 * found.tolerance:g} mm", (1e3 * found.tolerance, -0.75), xytext=(3, 0),
-            textcoords="offset points", fontsize=SMALL, va="center", annotation_clip=False,
-        )  # fmt: skip
+        limit = 1e3 * found.tolerance
+        path.axvline(limit, color="black", linestyle=(0, (4, 2)), linewidth=1.0)
+        path.annotate(f"tolerance {limit:g} mm", (limit, -0.75), annotation_clip=False, **{**_BESIDE, "xytext": (3, 0)})
         _bars(force, rows, data["contact_rms_N"], data["contact_max_N"])
         _time_bars(time, rows, data["time_percent"], data["time_spread_percent"])
         path.set_yticks(range(len(rows)), [row.name for row in rows])
@@ -209,11 +205,14 @@ def audit_figure(found: Audit, title: str) -> Figure:
         path.set(title="Path: bar rms, line to the largest", xlabel="distance from the scene's own path [mm]")
         force.set(title="Contact force: bar rms, line to the largest", xlabel="change [N]")
         time.set(title="Time that it takes", xlabel="share of the scene's run [%]")
+        for axes in (path, force, time):
+            axes.grid(False, axis="y")
+            axes.set_axisbelow(True)
         shown = [k for k in _COLOUR if any(r.kind == k for r in rows)]
         patches = [Patch(color=_COLOUR[k], label=k) for k in shown]
-        name_figure(figure, title)
-        footer(figure, SYNTHETIC if found.synthetic else None)
-        legend_below(figure, patches, shown)
+        style.title(figure, title)
+        style.footer(figure, SYNTHETIC if found.synthetic else None)
+        style.legend_below(figure, patches, shown)
     return figure
 
 
@@ -229,21 +228,16 @@ def _bars(axes: Axes, rows: tuple[Worth, ...], rms: Column, largest: Column) -> 
     axes.set_xlim(_LEAST, 2 * high)
     for i, row in enumerate(rows):
         if row.changes is None:
-            axes.annotate(
-                row.outcome, (_LEAST, i), xytext=(4, 0), textcoords="offset points", va="center", fontsize=SMALL,
-                color=_COLOUR[row.kind], bbox={"facecolor": "white", "edgecolor": "none", "pad": 1.0},
-            )  # fmt: skip
+            box = {"facecolor": "white", "edgecolor": "none", "pad": 1.0}
+            axes.annotate(row.outcome, (_LEAST, i), color=_COLOUR[row.kind], bbox=box, **_BESIDE)
             continue
         if np.isnan(rms.values[i]):
-            axes.annotate("none", (_LEAST, i), xytext=(4, 0), textcoords="offset points", va="center", fontsize=SMALL)
+            axes.annotate("none", (_LEAST, i), **_BESIDE)
             continue
         axes.barh(i, max(rms.values[i], _LEAST), height=0.6, left=0, color=_COLOUR[row.kind])
         axes.plot([max(rms.values[i], _LEAST), max(ends[i], _LEAST)], [i, i], color=_COLOUR[row.kind], linewidth=1.6)
         if ends[i] < _LEAST:
-            note = f"below {_LEAST:g}"
-            axes.annotate(note, (_LEAST, i), xytext=(4, 0), textcoords="offset points", va="center", fontsize=SMALL)
-    axes.grid(False, axis="y")
-    axes.set_axisbelow(True)
+            axes.annotate(f"below {_LEAST:g}", (_LEAST, i), **_BESIDE)
 
 
 def _time_bars(axes: Axes, rows: tuple[Worth, ...], share: Column, spread: Column) -> None:
@@ -256,9 +250,7 @@ def _time_bars(axes: Axes, rows: tuple[Worth, ...], share: Column, spread: Colum
     for i, row in enumerate(rows):
         value = share.values[i]
         if np.isnan(value):
-            axes.annotate(
-                "ran beside others", (0, i), xytext=(4, 0), textcoords="offset points", va="center", fontsize=SMALL
-            )
+            axes.annotate("ran beside others", (0, i), **_BESIDE)
             continue
         drawn = float(np.clip(value, *axes.get_xlim()))
         axes.barh(i, drawn, height=0.6, color=_COLOUR[row.kind], alpha=1.0 if drawn == value else 0.35)
@@ -266,6 +258,4 @@ def _time_bars(axes: Axes, rows: tuple[Worth, ...], share: Column, spread: Colum
             axes.errorbar(value, i, xerr=spread.values[i], color="black", linewidth=0.8, capsize=2)
         else:  # to the right of the axis there is space, be it over a pale bar
             words = f"{value:+,.0f} %".replace("-", "\N{MINUS SIGN}")
-            axes.annotate(words, (0, i), xytext=(4, 0), textcoords="offset points", va="center", fontsize=SMALL)
-    axes.grid(False, axis="y")
-    axes.set_axisbelow(True)
+            axes.annotate(words, (0, i), **_BESIDE)

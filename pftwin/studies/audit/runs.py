@@ -19,6 +19,7 @@ from pftwin.dynamics.observe import Observation, observe
 from pftwin.dynamics.simulate import settle_first_frame
 from pftwin.dynamics.status import Status
 from pftwin.model.scene import Scene, check
+from pftwin.results.metrics import summed
 from pftwin.results.result import Result
 from pftwin.studies.audit.variants import Variant
 from pftwin.studies.runs import Floats, difference, rms
@@ -31,7 +32,6 @@ class VariantRun:
     """A variant's result, and a way to run it once more."""
 
     result: Result
-    start: Solution
     again: Callable[[], Any] | None  # None where it ran side by side with others
 
 
@@ -59,27 +59,20 @@ def _side_by_side(
 
 
 def run_alone(scene: Scene, integrator: Integrator, substeps: int) -> VariantRun:
-    """One scene, from its own equilibrium.
-
-    Raises:
-        InputError: a parameter that cannot give a right answer.
-    """
+    """One scene, from its own equilibrium; InputError for a parameter that cannot give a right answer."""
     check(scene)
     plain = scene.unnamed()
     start, relaxed = settle_first_frame(plain)
     again = partial(_moving, plain, start.answer, integrator, substeps)
-    return VariantRun(_result(scene, start.answer, again(), relaxed, integrator, substeps), start.answer, again)
+    return VariantRun(_result(scene, start.answer, again(), relaxed, integrator, substeps), again)
 
 
 def run_side_by_side(
     base: Scene, variants: Sequence[Variant], integrator: Integrator, substeps: int
 ) -> list[VariantRun]:
-    """Variants of the base in numbers only, each from its own equilibrium, in one program.
+    """Variants of the base in numbers only, each from its own equilibrium, in one program; errors as of `run_alone`.
 
     A variant whose search fails runs again alone, by the base's program.
-
-    Raises:
-        InputError: a parameter that cannot give a right answer.
     """
     for v in variants:
         check(v.scene)
@@ -91,7 +84,7 @@ def run_side_by_side(
     runs = []
     for k, v in enumerate(variants):
         start, observed = jax.tree.map(lambda a, k=k: np.asarray(a)[k], (starts, seen))
-        run = VariantRun(_result(v.scene, start, observed, False, integrator, substeps), start, None)
+        run = VariantRun(_result(v.scene, start, observed, False, integrator, substeps), None)
         if not run.result.equilibrium.converged:  # alone, the damped relaxation helps
             run = replace(run_alone(v.scene, integrator, substeps), again=None)
         runs.append(run)
@@ -137,26 +130,16 @@ def compare_runs(scene: Scene, result: Result, own: Result) -> Changes:
     """Compares a run with the scene's own."""
     apart = difference(result, own, np.asarray(scene.tracked_point().array(), dtype=np.float64))
     tensions = {
-        name: _sum(result.effects[name]["tension"]) - _sum(report["tension"])
+        name: summed(result.effects[name]["tension"]) - summed(report["tension"])
         for name, report in own.effects.items()
         if "tension" in report and "tension" in result.effects.get(name, {})
     }
     most = max(tensions, key=lambda name: rms(tensions[name]), default=None)
-    pull = None if most is None else tensions[most]
-    return Changes(
-        center_rms=rms(apart.center),
-        center_max=float(apart.center.max()),
-        flexion=rms(apart.flexion),
-        rotation=rms(apart.rotation),
-        tilt=rms(apart.tilt),
-        contact_rms=None if apart.contact is None else rms(apart.contact),
-        contact_max=None if apart.contact is None else float(np.abs(apart.contact).max()),
-        tension_rms=None if pull is None else rms(pull),
-        tension_max=None if pull is None else float(np.abs(pull).max()),
-        tension_of=most,
-    )
+    flexion, rotation, tilt = (rms(a) for a in (apart.flexion, apart.rotation, apart.tilt))
+    turned, pull = (flexion, rotation, tilt), _size(None if most is None else tensions[most])
+    return Changes(rms(apart.center), float(apart.center.max()), *turned, *_size(apart.contact), *pull, most)
 
 
-def _sum(tension: Floats) -> Floats:
-    """Over a group's elements."""
-    return tension.reshape(tension.shape[0], -1).sum(axis=1)
+def _size(change: Floats | None) -> tuple[float, float] | tuple[None, None]:
+    """Root mean square and largest size of a change."""
+    return (None, None) if change is None else (rms(change), float(np.abs(change).max()))

@@ -6,6 +6,7 @@ part is timed along the same motion.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -15,7 +16,7 @@ from jax.extend.core import ClosedJaxpr, Jaxpr, Var
 from jaxtyping import Array
 
 from pftwin.base.program_cache import Program
-from pftwin.base.spatial import Scalar, Vec3
+from pftwin.base.spatial import Scalar
 from pftwin.dynamics.frame_states import first_guide, start_before_search, starting_state
 from pftwin.dynamics.integrator import Integrator
 from pftwin.dynamics.integrators import LinearImplicit
@@ -30,19 +31,15 @@ def guide_over(piece: MotionPiece, began: Scalar, step: Scalar) -> GuideAt:
     return lambda part: Guide.sample(piece, began + step * part)
 
 
+def guides(motion: KneeMotion, index: Scalar, step: Scalar) -> Callable[[Scalar], GuideAt]:
+    """The guided bodies over each of the steps from a recorded frame to the next."""
+    piece, began = motion.between_frames(index), motion.start_time + motion.frame_interval * index.astype(float)
+    return lambda k: guide_over(piece, began + step * k.astype(float), step)
+
+
 def step_length(motion: KneeMotion, substeps: int) -> Scalar:
     """Length of a step, for so many between two frames [s]."""
     return jnp.asarray(motion.frame_interval / substeps, dtype=float)
-
-
-def frame_time(motion: KneeMotion, index: Scalar) -> Scalar:
-    """The time of a recorded frame [s]."""
-    return motion.start_time + motion.frame_interval * index.astype(float)
-
-
-def one_step(system: System, state: State, guide_at: GuideAt, step: Scalar, integrator: Integrator) -> State:
-    """The state one step later, without a ledger."""
-    return integrator.advance(system, state, guide_at, step, None)[0]
 
 
 @Program
@@ -52,10 +49,10 @@ def through_frames(scene: Scene, states: State, integrator: Integrator, substeps
     step = step_length(motion, substeps)
 
     def one_frame(index: Scalar, total: Scalar) -> Scalar:
-        piece, began = motion.between_frames(index), frame_time(motion, index)
+        guide_of = guides(motion, index, step)
 
         def further(k: Scalar, state: State) -> State:
-            return one_step(system, state, guide_over(piece, began + step * k.astype(float), step), step, integrator)
+            return integrator.advance(system, state, guide_of(k), step, None)[0]
 
         end = jax.lax.fori_loop(0, substeps, further, jax.tree.map(lambda a: a[index], states))
         return total + sum(jax.tree.leaves((end.position, end.velocity, end.spin)), start=end.orientation.w)
@@ -74,7 +71,7 @@ def equations(scene: Scene, integrator: Integrator = LinearImplicit()) -> int:
 
     def stepped(arrays: Any) -> State:
         system, state, piece, began, step = eqx.combine(arrays, fixed)
-        return one_step(system, state, guide_over(piece, began, step), step, integrator)
+        return integrator.advance(system, state, guide_over(piece, began, step), step, None)[0]
 
     return count(jax.make_jaxpr(stepped)(shapes).jaxpr)
 
@@ -147,10 +144,6 @@ def rates(system: System, loads: list[tuple[float, Load]]) -> Rates:
 
 def _gram(term: StiffTerm, weight: Scalar) -> Array:
     """The sum of w g g^T over a term's group."""
-    parts = (*_components(term.direction), *_components(term.moment))
+    parts = (getattr(v, axis) for v in (term.direction, term.moment) for axis in "xyz")
     rows = jnp.stack([jnp.ravel(jnp.broadcast_to(a, jnp.shape(weight))) for a in parts])
     return (rows * jnp.ravel(weight)[None, :]) @ rows.T
-
-
-def _components(v: Vec3) -> tuple[Scalar, Scalar, Scalar]:
-    return v.x, v.y, v.z

@@ -14,7 +14,7 @@ from jaxtyping import Array
 
 from pftwin.base.errors import InputError
 from pftwin.base.leaves import number
-from pftwin.base.spatial import Pose, Quaternion, Rotation, Vec3
+from pftwin.base.spatial import Pose, Quaternion, Vec3
 from pftwin.dynamics.integrator import Integrator
 from pftwin.dynamics.integrators import LinearImplicit, QuasiStatic
 from pftwin.files.mocap.poses import PoseSeries
@@ -64,23 +64,16 @@ def without_femur_inertia(scene: Scene) -> Variant | NotApplicable:
     seen = {e.name: e.in_still_femur(femur) for e in scene.effects}
     if grounded := [name for name, effect in seen.items() if effect is None]:
         return NotApplicable(NAME, "left out", f"fixed to the ground, which would move then: {', '.join(grounded)}")
-    effects = tuple(e for e in seen.values() if e is not None)
-    motion, start = _seen_from_femur(scene.motion, femur), _start(scene, femur)
-    fixed = dataclasses.replace(scene, effects=effects, motion=motion, start=start)
-    return Variant(NAME, "left out", "the femur's frame taken for an inertial one, weight turning in it", fixed)
-
-
-def _seen_from_femur(motion: KneeMotion, femur: SegmentMotion) -> KneeMotion:
+    motion, first = scene.motion, femur.frames(scene.motion.start_time)
     tibia = _series(motion.tibia, motion.times).relative_to(_series(femur, motion.times))
-    fixed = KneeMotion.from_poses(None, tibia)
-    return KneeMotion(None, fixed.tibia, motion.start_time, motion.frame_interval, motion.n_frames)
-
-
-def _start(scene: Scene, femur: SegmentMotion) -> Pose:
-    """The patella's start pose in the femur at the first frame."""
-    first = femur.frames(scene.motion.start_time)
     turn = Quaternion.from_rotation(first.rotation).conjugate()
-    return Pose(turn.rotate(scene.start.position - first.origin), turn * scene.start.orientation)
+    fixed = dataclasses.replace(
+        scene,
+        effects=tuple(e for e in seen.values() if e is not None),
+        motion=dataclasses.replace(motion, femur=None, tibia=KneeMotion.from_poses(None, tibia).tibia),
+        start=Pose(turn.rotate(scene.start.position - first.origin), turn * scene.start.orientation),
+    )
+    return Variant(NAME, "left out", "the femur's frame taken for an inertial one, weight turning in it", fixed)
 
 
 def _series(segment: SegmentMotion, times: np.ndarray) -> PoseSeries:
@@ -150,10 +143,9 @@ def _gravity(scene: Scene) -> Variant | None:
     if any(e.is_weight for e in scene.effects):
         return None
     femur = scene.motion.femur
-    axes = Rotation.from_array(number([[1, 0, 0], [0, 1, 0], [0, 0, 1]]))
+    down = Vec3(number(-WEIGHT), number(0.0), number(0.0))
     if femur is not None:
-        axes = femur.frames(scene.motion.start_time).rotation
-    down = axes.apply(Vec3(number(-WEIGHT), number(0.0), number(0.0)))
+        down = femur.frames(scene.motion.start_time).rotation.apply(down)
     sentence = f"{WEIGHT:g} m/s2 towards the femur's distal end at the first frame: a thigh held upright"
     return Variant("gravity", "put in", sentence, scene.with_effect(Gravity(scene.patella.mass, down)))
 
@@ -161,10 +153,9 @@ def _gravity(scene: Scene) -> Variant | None:
 def _refinements(scene: Scene) -> list[Variant | NotApplicable]:
     """What effects say that they lack: toe regions of linear tendons, where no line of force has one already."""
     lacking = [c for e in scene.effects for c in e.elaborations()]
-    labels = [c.label for e in scene.effects for c in (*lacking, *e.simplifications())]
-    if any(label.startswith(TOE) for label in labels):
-        return [*changed_together(scene, "put in", lacking)]
-    return [*changed_together(scene, "put in", lacking), NotApplicable(TOE, "put in", "no tendon is linear")]
+    known = any(c.label.startswith(TOE) for e in scene.effects for c in (*lacking, *e.simplifications()))
+    absent = [] if known else [NotApplicable(TOE, "put in", "no tendon is linear")]
+    return [*changed_together(scene, "put in", lacking), *absent]
 
 
 def _inertia(scene: Scene, integrator: Integrator) -> list[Variant | NotApplicable]:

@@ -76,11 +76,11 @@ def test_an_effect_that_has_gone_leaves_the_very_same_program():
 
 
 def _step(s: Scene, step: jax.Array):
-    from pftwin.studies.audit.step import guide_over, one_step
+    from pftwin.studies.audit.step import guide_over
 
     state = starting_state(s, start_before_search(s))
     piece = s.motion.between_frames(J(0))
-    return one_step(System.of(s), state, guide_over(piece, J(0.0), step), step, LinearImplicit())
+    return LinearImplicit().advance(System.of(s), state, guide_over(piece, J(0.0), step), step, None)[0]
 
 
 def test_friction_that_has_gone_leaves_no_equation():

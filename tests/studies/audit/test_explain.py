@@ -145,7 +145,7 @@ def test_times_are_relative_to_the_first():
 @pytest.mark.slow
 def test_shares_are_what_is_gone_without_the_part(monkeypatch):
     """Quiet times make exact shares: whatever the machine does."""
-    monkeypatch.setattr(module, "time_in_turn", lambda runs: [Cost(1.0, 1.0, 0.0)] + [Cost(0.6, 0.6, 0.01)] * 5)
+    monkeypatch.setattr(module, "time_in_turn", lambda runs, before: [Cost(1.0, 1.0, 0.0)] + [Cost(0.6, 0.6, 0.01)] * 5)
     again = explain(rough())
     assert [p.share for p in again.parts] == pytest.approx([0.4] * 5)
     assert again.shared_time == pytest.approx(1 - 4 * 0.4)

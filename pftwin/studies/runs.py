@@ -13,10 +13,10 @@ import numpy as np
 
 from pftwin.base.arrays import Floats
 from pftwin.base.leaves import host_array
-from pftwin.base.rotations import patellar_angles
 from pftwin.base.spatial import Quaternion
 from pftwin.results.result import Result
 
+MOST_ROUNDS = 60
 V = TypeVar("V")
 A = TypeVar("A")
 
@@ -30,14 +30,8 @@ def run_each(
 ) -> list[A]:
     """Answers of variants, one after the other; after an interrupt (Ctrl-C) those computed so far.
 
-    Args:
-        variants: what to run.
-        run: runs one.
-        before: called with the next variant and the number done.
-        after: called with all answers so far after each one, to show or store them.
-
-    Raises:
-        KeyboardInterrupt: interrupted before the first was done.
+    `before` is called with the number done and the next variant, `after` with all answers so far, to show or store
+    them. Raises KeyboardInterrupt where that comes before the first was done.
     """
     answers: list[A] = []
     try:
@@ -65,7 +59,6 @@ def time_in_turn(
     *,
     rounds: int = 9,
     seconds: float = 0.3,
-    most: int = 60,
     own: bool = True,
     before: Callable[[int], Any] = lambda k: None,
 ) -> list[Cost]:
@@ -73,9 +66,7 @@ def time_in_turn(
 
     Args:
         runs: each ends when its answer is there.
-        rounds: at least so many.
-        seconds: at least so long for each, but not more than `most` rounds.
-        most: rounds.
+        rounds, seconds: at least so many, and so long for each, but not more than `MOST_ROUNDS`.
         own: whether to use process time on a CPU, which other programs disturb less than wall time.
         before: called with the number of runs compiled, before each.
     """
@@ -90,7 +81,7 @@ def time_in_turn(
         before(k)
         jax.block_until_ready(run())
     taken: list[list[float]] = []
-    while len(taken) < rounds or (sum(map(sum, taken)) < seconds * len(runs) and len(taken) < most):
+    while len(taken) < rounds or (sum(map(sum, taken)) < seconds * len(runs) and len(taken) < MOST_ROUNDS):
         taken.append([once(run) for run in runs])
     return [_cost([r[i] for r in taken], [r[i] / r[0] for r in taken]) for i in range(len(runs))]
 
@@ -111,16 +102,10 @@ class Difference(NamedTuple):
 
 
 def difference(result: Result, reference: Result, point: Floats) -> Difference:
-    """The difference of a motion from another.
-
-    Args:
-        result: of the motion.
-        reference: it is compared with.
-        point: (3,) of the patella's frame whose path is compared [m].
-    """
+    """The difference of a motion from another, of the path of a point (3,) of the patella's frame [m] among others."""
     apart = np.linalg.norm(_path(result, point) - _path(reference, point), axis=1)
-    turned = (np.angle(np.exp(1j * (a - b))) for a, b in zip(_angles(result), _angles(reference), strict=True))
-    flexion, rotation, tilt = turned
+    pairs = ((getattr(r.angles, name) for r in (result, reference)) for name in ("flexion", "rotation", "tilt"))
+    flexion, rotation, tilt = (np.angle(np.exp(1j * np.subtract(*pair))) for pair in pairs)
     force = None
     if reference.contact is not None and "force" in result.effects.get(reference.contact, {}):
         force = result.effects[reference.contact]["force"] - reference.effects[reference.contact]["force"]
@@ -137,8 +122,3 @@ def _path(result: Result, point: Floats) -> Floats:
     turn = Quaternion(*result.quaternion.T).rotation()
     axes = [host_array(a) for a in (turn.ex, turn.ey, turn.ez)]
     return result.position + sum(p * a for p, a in zip(point, axes, strict=True))
-
-
-def _angles(result: Result) -> tuple[Floats, ...]:
-    found = patellar_angles(Quaternion(*result.quaternion.T))
-    return tuple(np.asarray(a) for a in (found.flexion, found.rotation, found.tilt))

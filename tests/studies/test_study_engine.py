@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 from small_scene import small_result
 
-from pftwin.base.errors import InputError
 from pftwin.base.sheet import Sheet
 from pftwin.base.spatial import Quaternion
 from pftwin.studies.runs import difference, rms, run_each
-from pftwin.studies.tables import Column, read_csv, short_number, to_csv, to_dataset
+from pftwin.studies.tables import Column, short_number, to_dataset
 
 
 def stopping(at: int):
@@ -79,17 +78,6 @@ LINES = [Line('one, "two"', 3, 0.125), Line("none", 0, float("nan"))]
 def columns(rows) -> list[Column]:
     kinds = {"name": (), "steps": ("1", "steps"), "error_mm": ("mm", "error")}
     return [Column(key, [getattr(r, key) for r in rows], *more) for key, more in kinds.items()]
-
-
-def test_rows_are_read_back_as_they_were(tmp_path):
-    path = tmp_path / "rows.csv"
-    path.write_text("# a remark\n" + to_csv(columns(LINES)), encoding="utf-8")
-    assert repr(read_csv(path, Line, ("name", "steps"), "lines")) == repr(LINES)
-    path.write_text("name,steps\na,2\n", encoding="utf-8")
-    assert repr(read_csv(path, Line, ("name", "steps"), "lines")) == repr([Line("a", 2, float("nan"))])
-    path.write_text("name\na\n", encoding="utf-8")
-    with pytest.raises(InputError, match="row 1 has no steps"):
-        read_csv(path, Line, ("name", "steps"), "lines")
 
 
 def test_figures_of_a_dataset_have_units_and_words_have_none():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -104,41 +105,38 @@ def rows(setting: MeasuredProgram, scene: Scene, reference: Converged, measured:
     compiling = time.perf_counter() - began
     times = _times(one, p, start.answer, steps)
     batch = _times(jax.jit(p.many), p, start.answer, steps) if setting.batch else {}
-    gradient = _gradient(p, start.answer, steps.get(GRADIENT_SUBSTEPS, steps[setting.substeps[0]]), setting)
-    found = []
-    for n, at in steps.items():
+    gradient = math.nan
+    if setting.gradient:  # the cost of a run with its derivatives, in runs
+        at = steps.get(GRADIENT_SUBSTEPS, steps[setting.substeps[0]])
+        pair = [partial(jax.jit(program), p.arrays, start.answer, at) for program in (p.path, p.columns)]
+        gradient = time_in_turn(pair, rounds=5, seconds=0.2, own=False)[1].ratio
+    order = integrator_from_text(setting.integrator).order
+
+    def row(n: int, at: Any) -> AccuracyRow:
         result = _result(scene, start.answer, relaxed, one(p.arrays, start.answer, at))
-        found.append(
-            AccuracyRow(
-                setting.contact,
-                setting.integrator,
-                integrator_from_text(setting.integrator).order,
-                setting.dtype,
-                1e3 * scene.motion.frame_interval / n,
-                **_errors(scene, result, reference.result),
-                measured_mm=float("nan") if measured is None else _from_measurements(result, measured),
-                real_time=result.duration / times[n],
-                real_time_batch=VARIANTS * result.duration / batch[n] if batch else float("nan"),
-                compile_s=compiling,
-                gradient=gradient,
-                **status_facts(result.flags),
-            )
+        distance = None if measured is None else validate(result, measured, tibial=None, femoral=None).mean_distance
+        return AccuracyRow(
+            setting.contact,
+            setting.integrator,
+            order,
+            setting.dtype,
+            1e3 * scene.motion.frame_interval / n,
+            **_errors(scene, result, reference.result),
+            measured_mm=math.nan if distance is None else distance,
+            real_time=result.duration / times[n],
+            real_time_batch=VARIANTS * result.duration / batch[n] if batch else math.nan,
+            compile_s=compiling,
+            gradient=gradient,
+            **status_facts(result.flags),
         )
-    return found
+
+    return [row(n, at) for n, at in steps.items()]
 
 
 def _times(program: Callable[..., Any], p: Programs, start: Any, steps: dict[int, Any]) -> dict[int, float]:
     """By number of steps [s]."""
     runs = {n: partial(program, p.arrays, start, at) for n, at in steps.items()}
     return {n: time_in_turn([run], rounds=3, seconds=0.2, own=False)[0].seconds for n, run in runs.items()}
-
-
-def _gradient(p: Programs, start: Any, substeps: Any, setting: MeasuredProgram) -> float:
-    """The cost of a run with its derivatives, in runs."""
-    if not setting.gradient:
-        return float("nan")
-    pair = [partial(jax.jit(program), p.arrays, start, substeps) for program in (p.path, p.columns)]
-    return time_in_turn(pair, rounds=5, seconds=0.2, own=False)[1].ratio
 
 
 def _result(scene: Scene, start: Any, relaxed: bool, seen: Any) -> Result:
@@ -155,19 +153,12 @@ def _errors(scene: Scene, found: Result, reference: Result) -> dict[str, float]:
         "position_rms_mm": 1e3 * rms(apart.center),
         "position_max_mm": 1e3 * float(np.max(apart.center)),
         "tilt_rms_deg": float(np.degrees(rms(apart.tilt))),
-        "force_rms_n": float("nan") if apart.contact is None else rms(apart.contact),
+        "force_rms_n": math.nan if apart.contact is None else rms(apart.contact),
         "dislocation_ms": 1e3 * (_dislocation(found) - _dislocation(reference)),
     }
 
 
 def _dislocation(result: Result) -> float:
     """Time of the first one [s]; NaN where there is none."""
-    if not np.isfinite(result.center).all():
-        return float("nan")
-    outcome = result.dislocations()
-    return outcome.events[0].time if outcome is not None and outcome.events else float("nan")
-
-
-def _from_measurements(result: Result, measured: Measured) -> float:
-    distance = validate(result, measured, tibial=None, femoral=None).mean_distance
-    return float("nan") if distance is None else distance
+    outcome = result.dislocations() if np.isfinite(result.center).all() else None
+    return outcome.events[0].time if outcome is not None and outcome.events else math.nan

@@ -40,19 +40,14 @@ def programs(scene: Scene, integrator: str) -> Programs:
     chosen = integrator_from_text(integrator)
     arrays, fixed = eqx.partition(scene.unnamed(), eqx.is_array)
 
-    def run(a: Any, start: Solution, substeps: Array) -> Observation:
-        whole = eqx.combine(a, fixed)
+    def run(whole: Scene, start: Solution, substeps: Array) -> Observation:
         return observe(whole, frame_states(whole, integrator=chosen, substeps=substeps, start=start))
 
     def tracked(whole: Scene, start: Solution, substeps: Array) -> Array:
         states = frame_states(whole, integrator=chosen, substeps=substeps, start=start).states
         return tracked_center(whole, states).array()
 
-    def path(a: Any, start: Solution, substeps: Array) -> Array:
-        return tracked(eqx.combine(a, fixed), start, substeps)
-
-    def variants(a: Any, start: Solution, substeps: Array) -> Array:
-        whole = eqx.combine(a, fixed)
+    def variants(whole: Scene, start: Solution, substeps: Array) -> Array:
         factors = jnp.asarray(np.linspace(1 - SPREAD, 1 + SPREAD, VARIANTS), dtype=float)
 
         def one(factor: Array) -> Array:
@@ -62,8 +57,8 @@ def programs(scene: Scene, integrator: str) -> Programs:
 
     numbers = _parameters(scene)
 
-    def derivatives(a: Any, start: Solution, substeps: Array) -> Array:
-        leaves, structure = jax.tree.flatten(eqx.combine(a, fixed))
+    def derivatives(whole: Scene, start: Solution, substeps: Array) -> Array:
+        leaves, structure = jax.tree.flatten(whole)
 
         def by(factors: Array) -> Array:
             own = list(leaves)
@@ -73,7 +68,10 @@ def programs(scene: Scene, integrator: str) -> Programs:
 
         return jax.jacfwd(by)(jnp.ones(len(numbers)))
 
-    return Programs(arrays, run, path, variants, derivatives)
+    def of_arrays(function: Callable[..., Any]) -> Callable[..., Any]:
+        return lambda a, *given: function(eqx.combine(a, fixed), *given)
+
+    return Programs(arrays, *map(of_arrays, (run, tracked, variants, derivatives)))
 
 
 def _parameters(scene: Scene) -> list[int]:
@@ -120,11 +118,7 @@ class MeasuredProgram(NamedTuple):
 
 
 def chosen(contacts: Sequence[str], integrators: Sequence[str], floats: Sequence[str]) -> list[MeasuredProgram]:
-    """All combinations, with batches and derivatives.
-
-    Raises:
-        InputError: an unknown integrator or float type.
-    """
+    """All combinations, with batches and derivatives; InputError for an unknown integrator or float type."""
     for name in integrators:
         integrator_from_text(name)
     for name in floats:
@@ -145,9 +139,7 @@ def full_table() -> list[MeasuredProgram]:
             more = smooth and (chief or integrator in stepping)
             found.append(MeasuredProgram(contact, integrator, "float64", more, more))
         if chief:
-            found += [
-                MeasuredProgram(contact, integrator, "float32", integrator in stepping, False) for integrator in COMMON
-            ]
+            found += [MeasuredProgram(contact, name, "float32", name in stepping, False) for name in COMMON]
         if contact in ("P5", "CM"):
             found.append(MeasuredProgram(contact, PAPERS, "float64", False, False))
     return found

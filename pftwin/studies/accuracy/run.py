@@ -39,15 +39,10 @@ def measure_all(
     keep: Callable[[list[AccuracyRow]], None] = lambda _: None,
     progress: Callable[[int, int], None] = lambda done, of: None,
 ) -> AccuracyMeasured:
-    """Rows of a plan, the converged runs first.
+    """Rows of a plan on scenes, beside measurements if there are any, the converged runs first.
 
-    Args:
-        plan: what to measure.
-        scene_of: makes the scene with a contact, in JAX's present float type.
-        measured: of the motion, if there are any.
-        tell: called with a line before each piece of work.
-        keep: called with all rows so far after each one, to store them.
-        progress: called before each row with the number done and that of all.
+    `tell` is called with a line before each piece of work, `progress` with the number of rows done and that of all, and
+    `keep` with all rows so far after each one, to store them.
     """
     references: dict[str, Converged] = {}
 
@@ -72,19 +67,17 @@ def measure_all(
 
 
 def _against(reference: Converged, measured: Measured) -> Validation:
-    springs = {"tibial": "patellar_tendon", "femoral": "quadriceps"}
-    absent: dict[str, Any] = {k: None for k, name in springs.items() if name not in reference.result.effects}
-    return validate(reference.result, measured, **absent)
+    tibial, femoral = (n if n in reference.result.effects else None for n in ("patellar_tendon", "quadriceps"))
+    return validate(reference.result, measured, tibial=tibial, femoral=femoral)
 
 
 def write(found: AccuracyMeasured, folder: Path, title: str, about: dict[str, Any]) -> list[Path]:
     """accuracy.nc, accuracy.csv, accuracy.md, and a figure for each contact model."""
     folder.mkdir(parents=True, exist_ok=True)
-    save_dataset(to_dataset(columns(found.rows), "setting", about), folder / "accuracy.nc")
-    texts = {"accuracy.csv": to_csv(columns(found.rows)), "accuracy.md": report(found, title, about)}
-    for name, text in texts.items():
-        write_text(folder / name, text)
-    paths = [folder / name for name in ("accuracy.nc", *texts)]
+    paths = netcdf, csv, markdown = [folder / f"accuracy.{kind}" for kind in ("nc", "csv", "md")]
+    save_dataset(to_dataset(columns(found.rows), "setting", about), netcdf)
+    write_text(csv, to_csv(columns(found.rows)))
+    write_text(markdown, report(found, title, about))
     for contact in found.references:
         figure = work_precision(found.rows, f"{title}, {contact}: what accuracy costs", contact=contact)
         paths += save_figure(figure, folder / f"accuracy_{contact}")
@@ -94,19 +87,18 @@ def write(found: AccuracyMeasured, folder: Path, title: str, about: dict[str, An
 def report(found: AccuracyMeasured, title: str, about: dict[str, Any]) -> str:
     """Everything in Markdown."""
     doubts = "; ".join(f"{c} {r.doubt_mm:.1g} mm" for c, r in found.references.items())
-    return "\n".join(
-        [
-            f"# {title}: what accuracy costs in time\n",
-            "; ".join(f"{k}: {v}" for k, v in about.items()) + "\n",
-            "Errors are from the converged run of the same contact model; how far a second integrator's converged run"
-            f" is from it, rms: {doubts}.\n",
-            "## Recommended settings\n",
-            advice(found.rows).grid() + "\n",
-            *_models(found.models),
-            "## Everything measured\n",
-            all_figures(found.rows).grid() + "\n",
-        ]
-    )
+    parts = [
+        f"# {title}: what accuracy costs in time",
+        "; ".join(f"{k}: {v}" for k, v in about.items()),
+        "Errors are from the converged run of the same contact model; how far a second integrator's converged run"
+        f" is from it, rms: {doubts}.",
+        "## Recommended settings",
+        advice(found.rows).grid(),
+        *_models(found.models),
+        "## Everything measured",
+        all_figures(found.rows).grid(),
+    ]
+    return "\n\n".join(parts) + "\n"
 
 
 def _models(models: dict[str, Validation]) -> list[str]:
@@ -123,8 +115,8 @@ def _models(models: dict[str, Validation]) -> list[str]:
     labels = [f"{r.label}, {r.unit}" for r in rows[0]]
     sheet = Sheet("", ("", *models), tuple((a, *b) for a, b in zip(labels, cells, strict=True)))
     return [
-        "## Error of the contact models\n",
+        "## Error of the contact models",
         f"Converged runs against the {'SYNTHETIC ' if synthetic else ''}measurements; in brackets the paper's means"
-        " over its four cases, with its own rig and measurements (Michaud et al. 2024, Table 1).\n",
-        sheet.grid() + "\n",
+        " over its four cases, with its own rig and measurements (Michaud et al. 2024, Table 1).",
+        sheet.grid(),
     ]

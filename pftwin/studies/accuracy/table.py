@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
+import csv
 import os
 from collections.abc import Iterable, Sequence
 from dataclasses import fields
-from itertools import groupby
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, get_type_hints
 
 import numpy as np
 
 from pftwin.base.errors import InputError
 from pftwin.base.sheet import Sheet
+from pftwin.base.text_files import read_lines
 from pftwin.results.plots.style import COLOURS, MARKERS, TINY, WIDE, house_style, legend_below
-from pftwin.studies import tables
 from pftwin.studies.accuracy.measure import AccuracyRow
 from pftwin.studies.tables import Column, short_number
 
@@ -55,12 +55,23 @@ def columns(rows: Sequence[AccuracyRow]) -> list[Column]:
 
 
 def read_csv(path: str | os.PathLike[str]) -> list[AccuracyRow]:
-    """Rows that were kept, of this version or of one that knew fewer columns: missing values are NaN.
+    """Rows that were kept, of this version or of one that knew fewer columns: a number that is lacking is NaN.
 
-    Raises:
-        InputError: no such file, or one without the columns that make a row.
+    Lines that start with # are passed over. Raises InputError for no such file, and for one without the columns that
+    make a row.
     """
-    return tables.read_csv(path, AccuracyRow, _NEEDED, "a table of pftwin accuracy")
+    lines = read_lines(path)[0]
+    kinds = {n: kind for n, kind in get_type_hints(AccuracyRow).items() if kind in (str, int, float)}
+    found = []
+    for number, cells in enumerate(csv.DictReader(x for x in lines if not x.startswith("#")), start=1):
+        if missing := [n for n in _NEEDED if cells.get(n) is None or (kinds[n] is str and not cells[n])]:
+            raise InputError(f"row {number} has no {missing[0]}", where=path, expected="a table of pftwin accuracy")
+        try:
+            values = {n: kind(cells.get(n) or ("" if kind is str else "nan")) for n, kind in kinds.items()}
+        except ValueError as error:
+            raise InputError(f"row {number}: {error}", where=path, expected="numbers") from error
+        found.append(AccuracyRow(**values))
+    return found
 
 
 def front(rows: Iterable[AccuracyRow], speed: str = "real_time") -> list[AccuracyRow]:
@@ -148,13 +159,8 @@ PANELS = (("real_time", "one run"), ("real_time_batch", "64 variants side by sid
 def work_precision(rows: Sequence[AccuracyRow], title: str, *, contact: str | None = None) -> Figure:
     """Two panels: one run, and many side by side; a line for each integrator, its steps along it.
 
-    Args:
-        rows: measured; float64 alone is drawn where there is any.
-        title: of the figure.
-        contact: whose; by default the first of the rows.
-
-    Raises:
-        InputError: nothing to draw.
+    Of the rows of one contact, by default the first row's, and of float64 where there is any. Raises InputError for no
+    row.
     """
     from matplotlib.figure import Figure
 
@@ -171,45 +177,30 @@ def work_precision(rows: Sequence[AccuracyRow], title: str, *, contact: str | No
             _panel(ax, own, speed)
             ax.set(title=name, xlabel="time spent per simulated second [ms]")
         axes[0].set_ylabel("error of the button's centre, rms [mm]")
-        handles, labels = axes[0].get_legend_handles_labels()
-        legend_below(figure, handles, labels, most=4 if len(panels) > 1 else 2)
+        legend_below(figure, *axes[0].get_legend_handles_labels(), most=4 if len(panels) > 1 else 2)
         figure.suptitle(title)
     return figure
 
 
 def _panel(ax: Axes, rows: Sequence[AccuracyRow], speed: str) -> None:
-    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+    from matplotlib.ticker import LogLocator, NullFormatter
 
-    names = list(dict.fromkeys(r.integrator for r in rows))
-    for name, group in groupby(sorted(rows, key=lambda r: names.index(r.integrator)), lambda r: r.integrator):
-        some = [r for r in group if np.isfinite(getattr(r, speed))]
-        k = names.index(name)
+    for k, name in enumerate(dict.fromkeys(r.integrator for r in rows)):
+        some = [r for r in rows if r.integrator == name and np.isfinite(getattr(r, speed))]
         times = [1e3 / getattr(r, speed) for r in some]
-        line: dict[str, Any] = {
-            "color": COLOURS[k % len(COLOURS)],
-            "marker": MARKERS[k % len(MARKERS)],
-            "markersize": 4.5,
-        }
-        line["linestyle"] = "-" if k < len(COLOURS) else "--"
-        ax.plot(times, [r.position_rms_mm for r in some], label=name, **line)
+        colour, marker = COLOURS[k % len(COLOURS)], MARKERS[k % len(MARKERS)]
+        look: dict[str, Any] = {"color": colour, "marker": marker, "markersize": 4.5}
+        look["linestyle"] = "-" if k < len(COLOURS) else "--"
+        ax.plot(times, [r.position_rms_mm for r in some], label=name, **look)
         for r, t in zip(some, times, strict=True):
             if not name.startswith(("diffrax", "quasi")):
-                at = {"xytext": (3, 3), "textcoords": "offset points", "fontsize": TINY, "color": line["color"]}
+                at = {"xytext": (3, 3), "textcoords": "offset points", "fontsize": TINY, "color": colour}
                 ax.annotate(f"{r.step_ms:g}", (t, r.position_rms_mm), **at)
-    best = front(rows, speed)
-    ax.plot(
-        [1e3 / getattr(r, speed) for r in best],
-        [r.position_rms_mm for r in best],
-        color="black",
-        alpha=0.18,
-        linewidth=7,
-        solid_capstyle="round",
-        zorder=0,
-        label="front of best settings (numbers: step in ms)",
-    )
+    best, words = front(rows, speed), "front of best settings (numbers: step in ms)"
+    wide: dict[str, Any] = {"color": "black", "alpha": 0.18, "linewidth": 7, "solid_capstyle": "round", "zorder": 0}
+    ax.plot([1e3 / getattr(r, speed) for r in best], [r.position_rms_mm for r in best], label=words, **wide)
     ax.set(xscale="log", yscale="log")
     ax.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
-    ax.xaxis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
-    ax.yaxis.set_major_formatter("{x:g}")
     for axis in (ax.xaxis, ax.yaxis):
+        axis.set_major_formatter("{x:g}")
         axis.set_minor_formatter(NullFormatter())

@@ -30,17 +30,12 @@ def map_figure(
 ) -> Figure:
     """Pressure on the button at four times, the centre of pressure on the femur, force, area and pressure over time.
 
-    Args:
-        found: the map.
-        femur, button: its meshes, in their own frames.
-        title: of the figure.
-        lateral: unit vectors towards lateral in the femur's and in the patella's frame, (2, 3); None: not known, and
-            the sides are not named.
+    The meshes are in their own frames. `lateral`: unit vectors towards lateral in the femur's and the patella's frame,
+    (2, 3); without them the sides are not named.
     """
     from matplotlib.figure import Figure
 
     on_femur, on_patella = (None, None) if lateral is None else lateral
-
     with house_style():
         figure = Figure(figsize=(WIDE, 7.6))
         parts: Any = figure.subfigures(2, 1, height_ratios=[1.35, 2.0])
@@ -72,15 +67,12 @@ def _maps(figure: Any, panels: dict[str, Any], found: ContactMap, button: Surfac
         axes: Axes = panels[f"map{k}"]
         cells = PolyCollection(list(corners[:, :, [across, up]]), cmap=colours, edgecolors="face", linewidths=0.2)
         pressure = found.pressure[frame] / 1e6
-        cells.set_array(np.where(pressure > 0, pressure, np.nan))
-        cells.set_clim(0, highest)
-        cells.set_rasterized(True)
+        cells.set(array=np.where(pressure > 0, pressure, np.nan), clim=(0, highest), rasterized=True)
         axes.add_collection(cells)
         place = 1e3 * found.center_on_patella[frame]
         axes.plot(place[across], place[up], marker="+", color="black", markersize=8)
         axes.autoscale_view()
-        axes.set_aspect("equal")
-        axes.set_title(f"{found.times[frame]:.2f} s")
+        axes.set(aspect="equal", title=f"{found.times[frame]:.2f} s")
         _seen_from(outwards, axes, "patella", across, up, lateral)
         if k == 0:
             axes.set_ylabel(f"patella {_AXES[up]} [mm]")
@@ -98,18 +90,20 @@ def _path(axes: Axes, found: ContactMap, femur: SurfaceMesh, lateral: Any) -> No
     dots = axes.scatter(center[:, across], center[:, up], c=times, s=9, cmap="cividis", zorder=3)
     axes.plot(center[:, across], center[:, up], color="0.3", linewidth=0.6, zorder=2)
     axes.figure.colorbar(dots, ax=axes, label="time [s]", shrink=0.7)
-    axes.set_aspect("equal")
-    axes.set(title="Centre of pressure on the femur", ylabel=f"femur {_AXES[up]} [mm]")
+    axes.set(title="Centre of pressure on the femur", ylabel=f"femur {_AXES[up]} [mm]", aspect="equal")
     _seen_from(towards, axes, "femur", across, up, lateral)
 
 
 def _seen_from(towards: NDArray[np.float64], axes: Axes, body: str, across: int, up: int, lateral: Any) -> None:
     """Names the horizontal axis, and has it run leftwards where it does so for a viewer on that side."""
-    unit = np.eye(3)
-    mirrored = bool(np.cross(unit[across], unit[up]) @ towards < 0)
+    mirrored = bool(np.cross(*np.eye(3)[[across, up]]) @ towards < 0)
     if mirrored:
         axes.invert_xaxis()
-    axes.set_xlabel(f"{body} {_AXES[across]} [mm]{_ends(across, lateral, mirrored=mirrored)}")
+    ends = ""  # a second line: which end is medial, which lateral, where that is known
+    if lateral is not None and abs(lateral[across]) >= _NAMED:
+        left, right = ("medial", "lateral") if (lateral[across] > 0) != mirrored else ("lateral", "medial")
+        ends = f"\n{left} \N{LEFTWARDS ARROW}      \N{RIGHTWARDS ARROW} {right}"
+    axes.set_xlabel(f"{body} {_AXES[across]} [mm]{ends}")
 
 
 def _surface(axes: Axes, mesh: SurfaceMesh, across: int, up: int, towards: NDArray[np.float64]) -> None:
@@ -130,14 +124,6 @@ def _surface(axes: Axes, mesh: SurfaceMesh, across: int, up: int, towards: NDArr
     axes.autoscale_view()
 
 
-def _ends(across: int, lateral: Any, *, mirrored: bool) -> str:
-    """A second line of the horizontal axis' label: which end is medial, which lateral; empty where it is not known."""
-    if lateral is None or abs(lateral[across]) < _NAMED:
-        return ""
-    left, right = ("medial", "lateral") if (lateral[across] > 0) != mirrored else ("lateral", "medial")
-    return f"\n{left} \N{LEFTWARDS ARROW}      \N{RIGHTWARDS ARROW} {right}"
-
-
 def _courses(panels: dict[str, Any], found: ContactMap) -> None:
     force, area, pressure = panels["force"], panels["area"], panels["pressure"]
     t = found.times
@@ -154,10 +140,9 @@ def _courses(panels: dict[str, Any], found: ContactMap) -> None:
     pressure.set(ylabel="pressure [MPa]", xlabel="time [s]")
 
 
-def _plane(normal: NDArray[np.float64]) -> tuple[int, int]:
+def _plane(normal: NDArray[np.float64]) -> list[int]:
     """The two axes across which a direction looks, the one drawn to the right first."""
-    across, up = (k for k in (2, 0, 1) if k != int(np.argmax(np.abs(normal))))
-    return across, up
+    return [k for k in (2, 0, 1) if k != int(np.argmax(np.abs(normal)))]
 
 
 def dataset(found: ContactMap, button: SurfaceMesh, settings: dict[str, Any]) -> Dataset:
@@ -165,6 +150,7 @@ def dataset(found: ContactMap, button: SurfaceMesh, settings: dict[str, Any]) ->
     from xarray import Dataset
 
     frame, vector, map_ = ("time",), ("time", "axis"), ("time", "triangle")
+    flags = {"flag_masks": np.array([1, 2], dtype=np.int32), "flag_meanings": "no_contact too_deep"}
     variables = {
         "force": (vector, found.force, about("N", "contact force on the patella")),
         "moment": (vector, found.moment, about("N m", "its moment about the origin of the patella's frame")),
@@ -176,15 +162,7 @@ def dataset(found: ContactMap, button: SurfaceMesh, settings: dict[str, Any]) ->
         "largest_depth": (frame, found.largest_depth, about("m", "depth of the deepest triangle")),
         "depth": (map_, found.depth, about("m", "depth below the femur's surface; missing: farther off")),
         "pressure": (map_, found.pressure, about("Pa", "pressure on the triangle")),
-        "status": (
-            frame,
-            status(found),
-            {
-                **about("1", "reservations; 0: none"),
-                "flag_masks": np.array([1, 2], dtype=np.int32),
-                "flag_meanings": "no_contact too_deep",
-            },
-        ),
+        "status": (frame, status(found), {**about("1", "reservations; 0: none"), **flags}),
         "vertex": (("vertex_number", "axis"), button.vertices, about("m", "button's vertices, patella frame")),
         "face": (("triangle", "corner"), button.faces, about("1", "vertices of the button's triangles")),
     }

@@ -9,6 +9,7 @@ import os
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -20,7 +21,7 @@ from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError, PftwinWarning
 from pftwin.base.spatial import Quaternion, Scalar, Vec3
 from pftwin.files.mocap.poses import PoseSeries
-from pftwin.geometry.contact.behind import MutualPlace, mutual_place
+from pftwin.geometry.contact.behind import mutual_place
 from pftwin.geometry.contact.depth_sides import PressedSurface, PressingSurface
 from pftwin.geometry.contact.depths import DEEPEST, Depths, depths
 from pftwin.geometry.mesh.mesh import PLAUSIBLE, UNITS, SurfaceMesh, load_mesh, plausible_units
@@ -86,16 +87,17 @@ def map_contact(
         KeyboardInterrupt: interrupted before the first frame was done.
     """
 
-    @jax.jit
-    def look(femur: PressedSurface, button: PressingSurface, law: FoundationLaw, at: tuple[Array, Array]) -> dict:
-        return _frame(femur, button, law, *at, band)
+    look = jax.jit(partial(_frame, band=band))
 
     def one(k: int) -> dict[str, np.ndarray]:
-        at = tuple(jnp.asarray(a[k], dtype=float) for a in (poses.positions, poses.quaternions))
-        frame = jax.device_get(look(femur, button, law, at))
-        for key, otherwise in (("depth", np.nan), ("pressure", 0.0)):
-            frame[key] = _on_whole_mesh(frame, key, triangles, otherwise)
-        return {key: value for key, value in frame.items() if key not in ("listed", "triangle")}
+        at = (jnp.asarray(a[k], dtype=float) for a in (poses.positions, poses.quaternions))
+        frame = jax.device_get(look(femur, button, law, *at))
+        listed, at_place = frame.pop("listed"), frame.pop("triangle")
+        for key, otherwise in (("depth", np.nan), ("pressure", 0.0)):  # from the list to the whole mesh
+            whole = np.full(triangles, otherwise, dtype=np.float32)
+            whole[at_place[listed]] = frame[key][listed]
+            frame[key] = whole
+        return frame
 
     n = poses.times.size
     frames = run_each(range(n), one, after=lambda answers: progress(len(answers), n))
@@ -107,12 +109,7 @@ def map_contact(
 
 
 def _frame(
-    femur: PressedSurface,
-    button: PressingSurface,
-    law: FoundationLaw,
-    position: Array,
-    quaternion: Array,
-    band: float,
+    femur: PressedSurface, button: PressingSurface, law: FoundationLaw, position: Array, quaternion: Array, band: float
 ) -> dict[str, Array]:
     """The contact of one frame; the list holds every triangle, so none is lost."""
     at = Vec3.from_array(position)
@@ -138,23 +135,14 @@ def _summary(found: Depths, pressure: Scalar) -> dict[str, Scalar]:
     borne = jnp.where(touching, found.area * pressure, 0.0)
     total = jnp.sum(borne)
     some = total > 0
-    deepest = jnp.max(jnp.where(touching, found.depth, 0.0))
     center = (1 / jnp.where(some, total, 1.0)) * (borne * found.point).sum()
     return {
         "area": area,
         "mean_pressure": jnp.where(some, total / jnp.where(some, area, 1.0), 0.0),
         "max_pressure": jnp.max(jnp.where(touching, pressure, 0.0)),
         "center_of_pressure": jnp.where(some, center.array(), jnp.nan),
-        "largest_depth": deepest,
+        "largest_depth": jnp.max(jnp.where(touching, found.depth, 0.0)),
     }
-
-
-def _on_whole_mesh(frame: dict[str, np.ndarray], key: str, triangles: int, otherwise: float) -> NDArray[np.float32]:
-    """Values of the list on the whole mesh, (triangles,) in single precision."""
-    listed = frame["listed"]
-    whole = np.full(triangles, otherwise, dtype=np.float32)
-    whole[frame["triangle"][listed]] = frame[key][listed]
-    return whole
 
 
 _LOOKS = 5  # frames checked before anything is computed
@@ -163,11 +151,7 @@ _LOOKS = 5  # frames checked before anything is computed
 def load_pair(
     femur: str | os.PathLike[str], patella: str | os.PathLike[str], *, units: str, patella_units: str | None = None
 ) -> tuple[SurfaceMesh, SurfaceMesh]:
-    """Both meshes in metres.
-
-    Raises:
-        InputError: as `load_mesh`; a size that does not suit the units, with the unit that would.
-    """
+    """Both meshes in metres; InputError as of `load_mesh`, and for a size that does not suit the units."""
     meshes = []
     for path, unit in ((femur, units), (patella, patella_units or units)):
         mesh = load_mesh(path, units=unit, size=None)
@@ -186,13 +170,13 @@ def load_pair(
 
 
 def check_sides(femur: SurfaceMesh, button: SurfaceMesh, poses: PoseSeries) -> None:
-    """Refuse a button that is inside the femur, or never near it, in a few frames all over the recording.
+    """Refuses poses by which the button is inside the femur, or never near it, in a few frames all over the recording.
 
-    Raises:
-        InputError: more than half of the button behind the femur's surface, or all of it far away, in all of them.
+    Raises InputError where more than half of it is behind the surface, or all of it far away, in all of them.
     """
     frames = np.unique(np.linspace(0, poses.times.size - 1, _LOOKS).round().astype(int))
-    looks = [_relative_pose(femur, button, poses, k) for k in frames]
+    matrices = poses.matrices()
+    looks = [mutual_place(femur, button, poses.positions[k], matrices[k]) for k in frames]
     if all(look.behind > 0.5 for look in looks):
         raise InputError(
             f"at {poses.times[frames[0]]:g} s {looks[0].behind:.0%} of the button are inside the femur, "
@@ -211,11 +195,7 @@ def check_sides(femur: SurfaceMesh, button: SurfaceMesh, poses: PoseSeries) -> N
 
 
 def check_outcome(found: ContactMap, poses: PoseSeries) -> None:
-    """Refuse a map without any contact to trust; warn of frames that are not to be trusted.
-
-    Raises:
-        InputError: the two never touch; every contact is too deep.
-    """
+    """Refuses a map in which nothing touches, or every contact is too deep (InputError); warns of single frames."""
     touching, deep = found.touching, found.too_deep
     if not touching.any():
         gaps = np.nanmax(found.depth, axis=1, initial=-np.inf)
@@ -226,7 +206,7 @@ def check_outcome(found: ContactMap, poses: PoseSeries) -> None:
             remedy="check the poses' accuracy: a tenth of a millimetre is much of a contact",
         )
     if deep.any():
-        first = int(np.flatnonzero(deep)[0])
+        first = int(np.argmax(deep))
         words = (
             f"{deep.sum()} of {deep.size} frames are deeper than {1e3 * DEEPEST:g} mm, "
             f"the first at {poses.times[first]:g} s by {1e3 * found.largest_depth[first]:.3g} mm"
@@ -239,9 +219,4 @@ def check_outcome(found: ContactMap, poses: PoseSeries) -> None:
 
 def status(found: ContactMap) -> NDArray[np.int32]:
     """(n,) 1 where nothing touches, 2 where it is too deep; 0: no reservation."""
-    return np.where(found.touching, 0, 1).astype(np.int32) + np.where(found.too_deep, 2, 0).astype(np.int32)
-
-
-def _relative_pose(femur: SurfaceMesh, button: SurfaceMesh, poses: PoseSeries, k: int) -> MutualPlace:
-    """How button and femur lie to each other in a frame."""
-    return mutual_place(femur, button, poses.positions[k], poses.matrices()[k])
+    return (~found.touching + 2 * found.too_deep).astype(np.int32)

@@ -92,12 +92,9 @@ def map_contact(
     def one(k: int) -> dict[str, np.ndarray]:
         at = (jnp.asarray(a[k], dtype=float) for a in (poses.positions, poses.quaternions))
         frame = jax.device_get(look(femur, button, law, *at))
-        listed, at_place = frame.pop("listed"), frame.pop("triangle")
-        for key, otherwise in (("depth", np.nan), ("pressure", 0.0)):  # from the list to the whole mesh
-            whole = np.full(triangles, otherwise, dtype=np.float32)
-            whole[at_place[listed]] = frame[key][listed]
-            frame[key] = whole
-        return frame
+        for key, otherwise in (("depth", np.nan), ("pressure", 0.0)):
+            frame[key] = _on_whole_mesh(frame, key, triangles, otherwise)
+        return {key: value for key, value in frame.items() if key not in ("listed", "triangle")}
 
     n = poses.times.size
     frames = run_each(range(n), one, after=lambda answers: progress(len(answers), n))
@@ -143,6 +140,14 @@ def _summary(found: Depths, pressure: Scalar) -> dict[str, Scalar]:
         "center_of_pressure": jnp.where(some, center.array(), jnp.nan),
         "largest_depth": jnp.max(jnp.where(touching, found.depth, 0.0)),
     }
+
+
+def _on_whole_mesh(frame: dict[str, np.ndarray], key: str, triangles: int, otherwise: float) -> NDArray[np.float32]:
+    """Values of the list on the whole mesh, (triangles,) in single precision."""
+    listed = frame["listed"]
+    whole = np.full(triangles, otherwise, dtype=np.float32)
+    whole[frame["triangle"][listed]] = frame[key][listed]
+    return whole
 
 
 _LOOKS = 5  # frames checked before anything is computed

@@ -103,7 +103,7 @@ def outcome_rows(study: PaperStudy) -> Iterator[dict[str, Any]]:
 
 def notes(study: PaperStudy) -> Iterator[str]:
     """What the errors mean, one paragraph each."""
-    from pftwin.rig.geometry import MISPLACED
+    from pftwin.rig.plant import MISPLACED
 
     names = study.fits[PAPERS].names
     nearest, recorded = (100 * (values_of(v) / study.nominal - 1) for v in (study.nearest, study.recorded))

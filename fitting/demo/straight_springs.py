@@ -1,7 +1,7 @@
 """The straight-line springs that come nearest to the rig's stiffening ones over the forces that occur.
 
-The twin's springs pull with F = K (L - L0); those of the plant that made the rig's measurements stiffen as they are
-stretched (`pftwin.rig.geometry`), F = K s (1 + 0.05 s / (L0 / 4)) over the stretch s = L - L0. So the twin cannot match
+The twin's springs pull with F = K (L - L0); those of the plant that makes the rig's measurements stiffen as they are
+stretched (`pftwin.rig.plant`), F = K s (1 + 0.05 s / (L0 / 4)) over the stretch s = L - L0. So the twin cannot match
 the measurements with the plant's own K and L0: the line nearest to the plant's curve is steeper and starts later.
 """
 
@@ -48,7 +48,7 @@ def straight_line(lengths: ArrayLike, forces: ArrayLike) -> StraightSpring:
 
 def stretch_under(force: ArrayLike, stiffness: float, slack_length: float, stiffening: float | None = None) -> Floats:
     """The stretch [m] at which a spring of the plant pulls with a force [N]: the positive root of its law."""
-    from pftwin.rig.geometry import STIFFENING
+    from pftwin.rig.plant import STIFFENING
 
     more = (STIFFENING if stiffening is None else stiffening) / (0.25 * slack_length)
     if more == 0:

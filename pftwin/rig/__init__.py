@@ -1,7 +1,7 @@
 """Knees in the box: a virtual test rig, the embedded default, with synthetic measurements; and a natural knee.
 
-The rig reproduces that of Michaud et al. 2024 as far as it is published. Its measurements are synthetic: of a
-plant that differs from the twin and shares none of its code (`tests/laboratory`), written as a laboratory's files, read
+The rig reproduces that of Michaud et al. 2024 as far as it is published. Its measurements are synthetic: produced by a
+plant that differs from the twin and shares none of its code (`pftwin.rig.plant`), written as a laboratory's files, read
 back like a user's. The natural knee (`knee`) is made of anatomical numbers; its motions and loads are made up.
 """
 

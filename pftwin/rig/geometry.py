@@ -36,10 +36,6 @@ CONTACT_STIFFNESS = 2.0e8  # [N/m^1.5]
 RESTITUTION = 0.5
 DRAG = (3.0, 2.0e-3)  # viscous drag of the lubricated joint [N s/m, N m s/rad]
 
-# Of the plant that made the measurements (`tests/laboratory/plant.py`), where it differs from the twin:
-STIFFENING = 0.05  # share by which a spring is stiffer when stretched by a quarter of its length
-MISPLACED = 0.6e-3  # standard deviation of an attachment's coordinates: about 1 mm in all [m]
-
 GRAVITY = (0.0, 0.0, -9.81)  # world: the leg lies supine, z up
 HIP = (0.40, 0.0, 0.0)  # centre of the hip, in the femur and, fixed, in the world
 

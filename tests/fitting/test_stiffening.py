@@ -25,7 +25,7 @@ from fitting.stiffening import (
     stiffening_tendons,
     working_of,
 )
-from tests.laboratory.plant_parts import Spring
+from pftwin.rig.plant_parts import Spring
 
 
 def test_a_stiffening_spring_is_the_rigs_own():

@@ -17,16 +17,16 @@ from scipy.integrate import solve_ivp
 
 from pftwin.geometry.patch.implant import rig_implant
 from pftwin.rig import geometry as rig
-from tests.laboratory import plant as plant_module
-from tests.laboratory.plant import BUTTON, FRICTION, STICTION_SPEED, Plant, built_springs, plant_of
-from tests.laboratory.plant_contact import ImplantContact
-from tests.laboratory.plant_parts import Frame, GuidedBones, Spring, cross, matrix
+from pftwin.rig import plant as plant_module
+from pftwin.rig.plant import BUTTON, FRICTION, STICTION_SPEED, Plant, built_springs, plant_of
+from pftwin.rig.plant_contact import ImplantContact
+from pftwin.rig.plant_parts import Frame, GuidedBones, Spring, cross, matrix
 
 FILES = [Path(plant_module.__file__).with_name(f"{name}.py") for name in ("plant", "plant_contact", "plant_parts")]
 NUMBERS = {
     "pftwin.rig.geometry",
     "pftwin.geometry.patch.implant",
-    "tests.laboratory.hand",
+    "pftwin.rig.hand",
 }  # the rig's, the implant's, the hand's
 STILL, NOTHING = np.zeros(3), np.array([1.0, 0, 0, 0])
 R = 0.03  # of a cylinder [m]
@@ -85,9 +85,9 @@ def test_the_plant_has_no_code_of_the_twin():
             for name in names:
                 own = name.split(".")[0] in sys.stdlib_module_names | {"numpy", "scipy"} or ".plant_" in name
                 assert own or name in NUMBERS or name.rpartition(".")[0] in NUMBERS, name
-    run = "import sys, tests.laboratory.plant; print(*sys.modules)"
+    run = "import sys, pftwin.rig.plant; print(*sys.modules)"
     loaded = subprocess.run([sys.executable, "-c", run], capture_output=True, text=True, check=True).stdout.split()
-    assert "tests.laboratory.plant" in loaded
+    assert "pftwin.rig.plant" in loaded
     assert not {"jax", "equinox", "diffrax", "pftwin.dynamics", "pftwin.model", "pftwin.geometry"} & set(loaded)
 
 

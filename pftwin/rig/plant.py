@@ -19,12 +19,14 @@ from scipy.optimize import root
 from scipy.spatial.transform import Rotation
 
 from pftwin.rig import geometry as rig
-from tests.laboratory.plant_contact import ImplantContact
-from tests.laboratory.plant_parts import Frame, GuidedBones, Spring, cross, matrix, product
+from pftwin.rig.plant_contact import ImplantContact
+from pftwin.rig.plant_parts import Frame, GuidedBones, Spring, cross, matrix, product
 
 FRICTION = 0.02  # coefficient of the lubricated contact
 STICTION_SPEED = 2e-3  # below it friction fades [m/s]
 DISSIPATION = 1.0  # alpha of the contact law [s/m]
+STIFFENING = 0.05  # share by which a spring is stiffer when stretched by a quarter of its length
+MISPLACED = 0.6e-3  # standard deviation of an attachment's coordinates: about 1 mm in all [m]
 DRAG = 1.1 * rig.DRAG[0], 0.9 * rig.DRAG[1]  # [N s/m, N m s/rad]
 TOLERANCE = 1e-8  # of the integrator, relative and absolute
 BUTTON = -np.array(rig.CENTER_OF_MASS)  # middle of its sphere, from the centre of mass [m]
@@ -152,7 +154,7 @@ class Plant:
 def plant_of(case: int) -> tuple[Plant, NDArray]:
     """The plant behind a case's measurements, and the times of the rig's frames [s]."""
     from pftwin.geometry.patch.implant import rig_implant
-    from tests.laboratory.hand import hand_motion
+    from pftwin.rig.hand import hand_motion
 
     hand = hand_motion(case)
     bones = GuidedBones(hand[0].times, *((bone.positions, bone.quaternions) for bone in hand))
@@ -162,7 +164,7 @@ def plant_of(case: int) -> tuple[Plant, NDArray]:
 
 
 def built_springs(
-    case: rig.RigCase, misplaced: float = rig.MISPLACED, stiffening: float = rig.STIFFENING
+    case: rig.RigCase, misplaced: float = MISPLACED, stiffening: float = STIFFENING
 ) -> tuple[Spring, ...]:
     """Quadriceps and patellar tendon as built: one rig, so the attachments are misplaced alike in all cases."""
     random = np.random.default_rng(7)

@@ -1,4 +1,4 @@
-"""Parts of the plant (`tests/laboratory/plant.py`): its springs, moving frames, and the bones that the hand guides."""
+"""Parts of the plant (`pftwin.rig.plant`): its springs, moving frames, and the bones that the hand guides."""
 
 from __future__ import annotations
 

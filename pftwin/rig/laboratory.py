@@ -1,7 +1,6 @@
 """The virtual laboratory: turns the plant's truth into the files that a real laboratory would have.
 
-`python -m tests.laboratory.record [FOLDER]` makes the files in `pftwin/rig/data/` anew (some minutes). Everything is
-synthetic.
+`python -m pftwin.rig.laboratory [FOLDER]` regenerates the files in `data/` (some minutes). Everything is synthetic.
 """
 
 from __future__ import annotations
@@ -21,9 +20,9 @@ from pftwin.files.mocap.trc import write_trc
 from pftwin.geometry.mesh.mesh import save_mesh
 from pftwin.geometry.patch.implant import rig_implant
 from pftwin.rig import geometry as rig
+from pftwin.rig.hand import hand_motion
+from pftwin.rig.plant import run_plant
 from pftwin.rig.recording import FORCES, IMPLANT_FILE, data_folder
-from tests.laboratory.hand import hand_motion
-from tests.laboratory.plant import run_plant
 
 FINE = 6e-6  # chordal deviation of the implant's mesh: the paper's FM [m]
 MARKER_NOISE = 0.2e-3  # white, each coordinate [m]

@@ -6,7 +6,7 @@ from __future__ import annotations
 import dataclasses
 import re
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, NamedTuple
@@ -166,7 +166,7 @@ class DampingSection(EffectSection):
 class Layout(NamedTuple):
     """How the fields of a table become those of an effect."""
 
-    effect: type[Effect]
+    effect: Callable[..., Effect]
     numbers: dict[str, str]  # the effect's name of each field of numbers
     points: dict[str, tuple[str, str]]  # likewise of points, with their frame
     plain: list[str]  # fields that the effect takes as they are

@@ -17,11 +17,11 @@ from pftwin.base.leaves import number as leaf
 from pftwin.base.leaves import vector
 from pftwin.base.text_files import csv_cells, number, read_json, read_lines, refuse_repeated
 from pftwin.files.mocap.tables import unknown_name
-from pftwin.files.scene_file.effect_tables import Body, DeclaredSection, EffectSection, Setting, declared_table
+from pftwin.files.scene_file.effect_tables import Body, DeclaredSection, EffectSection, Layout, Setting, declared_table
 from pftwin.files.scene_file.section import FileName, NotNegatives, Points, Positives, group_size, problem
 from pftwin.files.scene_file.wrap_table import WRAP, Wrap, obstacle
+from pftwin.model.effects.base import Effect
 from pftwin.model.effects.tendon import TOE_STRAIN, StrandGroup, Tendon, ToeTendon
-from pftwin.model.effects.viscoelastic_tendon import ViscoelasticTendon
 
 _LINE = {
     "stiffness": "stiffness K",
@@ -59,16 +59,37 @@ class ToeTendonSection(_DampedSection, declared_table(ToeTendon, words=_TOE, def
     """A tendon that is quadratic up to a toe strain, then linear. Lists instead of single values make a group."""
 
 
-_SOLID = {
-    **_LINE,
-    "stiffness": "stiffness K when relaxed",
-    "maxwell_stiffness": "K1, what it is stiffer by when pulled at once",
-    "relaxation_time": "time tau in which the tension relaxes when held",
-}
+def _viscoelastic_tendon(**values: Any) -> Effect:
+    """Imports the effect only where a scene has it."""
+    from pftwin.model.effects.viscoelastic_tendon import ViscoelasticTendon
+
+    return ViscoelasticTendon(**values)
 
 
-class ViscoelasticTendonSection(declared_table(ViscoelasticTendon, words=_SOLID)):
+class ViscoelasticTendonSection(DeclaredSection):
     """A standard linear solid: K relaxed, K + K1 pulled at once. Lists instead of single values make a group."""
+
+    kind: ClassVar[str] = "viscoelastic_tendon"
+    _layout: ClassVar[Layout] = Layout(
+        _viscoelastic_tendon,
+        numbers={
+            "stiffness_N_per_m": "stiffness",
+            "maxwell_stiffness_N_per_m": "maxwell_stiffness",
+            "relaxation_time_s": "relaxation_time",
+            "slack_length_m": "slack_length",
+        },
+        points={"insertion_m": ("insertion", "patella"), "origin_m": ("origin", "body")},
+        plain=["body"],
+        obstacles=["wrap"],
+    )
+    body: Body = Field(description="body at the other end")
+    stiffness_N_per_m: Positives = Field(description="stiffness K when relaxed [N/m]")
+    maxwell_stiffness_N_per_m: NotNegatives = Field(description="K1, what it is stiffer by when pulled at once [N/m]")
+    relaxation_time_s: Positives = Field(description="time tau in which the tension relaxes when held [s]")
+    slack_length_m: Positives = Field(description="slack length L0 [m]")
+    insertion_m: Points = Field(description="insertion, patella frame [m]")
+    origin_m: Points = Field(description="origin, the body's frame [m]")
+    wrap: Wrap = WRAP
 
 
 _INLINE = ("stiffness_N_per_strain", "slack_length_m", "insertion_m", "origin_m")

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from typer import Option
 
 from fitting.demo.cases import number_cell
+from pftwin.base.errors import InputError
 from pftwin.base.sheet import Sheet
 from pftwin.cli.exit_codes import report_written_on_interrupt
 from pftwin.cli.terminal import (
@@ -15,6 +16,7 @@ from pftwin.cli.terminal import (
     check_folder,
     check_outputs,
     err,
+    present,
     progress,
     show,
     start_computing,
@@ -29,15 +31,30 @@ def demo(
     *,
     folder: Annotated[Path, Option("--out", metavar="DIR", help="Folder of the results.")] = Path("demo"),
     full: Annotated[bool, Option("--full", help="The paper's meshes CM and FM, and the spline, as well.")] = False,
+    knee: Annotated[
+        bool,
+        Option("--knee", help="A natural knee before and after a transfer of its tuberosity, in place of the rig."),
+    ] = False,
     json: JsonOption = None,
 ) -> None:
     """Simulate the virtual rig's cases, fit its springs, predict a treatment; compare with measurements and the paper.
 
+    With --knee: simulate a natural knee before and after a tuberosity transfer, and draw both, as a page and a film.
+
     Example: `pftwin demo --out demo`
     """
+    if knee and full:
+        raise InputError("given with --full, which is of the rig", where="--knee", expected="one of the two")
     check_folder(folder)
     check_outputs(json)
     start_computing()
+    if knee:
+        from fitting.demo.natural_knee import run_knee
+
+        with report_written_on_interrupt(folder), progress("simulating") as shown:
+            outcome, parts = run_knee(folder, shown)
+        present(outcome, *parts, json=json)
+        return
     from fitting.demo.cases import run_demo
 
     with report_written_on_interrupt(folder):

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Option
 
+from pftwin.base import runtime
 from pftwin.base.errors import InputError, OutputError
 from pftwin.base.output import check_place, written_whole
-from pftwin.base.runtime import configure, default_cache_dir
 from pftwin.base.sheet import Sheet
 
 if TYPE_CHECKING:
@@ -118,7 +118,7 @@ def start_computing(*, batches: bool = False) -> None:
         settings: Any = jax.config
         if settings.jax_enable_x64 and settings.jax_compilation_cache_dir:
             return
-    configure(cache_dir=default_cache_dir(), cpu_devices=devices)
+    runtime.configure(cache_dir=runtime.default_cache_dir(), cpu_devices=devices)
 
 
 def _cpu_devices() -> int | str:

@@ -19,6 +19,35 @@ PUBLISHED = [156.0, 0.1432, 629.0, 0.0714]
 
 
 @pytest.mark.slow
+def test_a_natural_knee_before_and_after_a_transfer(tmp_path: Path):
+    output, told = tmp_path / "demo", tmp_path / "demo.json"
+    asked = ["demo", "--knee", "--out", str(output), "--json", str(told)]
+    result = CliRunner().invoke(app, asked, env={"COLUMNS": "80"})
+    assert result.exit_code == 0, result.output
+    assert "SYNTHETIC" in result.output
+    said = json.loads(told.read_text())
+    assert all(Path(p).stat().st_size > 10_000 for p in said["files"])
+    assert said["flexion_deg"] == [30, 60, 90]
+    data = load_dataset(output / "after.nc")
+    deepest = int(np.argmax(data["knee_flexion"].values))  # 90 deg, the last of the table
+    rows = {row["quantity"]: row["values"] for row in said["table"]}
+    assert rows["contact force, N"][5] == pytest.approx(float(data["contact_force"][deepest]), rel=1e-4)
+    assert rows["shift, mm"][5] == pytest.approx(1e3 * float(data["patella_shift"][deepest]), rel=1e-3)
+    before, after = rows["shift, mm"][::2], rows["shift, mm"][1::2]
+    assert all(
+        b - a > 0.5 for b, a in zip(before, after, strict=True)
+    )  # a medial tuberosity draws the patella medially
+    assert all(facts["status"] == "ok" for facts in said["status"].values())
+
+
+def test_the_natural_knee_is_not_the_rig(tmp_path: Path):
+    result = CliRunner().invoke(app, ["demo", "--knee", "--full", "--out", str(tmp_path / "demo")])
+    assert result.exit_code == 2
+    assert "--knee: given with --full" in result.output
+    assert not (tmp_path / "demo").exists()
+
+
+@pytest.mark.slow
 def test_the_whole_demo(tmp_path: Path):
     output, told = tmp_path / "demo", tmp_path / "demo.json"
     result = CliRunner().invoke(app, ["demo", "--out", str(output), "--json", str(told)], env={"COLUMNS": "160"})

@@ -61,7 +61,7 @@ def fit(
     limits, spans = knee.limits(), time_spans(during)
     trials = knee.load()
     for path, trial in zip(knee.scene or [], trials, strict=False):
-        if trial.measured is None:
+        if trial.scene.measured is None:
             raise InputError("nothing to compare with", where=path, expected="a table [measured] in the scene file")
     if posterior is not None:
         _check_posterior(objective)

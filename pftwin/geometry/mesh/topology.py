@@ -69,9 +69,8 @@ def agreement(faces: NDArray[np.int64]) -> tuple[NDArray[np.bool_], NDArray[np.b
     """
     n = len(faces)
     a, b, clash = adjacent(faces)
-    none = np.zeros(n, dtype=bool)
     if not clash.any():
-        return none, none, 0
+        return np.zeros(n, dtype=bool), np.zeros(n, dtype=bool), 0
     rows, columns = np.r_[a, a + n], np.where(np.r_[clash, clash], np.r_[b + n, b], np.r_[b, b + n])
     kept, turned = _components(rows, columns, 2 * n).reshape(2, n)
     # a body's two copies are two components; keep the copy in which fewer of its triangles are turned

@@ -105,7 +105,7 @@ def band(courses: Sequence[tuple[Floats, Floats]], grid: Floats) -> Band:
     rows = [np.interp(grid, x, y, left=np.nan, right=np.nan) for x, y in courses]
     table = np.ma.masked_invalid(np.array(rows).reshape(len(rows), grid.size))
     mean, sd = (found.filled(np.nan) for found in (table.mean(axis=0), table.std(axis=0, ddof=1)))
-    return Band(grid, mean, sd, ~table.mask)
+    return Band(grid, mean, sd, ~np.ma.getmaskarray(table))
 
 
 def common_grid(flexions: Sequence[Floats]) -> Floats:

@@ -108,7 +108,7 @@ def _part_of(mesh: Mesh, whole: Mesh | None) -> bool:
     """Whether a mesh's vertices are vertices of a bone, as those of its cartilage may be."""
     from scipy.spatial import KDTree
 
-    return whole is not None and bool(KDTree(whole[0]).query(mesh[0])[0].max() < SAME)
+    return whole is not None and bool(np.max(KDTree(whole[0]).query(mesh[0])[0]) < SAME)
 
 
 def _patella_body(result: Recorded) -> Shape:

@@ -45,7 +45,7 @@ def _below_mesh(points: Floats, vertices: Floats, triangles: np.ndarray) -> Floa
     low, high = vertices.min(axis=0) - FARTHEST, vertices.max(axis=0) + FARTHEST
     near = ((points > low) & (points < high)).all(axis=2)
     asked = points[near]
-    distance, nearest = KDTree(vertices).query(asked, distance_upper_bound=FARTHEST)
+    distance, nearest = (np.asarray(a) for a in KDTree(vertices).query(asked, distance_upper_bound=FARTHEST))
     found = np.isfinite(distance)
     foot = nearest[found]
     below = np.zeros(len(asked))

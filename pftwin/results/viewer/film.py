@@ -25,7 +25,7 @@ SUFFIXES = (".gif", ".mp4")
 RATE = 20  # pictures a second: the fastest that divides a GIF's hundredths of a second and looks smooth
 COLOURS = 128  # of a GIF
 MOST = 2000  # pictures
-QUALITY = "20"  # of libx264: small without visible loss
+QUALITY = 7  # of an .mp4, 0 to 10: small without visible loss
 _BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 _FLAGS = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")  # WebGL without a graphics card
 _VIEWER = "document.querySelector('.pftwin').viewer"
@@ -65,7 +65,8 @@ def write_film(
     if target.suffix not in SUFFIXES:
         raise InputError(f"found {target.suffix!r}", where=str(path), expected=" or ".join(SUFFIXES))
     write = _write_gif if target.suffix == ".gif" else _write_mp4
-    times = _times(*plot.get_time_series_range(), speed)
+    begin, end = plot.get_time_series_range()
+    times = _times(begin, end, speed)
     with tempfile.TemporaryDirectory() as folder, written_whole(target) as whole:
         html = Path(folder) / "page.html"
         html.write_text(page(plot), encoding="utf-8")
@@ -104,7 +105,7 @@ def _times(begin: float, end: float, speed: float) -> Floats:
             expected=f"{MOST} pictures at most",
             remedy=f"a speed of {(end - begin) * RATE / MOST:.2g} or more",
         )
-    return begin + speed / RATE * np.arange(count)
+    return begin + speed / RATE * np.arange(count, dtype=np.float64)
 
 
 @contextmanager
@@ -148,8 +149,7 @@ def _write_mp4(pictures: Iterator[Image], path: Path, size: tuple[int, int]) -> 
         from imageio_ffmpeg import write_frames
     except ImportError as error:
         raise MissingExtraError("imageio_ffmpeg", extra="film", feature="an .mp4") from error
-    options = ["-crf", QUALITY, "-f", "mp4"]
-    writer = write_frames(str(path), size, fps=RATE, quality=None, macro_block_size=2, output_params=options)
+    writer = write_frames(str(path), size, fps=RATE, quality=QUALITY, macro_block_size=2, output_params=["-f", "mp4"])
     writer.send(None)
     try:
         for picture in pictures:

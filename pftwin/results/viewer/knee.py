@@ -120,11 +120,11 @@ def solid(result: Recorded, part: bones.Solid, code: str | None = None, group: s
     return moving_shape(part.shape, code or part.colour, result.times, matrices, **look)
 
 
-def femur(result: Recorded) -> list[Drawable]:
+def femur(result: Recorded) -> list[Any]:
     """Bone and component; the surface that the patella presses on has colours where it does."""
     parts = [bones.femur(result), *bones.femoral_component(result)]
     pressed = parts[1] if len(parts) > 1 else parts[0]
-    drawn = [solid(result, part) for part in parts]
+    drawn: list[Any] = [solid(result, part) for part in parts]
     depths = depths_on_femur(result, pressed.shape.vertices.astype(np.float64))
     if depths is not None:
         coloured = drawn[parts.index(pressed)]

@@ -67,7 +67,9 @@ def read_csv(path: str | os.PathLike[str]) -> list[AccuracyRow]:
         if missing := [n for n in _NEEDED if cells.get(n) is None or (kinds[n] is str and not cells[n])]:
             raise InputError(f"row {number} has no {missing[0]}", where=path, expected="a table of pftwin accuracy")
         try:
-            values = {n: kind(cells.get(n) or ("" if kind is str else "nan")) for n, kind in kinds.items()}
+            values: dict[str, Any] = {
+                n: kind(cells.get(n) or ("" if kind is str else "nan")) for n, kind in kinds.items()
+            }
         except ValueError as error:
             raise InputError(f"row {number}: {error}", where=path, expected="numbers") from error
         found.append(AccuracyRow(**values))

@@ -19,7 +19,7 @@ pytestmark = pytest.mark.slow  # a browser
 
 PIL = pytest.importorskip("PIL.Image")
 VIEWER = "document.querySelector('.pftwin').viewer"
-WRITTEN = 150  # legend and numbers: pixels from the top
+WRITTEN = 150  # pixels from the top for the legend, and from the bottom for the numbers
 BLUE, ORANGE = (0, 114, 178), (213, 94, 0)  # of the first and the second result
 
 
@@ -57,9 +57,9 @@ def settle(page):
 
 
 def picture(page) -> np.ndarray:
-    """The canvas below what is written on it, (height, width, 3)."""
+    """The canvas between what is written on it, (height, width, 3)."""
     shot = page.locator("canvas").first.screenshot(timeout=60_000)
-    return np.asarray(PIL.open(io.BytesIO(shot)).convert("RGB")).astype(int)[WRITTEN:]
+    return np.asarray(PIL.open(io.BytesIO(shot)).convert("RGB")).astype(int)[WRITTEN:-WRITTEN]
 
 
 def slide(page, key: str) -> None:

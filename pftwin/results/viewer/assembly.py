@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from k3d.plot import Plot
 
 DISTANCE = 370.0  # of the camera [mm]
+ANGLE = 30.0  # of its view, from top to bottom [deg]
+KNEE = 110.0  # width that a knee is to have on the page, at the least [mm]
 GAP = 130.0  # from knee to knee, side by side [mm]
 # Where the camera stands from the joint, and what is up: femur axes x proximal, y lateral, z anterior.
 _FROM = {
@@ -63,7 +65,8 @@ def plot(results: Sequence[Recorded], *, side_by_side: bool = False) -> tuple[Pl
     deepest = max((float(p.color_range[1]) for p in _coloured(own)), default=None)
     said = page.notes(results, newtons, deepest)
     times = np.unique(np.round(np.concatenate([r.times for r in results]), 4))
-    shown = views(results[0], GAP * (len(results) - 1) if apart else 0.0)
+    aside = GAP * (len(results) - 1) if apart else 0.0
+    shown = views(results[0], aside)
     made = k3d().plot(
         background_color=0xFFFFFF,
         grid_visible=False,
@@ -71,7 +74,7 @@ def plot(results: Sequence[Recorded], *, side_by_side: bool = False) -> tuple[Pl
         grid_auto_fit=False,
         colorbar_object_id=0,  # none: the legend has the scale
         grid=_room(len(results) if apart else 1),
-        camera_fov=30.0,
+        camera_fov=ANGLE,
         axes_helper=0.0,
         lighting=1.4,
         height=680,
@@ -90,6 +93,8 @@ def plot(results: Sequence[Recorded], *, side_by_side: bool = False) -> tuple[Pl
         "begin": float(times[0]),
         "end": float(times[-1]),
         "views": shown,
+        "angle": ANGLE,
+        "width": KNEE + aside,
         "results": [
             {"name": r.name, "colour": c, "ids": [p.id for p in parts]}
             for r, c, parts in zip(results, codes, own, strict=True)

@@ -14,7 +14,7 @@
         .pftwin { position: absolute; left: 0; right: 0; height: ${HEIGHT}px; padding: 6px 14px; box-sizing: border-box;
             z-index: 20; background: #fff; border-top: 1px solid #d5dbe1; color: #222; white-space: nowrap;
             font: 14px system-ui, 'Segoe UI', Helvetica, Arial, sans-serif; }
-        .pftwin div { display: flex; align-items: center; gap: 10px; height: 38px; }
+        .pftwin div { display: flex; align-items: center; gap: 10px; height: 38px; overflow-x: auto; }
         .pftwin button, .pftwin select { font: inherit; padding: 5px 10px; border: 1px solid #b8c2cc; cursor: pointer;
             border-radius: 5px; background: #f6f8fa; color: inherit; }
         .pftwin button:hover { background: #e8edf2; }
@@ -78,9 +78,17 @@
     }
     upper.append(play, slider, clock, speed);
 
-    Object.entries(control.views).forEach(([name, camera]) => {
+    function look(name) { // from farther away where the page is too narrow for what there is to see
+        const camera = control.views[name].slice(), aside = [0, 1, 2].map((i) => camera[i] - camera[i + 3]);
+        const seen = 2 * Math.hypot(...aside) * Math.tan(control.angle * Math.PI / 360);
+        const shape = target.clientWidth > 0 ? target.clientHeight / target.clientWidth : 0; // not laid out yet: 0
+        const factor = Math.max(1, control.width * shape / seen);
+        aside.forEach((a, i) => { camera[i] = camera[i + 3] + factor * a; });
+        k3d.setCamera(camera);
+    }
+    Object.keys(control.views).forEach((name) => {
         const button = make('button', { type: 'button' }, name[0].toUpperCase() + name.slice(1));
-        button.addEventListener('click', () => { k3d.setCamera(camera); });
+        button.addEventListener('click', () => look(name));
         lower.append(button);
     });
     if (control.results.length > 1) {
@@ -127,7 +135,7 @@
     target.appendChild(bar);
     k3d.setMenuVisibility(false);
     k3d.resizeHelper();
-    k3d.setCamera(control.views.anterior);
+    look('anterior');
     show(control.begin);
-    bar.viewer = { k3d, control, show, seeThrough, drawn: () => !busy };
+    bar.viewer = { k3d, control, show, look, seeThrough, drawn: () => !busy };
 }(K3DInstance, /*CONTROL*/null));

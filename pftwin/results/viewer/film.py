@@ -83,7 +83,7 @@ def _pictures(
     cameras = shown.evaluate(f"Object.keys({_VIEWER}.control.views)")
     if camera not in cameras:
         raise InputError(f"found {camera!r}", where="camera", expected=f"one of: {', '.join(cameras)}")
-    shown.evaluate(f"name => {_VIEWER}.k3d.setCamera({_VIEWER}.control.views[name])", camera)
+    shown.evaluate(f"name => {_VIEWER}.look(name)", camera)
     for k, time in enumerate(times):
         shown.evaluate(f"time => {_VIEWER}.show(time)", float(time))
         shown.wait_for_function(f"{_VIEWER}.drawn()", timeout=_PATIENCE)

@@ -22,11 +22,12 @@ from fitting.objective import SPRINGS, Objective
 from fitting.outcome import Outcome, estimate_of, judge
 from fitting.parameters import Bounds
 from fitting.programs import POSITION, with_readings
-from fitting.trials import Recordings, Scenes, free_in_trials, objective_of, trials_of
+from fitting.trials import Recordings, free_in_trials, objective_of, trials_of
 from pftwin.base.errors import InputError
 from pftwin.base.output import check_place
 from pftwin.dynamics.batch.devices import Devices
 from pftwin.dynamics.simulate import compiled_aside
+from pftwin.model.measured import Measured
 from pftwin.model.scene import Scene
 
 METHODS = {  # module and class
@@ -56,8 +57,8 @@ Tell = Callable[[Progress], None]
 
 
 def fit_tendons(
-    scene: Scenes,
-    measured: Recordings = None,
+    scene: Scene | Sequence[Scene],
+    measured: Measured | Sequence[Measured | None] | None = None,
     *,
     method: str = "least_squares",
     objective: str = "likelihood",
@@ -71,7 +72,7 @@ def fit_tendons(
     noise: StatedNoise | None = None,
     loss: str = "linear",
     springs: Mapping[str, str] = SPRINGS,
-    progress: Tell | None = None,
+    progress: Callable[[Progress], None] | None = None,
     checkpoint: str | Path | None = None,
     resume: bool = False,
     computed: Sequence[str] | None = None,

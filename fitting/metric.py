@@ -72,7 +72,11 @@ def level(value: ArrayLike) -> float:
 
 
 def check_noise(noise: StatedNoise, channels: Sequence[str], widths: Sequence[int]) -> None:
-    """Refuses noise of a channel that is missing, not positive, or no covariance of its columns."""
+    """Refuses noise of a channel that is missing, not positive, or no covariance of its columns.
+
+    Raises:
+        InputError: it is.
+    """
     for channel, width in zip(channels, widths, strict=True):
         if channel not in noise:
             expected = f"a standard deviation of: {', '.join(channels)}"

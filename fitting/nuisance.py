@@ -117,15 +117,22 @@ class Nuisance:
         return replace(preset or EXACT, **found, others=others)
 
     def refuse_sensors(self, by: str) -> None:
-        """Refuses errors of sensors, where there is nothing that allows for them."""
+        """Refuses errors of sensors, where there is nothing that allows for them.
+
+        Raises:
+            InputError: there are some.
+        """
         if some := [name for name in OF_SENSORS if getattr(self, name)]:
             expected = f"nothing of {', '.join(OF_SENSORS)}"
             remedy = "method='simulations', or a posterior that is trained, which allow for them"
             raise InputError(f"{by} cannot allow for {some[0]}", where="nuisance", expected=expected, remedy=remedy)
 
     def at_work(self, scenes: Sequence[Scene]) -> Nuisance:
-        """The same, with what is needed to let tendons stiffen: the nominal knee is simulated in its trials. Raises
-        InputError: its motion is not finite."""
+        """The same, with what is needed to let tendons stiffen: the nominal knee is simulated in its trials.
+
+        Raises:
+            InputError: its motion is not finite.
+        """
         if not self.stiffening or self.working:
             return self
         found = working_of(scenes, linear_tendons(scenes[0]))
@@ -135,8 +142,15 @@ class Nuisance:
 
     def prepared(self, scene: Scene, working: Mapping[str, Working] | None = None) -> Scene:
         """The scene with whatever is to be fitted in it: with friction, if that is and the contact has none, and with
-        tendons that stiffen, of which it is known at what lengths they work (arrays maybe; by default its own). Pure.
-        Raises InputError: no contact, or one that cannot have friction."""
+        tendons that stiffen, of which it is known at what lengths they work. Pure.
+
+        Args:
+            scene: to be prepared.
+            working: these lengths, as arrays maybe; by default its own.
+
+        Raises:
+            InputError: no contact, or one that cannot have friction.
+        """
         working = dict(self.working) if working is None else working
         scene = stiffened(scene, working, dict.fromkeys(working, 0.5 * self.stiffening))
         if not self.friction or _friction_name(scene) in named_arrays(scene):

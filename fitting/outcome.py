@@ -44,9 +44,13 @@ class Outcome(NamedTuple):
     seen: Prediction  # at theta, with derivatives
     steps: dict[str, StepError]  # of its time steps
     noise: dict[str, float]  # by channel
+    serial: float  # correlation of neighbouring residuals
+    condition: float
     doubts: list[str]
+    reason: str
     interrupted: bool
-    facts: dict[str, Any]  # whatever else an `Estimate` has of a method, by its names
+    substeps: int  # between two frames
+    facts: dict[str, Any]  # seed, evaluations, iterations, starts, dropped, history
 
     @staticmethod
     def of_search(search: Method, state: State) -> Outcome:
@@ -64,15 +68,15 @@ class Outcome(NamedTuple):
             seen,
             problem.evaluator.step_errors(theta, problem.evaluator.fine),
             noise,
+            sure.serial,
+            sure.condition,
             [],
+            "interrupted; the best so far" if state["interrupted"] else str(state["stopped"]),
             state["interrupted"],
+            problem.evaluator.fine,
             {
                 **{key: int(state[key]) for key in ("evaluations", "starts", "dropped")},
                 "iterations": int(state["iteration"]),
-                "reason": "interrupted; the best so far" if state["interrupted"] else str(state["stopped"]),
-                "serial_correlation": sure.serial,
-                "condition": sure.condition,
-                "substeps": problem.evaluator.fine,
                 "seed": search.seed,
                 "history": state["history"],
                 "notes": list(state.get("notes", [])),
@@ -105,16 +109,19 @@ class Outcome(NamedTuple):
             Prediction(every.values[at], slopes[None], every.usable[at]),
             problem.evaluator.step_errors(theta, found.substeps, slopes=False),
             {channel: float(np.sqrt(s.mean())) for channel, s in squares.items()},
+            float(found.noise.correlations.mean()),
+            float(np.linalg.cond(relative(size, covariance))),
             doubts + found.answer.doubts(target.source, limits),
+            found.reason,
             found.interrupted,
+            found.substeps,
             {
-                **{key: getattr(found, key) for key in ("reason", "dropped", "substeps", "history")},
-                "serial_correlation": float(found.noise.correlations.mean()),
-                "condition": float(np.linalg.cond(relative(size, covariance))),
                 "iterations": len(found.history),
                 "evaluations": found.simulations,
                 "starts": found.simulations,
+                "dropped": found.dropped,
                 "seed": seed,
+                "history": found.history,
             },
         )
 
@@ -169,32 +176,45 @@ def estimate_of(
     if draws is not None:
         random = np.random.default_rng(found.facts["seed"])
         draws = draws + sum(np.outer(random.standard_normal(len(draws)), change) for change in moved)
-    of_parameters = ("names", "lower", "upper", "nominal", "varies", "differences", "coordinates")
-    of_target = ("channels", "share", "synthetic", "source", "readings", "covariances")
     return Estimate(
-        **{name: getattr(parameters, name) for name in of_parameters},
-        **{name: getattr(target, name) for name in of_target},
-        **found.facts,
+        names=parameters.names,
         units=tuple(p.unit for p in parameters.items),
         values=found.theta,
         covariance=found.covariance + sum(np.outer(change, change) for change in moved),
         draws=draws,
+        lower=parameters.lower,
+        upper=parameters.upper,
+        nominal=parameters.nominal,
         objective=target.kind,
         objective_value=float(target.value(seen)[0] + parameters.prior_terms(found.theta)[0]),
         objective_unit=target.unit,
+        channels=target.channels,
         noise={k: float(v) for k, v in found.noise.items()},
         noise_known=target.noise is not None,
+        serial_correlation=found.serial,
+        share=target.share,
+        condition=found.condition,
         rmse=rmse,
         method=method,
+        reason=found.reason,
+        **found.facts,
         seconds=time.perf_counter() - began,
+        synthetic=target.synthetic,
+        source=target.source,
         scene_name=" + ".join(names),
         priors={p.name: p.prior for p in parameters.items if p.prior is not None},
         springs=dict(springs),
         nuisance=nuisance,
         besides=parameters.names[parameters.asked :],
         kinds=tuple(p.kind for p in parameters.items),
+        varies=parameters.varies,
+        differences=parameters.differences,
         doubts=[*doubts, *late, *left, *found.doubts, *unresolved(found.steps, rmse, target.readings)],
         time_shifts={channel: (s.seconds, s.deviation) for channel, s in shifts.items()},
+        coordinates=parameters.coordinates,
+        substeps=found.substeps,
+        readings=target.readings,
+        covariances=target.covariances,
         step_error={channel: e.rms for channel, e in found.steps.items()},
         trial_rmse=of_trials if len(scenes) > 1 else {},
         trials=tuple(FittedTrial(*each) for each in zip(scenes, measured, strict=True)),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import time
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -67,7 +68,13 @@ class TrainedPosterior:
     widened: tuple[float, ...] = ()  # times (d,), as a calibration has asked for
     doubts: tuple[str, ...] = ()  # of the recording that it was trained on
 
-    def estimate(self, scene: Scenes, measured: Recordings = None, *, limits: Limits | None = None) -> Estimate:
+    def estimate(
+        self,
+        scene: Scene | Sequence[Scene],
+        measured: Measured | Sequence[Measured | None] | None = None,
+        *,
+        limits: Mapping[str, tuple[float, float]] | None = None,
+    ) -> Estimate:
         """What a recording of this set-up tells.
 
         Args:
@@ -98,7 +105,11 @@ class TrainedPosterior:
         return estimate
 
     def draws(
-        self, scene: Scenes, measured: Recordings = None, *, limits: Limits | None = None
+        self,
+        scene: Scene | Sequence[Scene],
+        measured: Measured | Sequence[Measured | None] | None = None,
+        *,
+        limits: Mapping[str, tuple[float, float]] | None = None,
     ) -> tuple[Floats, list[str]]:
         """Draws (N, d) of what is asked for, and what forbids to believe them: `estimate`, without a look at other
         readings of the measurements and at the fitted motion.
@@ -191,7 +202,7 @@ class TrainedPosterior:
         return target
 
     @staticmethod
-    def load(path: str | os.PathLike[str], scene: Scenes) -> TrainedPosterior:
+    def load(path: str | os.PathLike[str], scene: Scene | Sequence[Scene]) -> TrainedPosterior:
         """Reads what `save` wrote.
 
         Args:

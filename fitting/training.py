@@ -27,9 +27,11 @@ from fitting.programs import POSITION
 from fitting.sensors import sensed
 from fitting.set_up import SetUp, bridged, from_nominal, refuse_weights
 from fitting.trained import Probes, TrainedPosterior
-from fitting.trials import Recordings, Scenes, free_in_trials, objective_of, trials_of
+from fitting.trials import free_in_trials, objective_of, trials_of
 from pftwin.base.arrays import Floats, Rows
 from pftwin.dynamics.batch.devices import Devices
+from pftwin.model.measured import Measured
+from pftwin.model.scene import Scene
 
 AT_ALL = 30_000  # simulations
 _AT_ONCE = 2048  # of them, between two reports of progress
@@ -37,8 +39,8 @@ _PROBES = 24
 
 
 def train_posterior(
-    scene: Scenes,
-    measured: Recordings = None,
+    scene: Scene | Sequence[Scene],
+    measured: Measured | Sequence[Measured | None] | None = None,
     *,
     free: Sequence[str] = SPRING_PARAMETERS,
     bounds: Bounds = 0.3,

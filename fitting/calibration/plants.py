@@ -93,8 +93,11 @@ def misplaced(knee: Knee, random: np.random.Generator) -> Plant:
 
 
 def sliding(knee: Knee, random: np.random.Generator) -> Plant:
-    """As `misplaced`, with friction of any coefficient and another slip speed than the twin's. Raises InputError: no
-    contact, or one that cannot have friction."""
+    """As `misplaced`, with friction of any coefficient and another slip speed than the twin's.
+
+    Raises:
+        InputError: no contact, or one that cannot have friction.
+    """
     scene = knee.near(random)
     contact = scene.contact
     if contact is None:

@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from fitting.channel_checks import Limits
 from fitting.estimate import Estimate
 from fitting.fit import METHODS, SIMULATIONS, SPRING_PARAMETERS, fit_tendons
 from fitting.inference.infer import DRAWS
@@ -20,7 +19,7 @@ from fitting.objective import SPRINGS
 from fitting.parameters import Bounds
 from fitting.programs import POSITION
 from fitting.set_up import SetUp, listed, refuse_weights
-from fitting.trials import Recordings, Scenes, free_in_trials, objective_of, trials_of
+from fitting.trials import free_in_trials, objective_of, trials_of
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.model.measured import Measured
@@ -36,8 +35,8 @@ class QuickFit(NamedTuple):
 
     @staticmethod
     def of(
-        scene: Scenes,
-        measured: Recordings = None,
+        scene: Scene | Sequence[Scene],
+        measured: Measured | Sequence[Measured | None] | None = None,
         *,
         method: str = "least_squares",
         free: Sequence[str] = SPRING_PARAMETERS,
@@ -68,7 +67,13 @@ class QuickFit(NamedTuple):
         channels = tuple(tuple(name for name in target.channels if name in each) for each in there)
         return QuickFit(SetUp.of(Problem.of(scenes, parameters, target), besides, springs), method, channels)
 
-    def estimate(self, scene: Scenes, measured: Recordings = None, *, limits: Limits | None = None) -> Estimate:
+    def estimate(
+        self,
+        scene: Scene | Sequence[Scene],
+        measured: Measured | Sequence[Measured | None] | None = None,
+        *,
+        limits: Mapping[str, tuple[float, float]] | None = None,
+    ) -> Estimate:
         """As `fit_tendons`, of the channels that were measured in each trial of the first recording.
 
         Raises:
@@ -82,7 +87,11 @@ class QuickFit(NamedTuple):
         return fit_tendons(scenes, kept, method=self.method, use=s.channels, limits=limits, **asked)
 
     def draws(
-        self, scene: Scenes, measured: Recordings = None, *, limits: Limits | None = None
+        self,
+        scene: Scene | Sequence[Scene],
+        measured: Measured | Sequence[Measured | None] | None = None,
+        *,
+        limits: Mapping[str, tuple[float, float]] | None = None,
     ) -> tuple[Floats, list[str]]:
         """Draws (N, d) of what is asked for, and what forbids to believe them.
 

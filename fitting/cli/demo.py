@@ -10,7 +10,7 @@ from typer import Option
 from fitting.demo.cases import number_cell
 from pftwin.base.errors import InputError
 from pftwin.base.sheet import Sheet
-from pftwin.cli.exit_codes import report_written_on_interrupt
+from pftwin.cli.exit_codes import exit_flagged, report_written_on_interrupt
 from pftwin.cli.terminal import (
     JsonOption,
     check_folder,
@@ -54,6 +54,8 @@ def demo(
         with report_written_on_interrupt(folder), progress("simulating") as shown:
             outcome, parts = run_knee(folder, shown)
         present(outcome, *parts, json=json)
+        if outcome["doubts"]:
+            exit_flagged("; ".join(outcome["doubts"]))
         return
     from fitting.demo.cases import run_demo
 

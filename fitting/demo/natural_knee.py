@@ -41,36 +41,39 @@ def run_knee(folder: Path, progress: Callable[..., None]) -> tuple[dict[str, Any
         progress(done, 4, what=f"{name} the transfer")
         results[name] = simulate(each, dt=STEP)
         results[name].save(folder / f"{name}.nc")
-    rows = [_row(label, name, results) for label, name in QUANTITIES.items()]
+    rows = {label: {name: _at_flexions(r, key) for name, r in results.items()} for label, key in QUANTITIES.items()}
     drawn, words = _pictures(results, folder, progress)
     title = f"Natural knee (SYNTHETIC), TT-TG {TT_TG} mm, squat: {1e3 * MEDIALISATION:g} mm of medialisation"
     headings = ("knee flexion", *(f"{name}\n{at} deg" for at in AT for name in results))
     parts: list[Sheet | str] = [
-        Sheet(title, headings, tuple((label, *(f"{v:.1f}" for v in values)) for label, values in rows), words=(0,)),
+        Sheet(title, headings, tuple(_cells(label, values) for label, values in rows.items()), words=(0,)),
         *(f"{name}: {result.status.describe()}" for name, result in results.items()),
         *words,
         f"results are in {folder}",
     ]
     facts = {
-        "table": [{"quantity": label, "values": values} for label, values in rows],
+        "synthetic": True,
         "flexion_deg": list(AT),
+        "table": [{"quantity": label, **values} for label, values in rows.items()],
         "status": {name: status_facts(result.flags) for name, result in results.items()},
+        "doubts": [f"{r.verdict.describe()} ({name})" for name, r in results.items() if not r.verdict.valid],
         "files": [str(folder / name) for name in ("before.nc", "after.nc", *drawn)],
     }
     return facts, parts
 
 
-def _row(label: str, name: str, results: dict[str, Result]) -> tuple[str, list[float]]:
-    """A quantity's values at the flexions of the table, before and after at each."""
-    values = []
-    for at in AT:
-        for result in results.values():
-            data = result.to_dataset()
-            flexion = data["knee_flexion"].values
-            bending = slice(0, int(np.argmax(flexion)) + 1)
-            value = np.interp(at, flexion[bending], data[name].values[bending])
-            values.append(float(value) * (1e3 if data[name].attrs["units"] == "m" else 1))
-    return label, values
+def _at_flexions(result: Result, name: str) -> list[float]:
+    """A quantity's values at the flexions of the table."""
+    data = result.to_dataset()
+    flexion = data["knee_flexion"].values
+    bending = slice(0, int(np.argmax(flexion)) + 1)
+    size = 1e3 if data[name].attrs["units"] == "m" else 1.0
+    return [size * float(np.interp(at, flexion[bending], data[name].values[bending])) for at in AT]
+
+
+def _cells(label: str, values: dict[str, list[float]]) -> tuple[str, ...]:
+    """Before and after at each flexion."""
+    return label, *(f"{value:.1f}" for at in zip(*values.values(), strict=True) for value in at)
 
 
 def _pictures(results: dict[str, Result], folder: Path, progress: Callable[..., None]) -> tuple[list[str], list[str]]:

@@ -80,8 +80,11 @@ class Run(NamedTuple):
     @property
     def objective(self) -> float:
         """The paper's: the sum of the root mean square errors in X, Y and Z [mm]."""
-        off = (self.validation.x, self.validation.y, self.validation.z)
-        return sum(error for error in off if error is not None)  # a recording of the rig has all three
+        v = self.validation
+        assert v.x is not None
+        assert v.y is not None
+        assert v.z is not None
+        return v.x + v.y + v.z
 
 
 @dataclass(frozen=True, eq=False)

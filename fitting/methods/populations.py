@@ -65,9 +65,16 @@ class Populations(Generations):
 
     options = ("population", "generations", "populations")
 
-    def __init__(self, problem: Problem, seed: int, *, populations: int = 1, **size: int | None) -> None:
-        """`size`: population and generations."""
-        super().__init__(problem, seed, **size)
+    def __init__(
+        self,
+        problem: Problem,
+        seed: int,
+        *,
+        populations: int = 1,
+        population: int | None = None,
+        generations: int | None = None,
+    ) -> None:
+        super().__init__(problem, seed, population, generations)
         self.populations = populations
         self.starts = self.widest = self.population * populations
 

@@ -42,8 +42,10 @@ def _algorithm(name: str, population: int, parameters: int) -> tuple[Any, Any, A
 class _Strategy(Generations):
     """An evosax algorithm; its state is kept as plain arrays."""
 
-    def __init__(self, problem: Problem, seed: int, **size: int | None) -> None:
-        super().__init__(problem, seed, **size)
+    def __init__(
+        self, problem: Problem, seed: int, population: int | None = None, generations: int | None = None
+    ) -> None:
+        super().__init__(problem, seed, population, generations)
         self._algorithm, self._params, self._structure = _algorithm(self.name, self.population, len(problem.parameters))
 
     def begin(self) -> State:

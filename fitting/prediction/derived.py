@@ -41,7 +41,11 @@ class Derived(NamedTuple):
         return self.draws.std(axis=0, ddof=1)
 
     def interval(self, level: float = 0.95) -> Floats:
-        """Between which values the middle draws lie (2, ...); InputError for a level that is none."""
+        """Between which values the middle draws lie (2, ...).
+
+        Raises:
+            InputError: a level that is none.
+        """
         if not 0 < level < 1:
             raise InputError(f"found {level!r}", where="level", expected="between 0 and 1")
         return np.quantile(self.draws, [0.5 - 0.5 * level, 0.5 + 0.5 * level], axis=0)

@@ -28,7 +28,11 @@ from pftwin.results.verdict import is_invalid
 
 
 def groove_surface(scene: Scene) -> Surface:
-    """The surface that defines a scene's groove; InputError without contact with a trochlea, or with meshes alone."""
+    """The surface that defines a scene's groove.
+
+    Raises:
+        InputError: a scene without contact between button and trochlea, or with meshes alone.
+    """
     if scene.surface is None:
         found = "no contact between a button and a trochlea"
         if scene.contact is not None:
@@ -46,7 +50,11 @@ class Groove(NamedTuple):
 
     @staticmethod
     def of(scene: Scene) -> Groove:
-        """The groove of a scene, on the host; for a surface without one, its middle. InputError as `groove_surface`."""
+        """The groove of a scene, on the host; for a surface without one, its middle.
+
+        Raises:
+            InputError: a scene without contact between button and trochlea.
+        """
         surface = groove_surface(scene)
         line = groove_line(surface)
         if line is None:

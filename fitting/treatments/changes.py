@@ -61,7 +61,9 @@ def patellar_tendon_length_change(scene: Scene, lengthening: Amount = 0.0, *, te
     """The scene with a longer patellar tendon, or a shorter one where `lengthening` is negative [m].
 
     The length that changes is the slack length; of strands, every strand's alike. Tenodesis or imbrication shortens.
-    InputError if there is no such tendon on the tibia.
+
+    Raises:
+        InputError: no such tendon on the tibia.
     """
     return scene.with_effect(elastic(scene, tendon, "patellar_tendon_length_change", "tibia").lengthened(lengthening))
 
@@ -69,7 +71,8 @@ def patellar_tendon_length_change(scene: Scene, lengthening: Amount = 0.0, *, te
 def quadriceps_lengthening(scene: Scene, lengthening: Amount = 0.0, *, tendon: str = QUADRICEPS) -> Scene:
     """The scene with a longer quadriceps tendon [m]: its slack length grows, so it pulls less.
 
-    InputError without one, and for a quadriceps that pulls with a prescribed tension, which no length changes.
+    Raises:
+        InputError: no such tendon; a quadriceps that pulls with a prescribed tension, which no length changes.
     """
     return scene.with_effect(elastic(scene, tendon, "quadriceps_lengthening").lengthened(lengthening))
 
@@ -83,7 +86,10 @@ def button_position(
     """The scene with the button elsewhere on the patella, along the patella's axes [m].
 
     Anteriorisation buries it (a deeper cut, a thinner patella); negative, it makes the patella thicker. The button's
-    sphere centre, whose path results show, moves with it. InputError without a button.
+    sphere centre, whose path results show, moves with it.
+
+    Raises:
+        InputError: a scene without a button.
     """
     shift = direction_in_knee(medialisation, distalisation, anteriorisation)
     return scene.with_effect(contact_of(scene, "button_position").with_button_moved(shift))
@@ -92,7 +98,8 @@ def button_position(
 def lateral_release(scene: Scene, release: Amount = 0.0, *, strands: str | tuple[str, ...] = LATERAL) -> Scene:
     """The scene with the lateral strands cut to a share: `release` 0 leaves them, 1 cuts all (a millionth stays).
 
-    InputError if the scene has no strands of that name.
+    Raises:
+        InputError: the scene has no strands of that name.
     """
     found = elastic(scene, strands, "lateral_release")
     return scene.with_effect(found.stiffened(1 - (1 - _LEFT) * release))
@@ -168,7 +175,11 @@ def _basis(degree: int, a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArr
 
 
 def patch_of(scene: Scene, treatment: str) -> PolynomialPatch:
-    """The trochlea as a polynomial patch; InputError without contact, and for a surface of another kind."""
+    """The trochlea as a polynomial patch.
+
+    Raises:
+        InputError: no contact, or a surface of another kind.
+    """
     surface = fitted_surface(scene, treatment)
     if not isinstance(surface, PolynomialPatch):
         found = f"the trochlea is a {type(surface).__name__}"
@@ -228,7 +239,11 @@ def femoral_component_rotation(
 def femoral_component_translation(
     scene: Scene, medialisation: Amount = 0.0, distalisation: Amount = 0.0, anteriorisation: Amount = 0.0
 ) -> Scene:
-    """The scene with the trochlea moved on the femur, along the femur's axes [m]; InputError without a trochlea."""
+    """The scene with the trochlea moved on the femur, along the femur's axes [m].
+
+    Raises:
+        InputError: a scene without a trochlea.
+    """
     chart = fitted_surface(scene, "femoral_component_translation").chart
     shift = direction_in_knee(medialisation, distalisation, anteriorisation)
     return _with_chart(scene, chart.origin + shift, chart.axes)

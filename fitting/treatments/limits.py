@@ -48,7 +48,11 @@ class Limit:
 
     @staticmethod
     def parsed(text: str) -> Limit:
-        """From "dislocation_margin >= 3 mm": an outcome, a sense, a number and the outcome's unit; else InputError."""
+        """From "dislocation_margin >= 3 mm": an outcome, a sense, a number and its unit.
+
+        Raises:
+            InputError: anything else; a unit that is missing or is not the outcome's.
+        """
         example = 'such as "dislocation_margin>=3 mm" or "peak_contact_force<=40 N"'
         match = _WRITTEN.fullmatch(text)
         written = number_and_unit(match[3]) if match else None

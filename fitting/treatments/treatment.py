@@ -139,7 +139,8 @@ class Treatment(eqx.Module):
     def __call__(self, scene: Scene) -> Scene:
         """The treated scene, without measurements, since those are of the untreated knee, as is the recorded start.
 
-        InputError if the scene lacks the part that a step changes.
+        Raises:
+            InputError: the scene lacks the part that a step changes.
         """
         for step in self.steps:
             scene = step(scene)
@@ -149,7 +150,11 @@ class Treatment(eqx.Module):
         return replace(scene, measured=None, limits=limits)
 
     def prepared(self, scene: Scene) -> Treatment:
-        """The treatment with what it needs from the untreated scene, ready to be traced; InputError as when called."""
+        """The treatment with what it needs from the untreated scene, ready to be traced.
+
+        Raises:
+            InputError: the scene lacks a part that a step changes.
+        """
         steps = self.steps
         if any(step.kind == "trochleoplasty" for step in steps):
             shape = jnp.asarray(changes.deepening_shape(changes.patch_of(scene, "trochleoplasty")), dtype=float)

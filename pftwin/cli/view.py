@@ -64,9 +64,9 @@ def view(
     if record is not None:
         with terminal.progress("filming") as show:
             write_film(plot, record, camera=camera, speed=speed, see_through=see_through, progress=show)
-    files = {str(path): path.stat().st_size for path in (page, record) if path is not None}
-    facts = {"results": [str(p) for p in results], "files": files}
-    terminal.present(facts, *(f"written: {path} ({size / 1e6:.1f} MB)" for path, size in files.items()), json=json)
+    sizes = {str(path): path.stat().st_size for path in (page, record) if path is not None}
+    facts = {"results": [str(p) for p in results], "files": sizes}
+    terminal.present(facts, *(f"written: {path} ({size / 1e6:.1f} MB)" for path, size in sizes.items()), json=json)
     if browser and page is not None:
         typer.launch(page.resolve().as_uri())
     verdicts = {path.name: verdict_of_file(load_dataset(path)) for path in results}

@@ -95,11 +95,24 @@ class Measured:
 
     @staticmethod
     def from_angles(
-        times: ArrayLike, center: ArrayLike, *, flexion: ArrayLike, rotation: ArrayLike, tilt: ArrayLike, **others: Any
+        times: ArrayLike,
+        center: ArrayLike,
+        *,
+        flexion: ArrayLike,
+        rotation: ArrayLike,
+        tilt: ArrayLike,
+        contact_force: NDArray[np.float64] | None = None,
+        tibial_spring_force: NDArray[np.float64] | None = None,
+        femoral_spring_force: NDArray[np.float64] | None = None,
+        synthetic: bool = False,
+        source: str = "measurements",
     ) -> Measured:
-        """From the patella's angles (n,) [rad], by the conventions of `pftwin.base.rotations`, and any other fields."""
+        """From the patella's angles (n,) [rad], by the conventions of `pftwin.base.rotations`."""
         q = patellar_orientation(*(np.asarray(a, dtype=np.float64) for a in (flexion, rotation, tilt)))
-        return Measured(np.asarray(times), np.asarray(center), host_array(q), **others)
+        forces = contact_force, tibial_spring_force, femoral_spring_force
+        return Measured(
+            np.asarray(times), np.asarray(center), host_array(q), *forces, synthetic=synthetic, source=source
+        )
 
     def __eq__(self, other: object) -> bool:
         """By content, so that scenes which carry the same measurements have one structure."""

@@ -39,7 +39,8 @@ class SkinMarker(NamedTuple):
     ) -> SkinMarker:
         """Of both courses (n,) in this unit; the measured one is NaN in frames without a measurement.
 
-        Raises InputError for fewer than three frames in which it was measured.
+        Raises:
+            InputError: fewer than three frames in which it was measured.
         """
         there = np.isfinite(measured)
         count = int(np.count_nonzero(there))

@@ -80,7 +80,7 @@ def test_one_program_serves_fits_to_other_channels(scene, estimate):
         found = one.with_slopes(TRUTH[None], 6)
         np.testing.assert_array_equal(found.values, both.values[..., columns])
         np.testing.assert_array_equal(found.slopes, both.slopes[..., columns, :])
-        assert one.widths == ((3,) if channels == ("position",) else (1,))
+        assert found.values.shape[-1] == (3 if channels == ("position",) else 1)
     alone = fitting.fit_tendons(scene, estimate.measured, computed=("quadriceps", "position"), starts=4)
     assert alone.channels == ("position",)
     assert 0.9 * NOISE < alone.rmse["position"] < estimate.rmse["position"]  # with the force it gives way a little

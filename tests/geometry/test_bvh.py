@@ -128,3 +128,15 @@ def test_two_trees_under_one_root_are_searched_one_at_a_time():
             distances = brute_force.distances(corners_of(meshes[k]), p)
             own = trees[k].source_index()[int(place) - k * trees[0].index.shape[0]]
             assert distances[int(own)] <= distances.min() + 1e-15
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"leaf": 0}, "leaves of 0 triangles"),
+        ({"depth": 2}, "a depth of 2; expected: 4 or more"),
+    ],
+)
+def test_trees_that_cannot_be(arguments, message):
+    with pytest.raises(InputError, match=message):
+        build_tree(soup(1), **arguments)

@@ -136,3 +136,8 @@ def test_a_thousand_poses(search):
     for k in range(1000):
         expected = brute_force.intersecting(corners_of(implant_mesh()), corners_of(BUTTON, member(poses, k)))
         np.testing.assert_array_equal(met(search, pairs, k), expected)
+
+
+def test_trees_that_do_not_go_together_are_refused(search):
+    with pytest.raises(TypeError, match="leaves of 4 and 8"):
+        pair_search(search.a, build_tree(BUTTON, leaf=8))

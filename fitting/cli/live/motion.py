@@ -107,7 +107,7 @@ class Shown:
     tracks: of "patella" and "tibia"; of each facet's contact point, "at FACET", and force, "on FACET": an arrow of
         length 1 along z.
     paths: of each contact point, "way FACET".
-    lines: tendons, ligaments and muscles as tubes: vertices (n, v, 3) and triangles, by name.
+    lines: tendons, ligaments and muscles, as tubes or ribbons: vertices (n, v, 3) and triangles, by name.
     origins: mean origin on the tibia of each effect's lines, tibia frame (3,) [mm].
     touched: all contact points (k, 3) [m].
     """

@@ -64,6 +64,8 @@ def pair_search(a: MeshTree, b: MeshTree, room: PairListLengths | None = None) -
         a, b: trees with four triangles a leaf.
         room: None: more than an implant and a button need.
     """
+    if (a.leaf, b.leaf) != (LEAF, LEAF):
+        raise TypeError(f"leaves of {a.leaf} and {b.leaf} triangles: expected {LEAF}")
     room = PairListLengths(NODES, CANDIDATES) if room is None else room
     triangles = leaves_with_planes(a), leaves_with_planes(b)
     largest = [jnp.abs(tree.triangles).max().astype(jnp.float32) for tree in (a, b)]

@@ -61,12 +61,16 @@ def build_tree(mesh: SurfaceMesh, *, leaf: int = 4, depth: int | None = None) ->
         depth: levels below the root, if more than the mesh needs.
 
     Raises:
-        InputError: a mesh with no triangles, too many, or not finite.
+        InputError: a leaf of no triangles; a depth too small; a mesh with no triangles, too many, or not finite.
     """
+    if not 1 <= leaf <= 64:
+        raise InputError(f"leaves of {leaf} triangles", where="leaf", expected="1 to 64")
     check_searchable(mesh)
-    depth = depth_for(len(mesh.faces), leaf) if depth is None else depth
+    deep = depth_for(len(mesh.faces), leaf)
+    if depth is not None and depth < deep:
+        raise InputError(f"a depth of {depth}", where="depth", expected=f"{deep} or more for this mesh")
     corners = np.ascontiguousarray(mesh.vertices[mesh.faces])
-    triangles, index, levels = cached(tree_arrays, corners, leaf, depth, files=())
+    triangles, index, levels = cached(tree_arrays, corners, leaf, deep if depth is None else depth, files=())
     own = triangles.astype(canonicalize_dtype(float))
     return MeshTree(jax.device_put(own), jax.device_put(index), tuple(jax.device_put(a) for a in levels))
 

@@ -52,7 +52,7 @@ class DistanceGrid(eqx.Module):
     def touching(
         self, button: PressingSurface, position: Vec3, rotation: Rotation, *, width: int, band: float, reach: float
     ) -> TouchingLeaves:
-        """As `pftwin.geometry.contact.depth_search.find`, from the depths of the leaves' middles."""
+        """As `pftwin.geometry.contact.depth_search.touching_leaves`, from the depths of the leaves' middles."""
         position, rotation = stop_gradient((position, rotation))
         discs = button.discs
         middle, normal, radius, half = (Vec3.from_array(discs[:, :3]), Vec3.from_array(discs[:, 3:6]), *discs[:, 6:].T)

@@ -72,7 +72,11 @@ class Relief(NamedTuple):
 
 
 def relief(result: Result, *paths: Floats) -> Relief:
-    """The map of a result's trochlea around paths (n, 3) [m] of the femur frame; InputError without a contact."""
+    """The map of a result's trochlea around paths (n, 3) [m] of the femur frame.
+
+    Raises:
+        InputError: a scene without contact between a button and a trochlea.
+    """
     contact, surface = result.scene.contact, result.surface
     femur = None if contact is None else contact.femur_triangles()
     if femur is not None:

@@ -130,6 +130,10 @@ def _page(html: Path, size: tuple[int, int]) -> Iterator[Any]:
             shown.goto(html.as_uri())
             shown.wait_for_function("document.querySelector('.pftwin')?.viewer !== undefined", timeout=_PATIENCE)
             yield shown
+        except Error as error:
+            raise InputError(
+                f"the browser did not draw the film: {str(error).splitlines()[0]}", where=own or "chromium"
+            ) from error
         finally:
             browser.close()
 

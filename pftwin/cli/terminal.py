@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -186,16 +187,25 @@ def write_json(value: Any, to: str | None) -> None:
     """Writes JSON to a file or stdout ("-"); None: not at all. Numbers that are not finite become null."""
     if to is None:
         return
-    from pydantic_core import to_jsonable_python
-
-    def other(part: Any) -> Any:
-        return part.tolist() if hasattr(part, "tolist") else str(part)
-
-    plain = to_jsonable_python(value, inf_nan_mode="null", fallback=other)
-    text = json.dumps(plain, indent=2, allow_nan=False) + "\n"
+    text = json.dumps(_plain(value), indent=2, allow_nan=False) + "\n"
     if to == "-":
         sys.stdout.write(text)
         return
     from pftwin.base.text_files import write_text
 
     write_text(to, text)
+
+
+def _plain(value: Any) -> Any:
+    """Only what JSON has."""
+    if isinstance(value, Mapping):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if hasattr(value, "tolist"):
+        return _plain(value.tolist())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, str | int | bool) or value is None:
+        return value
+    if isinstance(value, Sequence):
+        return [_plain(v) for v in value]
+    return str(value)

@@ -56,17 +56,22 @@ def view(
     from pftwin.files.result_files import load_dataset
     from pftwin.results.verdict import verdict_of_file
     from pftwin.results.viewer import view as draw
-    from pftwin.results.viewer.film import write_film
+    from pftwin.results.viewer.film import check_film, write_film
 
+    if record is not None:
+        check_film(record, speed)
+        if side_by_side and len(results) > 1 and camera in ("lateral", "medial"):
+            found = f"{camera} with --side-by-side: from the side one knee hides the others"
+            raise InputError(found, where="--camera", expected="anterior or skyline")
     named = list(zip(names, results, strict=True)) if names else results
     with terminal.spinner("drawing"):
         plot = draw(named, html=page, side_by_side=side_by_side)
     if record is not None:
         with terminal.progress("filming") as show:
             write_film(plot, record, camera=camera, speed=speed, see_through=see_through, progress=show)
-    sizes = {str(path): path.stat().st_size for path in (page, record) if path is not None}
-    facts = {"results": [str(p) for p in results], "files": sizes}
-    terminal.present(facts, *(f"written: {path} ({size / 1e6:.1f} MB)" for path, size in sizes.items()), json=json)
+    sizes = [(str(path), path.stat().st_size) for path in (page, record) if path is not None]
+    facts = {"results": [str(p) for p in results], "files": [{"file": p, "bytes": size} for p, size in sizes]}
+    terminal.present(facts, *(f"written: {path} ({size / 1e6:.1f} MB)" for path, size in sizes), json=json)
     if browser and page is not None:
         typer.launch(page.resolve().as_uri())
     verdicts = {path.name: verdict_of_file(load_dataset(path)) for path in results}

@@ -45,7 +45,9 @@ class Integrator(ABC):
         """Of the error in the step."""
 
     @abstractmethod
-    def advance(self, system: System, state: State, guide_at: GuideAt, step: Scalar, ledger: Books) -> Carry:
+    def advance(
+        self, system: System, state: State, guide_at: GuideAt, step: Scalar, ledger: Ledger | None
+    ) -> tuple[State, Ledger | None]:
         """The state one step later, and the energy ledger where one is kept.
 
         Args:

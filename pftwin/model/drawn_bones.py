@@ -6,6 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 if TYPE_CHECKING:
     from pftwin.geometry.mesh.mesh import SurfaceMesh
 
@@ -15,3 +17,15 @@ class DrawnBones:
     """Surfaces of bones [m] by body, "femur", "patella" or "tibia", each in its body's frame."""
 
     surfaces: Mapping[str, SurfaceMesh]
+
+    def __eq__(self, other: object) -> bool:
+        """By content, so that scenes with the same bones have one structure."""
+        if not isinstance(other, DrawnBones):
+            return NotImplemented
+        if self.surfaces.keys() != other.surfaces.keys():
+            return False
+        pairs = [(mesh, other.surfaces[body]) for body, mesh in self.surfaces.items()]
+        return all(np.array_equal(a.vertices, b.vertices) and np.array_equal(a.faces, b.faces) for a, b in pairs)
+
+    def __hash__(self) -> int:
+        return hash(tuple((body, mesh.vertices.shape) for body, mesh in self.surfaces.items()))

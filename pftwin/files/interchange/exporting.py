@@ -76,7 +76,7 @@ FORMATS = (".mot", ".sto", ".glb", ".csv")
 
 
 def export(result: Result | str | os.PathLike[str], path: str | os.PathLike[str]) -> None:
-    """Writes a result in the format that the suffix names: one of `FORMATS`.
+    """Writes a result in the format that the suffix names: .mot, .sto, .glb or .csv.
 
     Args:
         result: a result, or the file of one.

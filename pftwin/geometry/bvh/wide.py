@@ -58,7 +58,13 @@ class WideTree(eqx.Module):
 
 
 def wide_tree(tree: MeshTree) -> WideTree:
-    """The blocks of a tree of single triangles. The copies that fill its empty places are found by no search."""
+    """The blocks of a tree of single triangles. The copies that fill its empty places are found by no search.
+
+    Raises:
+        TypeError: a tree with more than one triangle in a leaf.
+    """
+    if tree.leaf != 1:
+        raise TypeError(f"{tree.leaf} triangles a leaf: expected 1")
     levels = [np.array(tree.levels[k]) for k in kept_levels(tree.depth)]
     levels[-1][np.asarray(tree.index) < 0] = nowhere(8)  # copies, which fill empty places
     return WideTree(jax.device_put(blocks_of(levels)), len(levels[0]), len(levels))

@@ -168,7 +168,7 @@ def _group_sums(
 
 
 def _cut_of(t: Triangle, radius: Scalar) -> tuple[Scalar, ...]:
-    return tuple(jax.tree.leaves(ball_cut(t, radius)))
+    return tuple(jax.tree.leaves(ball_cut(t, radius)))  # in the order of `BallCut`, as `_ball_cut_of` takes them
 
 
 def _arcs_of(t: Triangle, radius: Scalar) -> tuple[Scalar, ...]:

@@ -99,7 +99,7 @@ def plot(results: Sequence[Recorded], *, side_by_side: bool = False) -> tuple[Pl
             {"name": r.name, "colour": c, "ids": [p.id for p in parts]}
             for r, c, parts in zip(results, codes, own, strict=True)
         ],
-        "patellae": [p.id for parts in own for p in parts if p.name == "patella"],
+        "patellae": [p.id for parts in own for p in parts if p.name in ("patella", "patella (schematic)", "button")],
     }
     return made, control
 
@@ -111,14 +111,16 @@ def _overlaid(
     for those that have them alike; others have their own, in their colour.
     """
     first = results[0]
-    alike = [r for r in results if _same_component(first, r)]
+    alike = [r for r in results if _same_meshes(first, r, "femur", "surface")]
     farthest = max(alike, key=lambda r: r.geometry.sizes.get("continuation_vertex", 0))
     shared = [knee.solid(first, bones.femur(first)), knee.solid(first, bones.tibia(first)), *knee.component(farthest)]
     own = []
     for result, code in zip(results, codes, strict=True):
         parts = _moving(result, code, newtons)
-        if result is not first and not _same_motion(first, result):
+        if result is not first and not (_same_motion(first, result) and _same_meshes(first, result, "tibia_bone")):
             parts.append(knee.solid(result, bones.tibia(result), paler(code, 0.5)))
+        if not _same_meshes(first, result, "femur_bone"):
+            parts.append(knee.solid(result, bones.femur(result), paler(code, 0.5)))
         if result not in alike:
             parts += knee.component(result, paler(code, 0.5), result.name)
         own.append(parts)
@@ -183,9 +185,9 @@ def _text_label(name: str, text: str | dict[str, str], place: tuple[float, float
     )
 
 
-def _same_component(one: Recorded, two: Recorded) -> bool:
-    """Whether two results have one femoral component in one place, within a micrometre."""
-    return all(_same_mesh(one.mesh(name), two.mesh(name)) for name in ("femur", "surface"))
+def _same_meshes(one: Recorded, two: Recorded, *names: str) -> bool:
+    """Whether two results have the same meshes in one place, within a micrometre."""
+    return all(_same_mesh(one.mesh(name), two.mesh(name)) for name in names)
 
 
 def _same_mesh(a: Mesh | None, b: Mesh | None) -> bool:

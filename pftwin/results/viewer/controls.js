@@ -109,12 +109,13 @@
             lower.append(label);
         });
     }
-    const clearBox = make('input', { type: 'checkbox' });
+    const clearBox = make('input', { type: 'checkbox' }), solid = {};
     function seeThrough(clear) {
         clearBox.checked = clear;
         const objects = k3d.getWorld().ObjectsListJson;
         return Promise.all(control.patellae.map((id) => {
-            objects[id].opacity = clear ? 0.3 : 1;
+            solid[id] = solid[id] ?? objects[id].opacity;
+            objects[id].opacity = clear ? 0.3 * solid[id] : solid[id];
             return k3d.reload(objects[id], { opacity: objects[id].opacity });
         })).then(() => show(parseFloat(slider.value)));
     }

@@ -8,6 +8,7 @@ import shutil
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +17,8 @@ import numpy as np
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError, MissingExtraError
 from pftwin.base.output import check_place, written_whole
+from pftwin.results.viewer.bones import BONE
+from pftwin.results.viewer.contact_colours import HOT
 
 if TYPE_CHECKING:
     from k3d.plot import Plot
@@ -61,10 +64,8 @@ def write_film(
     """
     from pftwin.results.viewer.page import page
 
-    target = check_place(path)
-    if target.suffix not in SUFFIXES:
-        raise InputError(f"found {target.suffix!r}", where=str(path), expected=" or ".join(SUFFIXES))
-    write = _write_gif if target.suffix == ".gif" else _write_mp4
+    target = check_film(path, speed)
+    write = _write_gif if target.suffix.lower() == ".gif" else _write_mp4
     begin, end = plot.get_time_series_range()
     times = _times(begin, end, speed)
     with tempfile.TemporaryDirectory() as folder, written_whole(target) as whole:
@@ -73,6 +74,19 @@ def write_film(
         with _page(html, size) as shown:
             shown.evaluate(f"clear => {_VIEWER}.seeThrough(clear)", see_through)
             write(_pictures(shown, camera, times, size, progress), whole, size)
+
+
+def check_film(path: str | os.PathLike[str], speed: float) -> Path:
+    """Refuses what cannot become a film, before anything is drawn; errors as of `write_film`."""
+    target = check_place(path)
+    if target.suffix.lower() not in SUFFIXES:
+        raise InputError(f"found {target.suffix!r}", where=str(path), expected=" or ".join(SUFFIXES))
+    if not 0 < speed < np.inf:
+        raise InputError(f"found {speed!r}", where="speed", expected="a positive number")
+    for package in ("playwright", *(["imageio_ffmpeg"] if target.suffix.lower() == ".mp4" else [])):
+        if find_spec(package) is None:
+            raise MissingExtraError(package, extra="film", feature="a film of the knee")
+    return target
 
 
 def _pictures(
@@ -95,8 +109,6 @@ def _pictures(
 
 def _times(begin: float, end: float, speed: float) -> Floats:
     """Of the pictures [s]."""
-    if not 0 < speed < np.inf:
-        raise InputError(f"found {speed!r}", where="speed", expected="a positive number")
     count = 1 + int((end - begin) / speed * RATE)
     if count > MOST:
         raise InputError(
@@ -111,10 +123,8 @@ def _times(begin: float, end: float, speed: float) -> Floats:
 @contextmanager
 def _page(html: Path, size: tuple[int, int]) -> Iterator[Any]:
     """The page in a browser, its bar of controls below what is filmed."""
-    try:
-        from playwright.sync_api import Error, sync_playwright
-    except ImportError as error:
-        raise MissingExtraError("playwright", extra="film", feature="a film of the knee") from error
+    from playwright.sync_api import Error, sync_playwright
+
     own = next((found for name in _BROWSERS if (found := shutil.which(name))), None)
     with sync_playwright() as playwright:
         try:
@@ -141,18 +151,28 @@ def _page(html: Path, size: tuple[int, int]) -> Iterator[Any]:
 def _write_gif(pictures: Iterator[Image], path: Path, size: tuple[int, int]) -> None:
     from PIL.Image import Dither, Quantize
 
-    frames = [next(pictures).quantize(COLOURS, method=Quantize.MEDIANCUT, dither=Dither.NONE)]
-    frames += [p.quantize(palette=frames[0], dither=Dither.NONE) for p in pictures]
+    first = next(pictures)
+    palette = _with_scale(first).quantize(COLOURS, method=Quantize.MEDIANCUT, dither=Dither.NONE)
+    frames = [p.quantize(palette=palette, dither=Dither.NONE) for p in (first, *pictures)]
     frames[0].save(
         path, format="GIF", save_all=True, append_images=frames[1:], duration=1000 // RATE, loop=0, optimize=True
     )
 
 
+def _with_scale(picture: Image) -> Image:
+    """A picture with the colours of contact below it, which later pictures may show."""
+    from PIL import Image, ImageColor
+
+    codes = np.array([ImageColor.getrgb(code) for code in (BONE, *(code for _, code in HOT))], dtype=float)
+    at = np.linspace(0, len(codes) - 1, picture.width)
+    scale = np.stack([np.interp(at, np.arange(len(codes)), codes[:, k]) for k in range(3)], axis=1)
+    rows = np.broadcast_to(scale.astype(np.uint8), (picture.height // 8, *scale.shape))
+    return Image.fromarray(np.concatenate([np.asarray(picture), rows]))
+
+
 def _write_mp4(pictures: Iterator[Image], path: Path, size: tuple[int, int]) -> None:
-    try:
-        from imageio_ffmpeg import write_frames
-    except ImportError as error:
-        raise MissingExtraError("imageio_ffmpeg", extra="film", feature="an .mp4") from error
+    from imageio_ffmpeg import write_frames
+
     writer = write_frames(str(path), size, fps=RATE, quality=QUALITY, macro_block_size=2, output_params=["-f", "mp4"])
     writer.send(None)
     try:

@@ -121,16 +121,15 @@ def solid(result: Recorded, part: bones.Solid, code: str | None = None, group: s
 
 
 def femur(result: Recorded) -> list[Any]:
-    """Bone and component; the surface that the patella presses on has colours where it does."""
+    """Bone and component; what the patella presses on, the bone where there is no component, has colours there."""
     parts = [bones.femur(result), *bones.femoral_component(result)]
-    pressed = parts[1] if len(parts) > 1 else parts[0]
     drawn: list[Any] = [solid(result, part) for part in parts]
-    depths = depths_on_femur(result, pressed.shape.vertices.astype(np.float64))
-    if depths is not None:
-        coloured = drawn[parts.index(pressed)]
-        coloured.attribute = time_series(result.times, depths.astype(np.float32))
-        coloured.color_map = [0.0, *_rgb(pressed.colour), *(v for at, code in HOT for v in (at, *_rgb(code)))]
-        coloured.color_range = [0.0, float(depths.max())]
+    for part, seen in zip(parts[1:] or parts, drawn[1:] or drawn, strict=True):
+        depths = depths_on_femur(result, part.shape.vertices.astype(np.float64))
+        if depths is not None:
+            seen.attribute = time_series(result.times, depths.astype(np.float32))
+            seen.color_map = [0.0, *_rgb(part.colour), *(v for at, code in HOT for v in (at, *_rgb(code)))]
+            seen.color_range = [0.0, float(depths.max())]
     return drawn
 
 

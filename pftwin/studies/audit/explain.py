@@ -152,6 +152,17 @@ def _shares(
 
 
 def _cost(part: EffectPart, added: int, share: Cost, sums: PartAccount, step: float) -> PartCost:
-    longest, energies = float(sums.fastest.longest_step()), map(float, (sums.work, sums.moved, sums.heat))
-    stiff = longest < step
-    return PartCost(part.name, part.kind, part.of, added, 1 - share.ratio, share.spread, longest, stiff, *energies)
+    longest = float(sums.fastest.longest_step())
+    return PartCost(
+        name=part.name,
+        kind=part.kind,
+        of=part.of,
+        equations=added,
+        share=1 - share.ratio,
+        spread=share.spread,
+        longest_step=longest,
+        stiff=longest < step,
+        work=float(sums.work),
+        moved=float(sums.moved),
+        heat=float(sums.heat),
+    )

@@ -78,7 +78,25 @@ def test_cartilage_that_is_part_of_the_bone_is_not_drawn_twice():
     assert [p.name for p in patella_parts(part)] == ["patella", "button"]
 
 
+def test_results_laid_over_each_other_have_their_own_bones_where_these_differ():
+    one, same, moved = result_with("femur", "tibia"), result_with("femur", "tibia"), result_with("femur", "tibia")
+    bones = moved.scene.bones.surfaces
+    other = DrawnBones({body: SurfaceMesh(m.vertices + 0.001, m.faces) for body, m in bones.items()})
+    moved = dataclasses.replace(moved, scene=dataclasses.replace(moved.scene, bones=other))
+    names = [o.name for o in view({"one": one, "same": same, "moved": moved}).objects]
+    assert names.count("femur") == names.count("tibia") == 2
+
+
 def test_bones_are_no_part_of_any_program():
     scene = result_with(*PLACES).scene
     assert scene.unnamed().bones is None
     assert scene.set("K1", 200.0).bones is scene.bones
+
+
+def test_scenes_with_the_same_bones_have_one_structure():
+    import jax
+
+    one, two = result_with(*PLACES).scene, result_with(*PLACES).scene.set("K1", 200.0)
+    assert one.bones is not two.bones
+    assert jax.tree.structure(one) == jax.tree.structure(two)
+    assert jax.tree.structure(one) != jax.tree.structure(result_with("femur").scene)

@@ -36,7 +36,7 @@ def test_overlays_results_under_names(file, tmp_path):
     assert done.exit_code == 0, done.output
     said = json.loads(done.stdout)
     assert said["results"] == [str(file)] * 2
-    assert said["files"] == {str(page): page.stat().st_size}
+    assert said["files"] == [{"file": str(page), "bytes": page.stat().st_size}]
     assert page.stat().st_size < 8e6
     assert "<title>before and after</title>" in page.read_text(encoding="utf-8")
 
@@ -48,6 +48,10 @@ def test_overlays_results_under_names(file, tmp_path):
         (("{file}", "-o", "page.pdf"), "the page is HTML; try: page.html"),
         (("{file}", "--name", "a", "--name", "b"), "2 names for 1 results"),
         (("{file}", "-o", "absent/page.html"), "there is no folder absent"),
+        (
+            ("{file}", "{file}", "--side-by-side", "--record", "f.gif", "--camera", "medial"),
+            "one knee hides the others",
+        ),
         (("{file}", "--record", "film.avi"), "the suffix chooses the film's format; try: film.gif"),
         (("{file}", "--record", "film.gif", "--speed", "0"), "speed: found 0.0; expected: a positive number"),
         (

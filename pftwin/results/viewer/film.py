@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 SUFFIXES = (".gif", ".mp4")
 RATE = 20  # pictures a second: the fastest that divides a GIF's hundredths of a second and looks smooth
-COLOURS = 128  # of a GIF
+COLOURS = 256  # of a GIF, the most
 MOST = 2000  # pictures
 QUALITY = 7  # of an .mp4, 0 to 10: small without visible loss
 _BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
@@ -166,7 +166,7 @@ def _with_scale(picture: Image) -> Image:
     codes = np.array([ImageColor.getrgb(code) for code in (BONE, *(code for _, code in HOT))], dtype=float)
     at = np.linspace(0, len(codes) - 1, picture.width)
     scale = np.stack([np.interp(at, np.arange(len(codes)), codes[:, k]) for k in range(3)], axis=1)
-    rows = np.broadcast_to(scale.astype(np.uint8), (picture.height // 8, *scale.shape))
+    rows = np.broadcast_to(scale.astype(np.uint8), (picture.height // 16, *scale.shape))
     return Image.fromarray(np.concatenate([np.asarray(picture), rows]))
 
 

@@ -18,7 +18,7 @@ from pftwin.dynamics.frame_states import first_guide
 from pftwin.dynamics.observe import instant_and_frame
 from pftwin.dynamics.state import System
 from pftwin.dynamics.static_load import LEVER, patella_at_rest
-from pftwin.dynamics.status import RESERVATIONS, Status, status_facts
+from pftwin.dynamics.status import RESERVATIONS, Status, status_facts, status_of_lines
 from pftwin.model.scene import Scene
 
 _NEUTRAL = 1e-6  # of the largest stiffness: below, a direction counts as neutral
@@ -44,17 +44,18 @@ class EquilibriumReport:
     moved: float  # of the centre of mass, from the scene's start pose [m]
     turned: float  # likewise [rad]
     effects: dict[str, dict[str, NDArray[np.float64]]]  # reports there; a run's: with its bodies moving
+    lines: Status  # what the lines of force have against it
 
     @staticmethod
     def build(
-        scene: Scene, solution: Solution, relaxed: bool, *, there: tuple[Pose, Seen] | None = None
+        scene: Scene, solution: Solution, relaxed: bool, *, there: tuple[Pose, Seen, Any] | None = None
     ) -> EquilibriumReport:
         """The report on a solution.
 
         It does not raise: a solution that did not converge says so in `converged` and `description`. `there` are the
-        patella's pose in the femur and observables; by default they are looked up.
+        patella's pose in the femur, observables and the frame's status; by default they are looked up.
         """
-        pose, seen = on_host(_observe_at(scene.unnamed(), solution.pose) if there is None else there)
+        pose, seen, status = on_host(_observe_at(scene.unnamed(), solution.pose) if there is None else there)
         # Plain numpy from here on: fetched first, no little programs are compiled for a handful of numbers.
         solution, guess, com = on_host((solution, scene.start, scene.patella.center_of_mass))
         turn = host_array(guess.orientation)
@@ -75,6 +76,7 @@ class EquilibriumReport:
                 name: {key: np.asarray(value, dtype=np.float64) for key, value in report.items()}
                 for name, report in seen.items()
             },
+            lines=Status(int(status)) & Status.END_WITHIN_WRAP,
         )
 
     @property
@@ -94,8 +96,8 @@ class EquilibriumReport:
 
     @property
     def status(self) -> Status:
-        """What its effects have against it: too deep, beyond the patch, a search without room."""
-        found = Status.OK
+        """What its effects have against it: too deep, beyond the patch, a search without room, an end within a wrap."""
+        found = self.lines
         for report in self.effects.values():
             for name, flag in RESERVATIONS.items():
                 if np.any(report.get(name, np.zeros(())) > 0):
@@ -139,13 +141,14 @@ class EquilibriumReport:
 
 
 @Program
-def _observe_at(scene: Scene, pose: Pose) -> tuple[Pose, dict[str, dict[str, Any]]]:
-    """Pose of the patella in the femur and observables, with the patella at rest at a pose of its centre of mass."""
+def _observe_at(scene: Scene, pose: Pose) -> tuple[Pose, dict[str, dict[str, Any]], Any]:
+    """The patella's pose in the femur, observables, the lines' status; at rest at a pose of its centre of mass."""
     system, guide = System.of(scene), first_guide(scene)
     now = patella_at_rest(guide, pose)
     memories = system.remember(now)
     seen = {e.name: e.observe(now, m) for e, m in zip(system.effects, memories, strict=True)}
-    return instant_and_frame(scene, system.at_rest(pose, memories), guide)[1], seen
+    frame = instant_and_frame(scene, system.at_rest(pose, memories), guide)[1]
+    return frame, seen, status_of_lines(scene, now)
 
 
 def on_host(tree: Any) -> Any:

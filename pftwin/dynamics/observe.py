@@ -19,7 +19,7 @@ from pftwin.dynamics.integrators import LinearImplicit
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.packing import map_rows
 from pftwin.dynamics.state import Guide, State, System
-from pftwin.dynamics.status import status_of_all, status_of_frame
+from pftwin.dynamics.status import status_of_all, status_of_frame, status_of_lines
 from pftwin.model.effects.base import Instant
 from pftwin.model.scene import Scene
 
@@ -110,6 +110,7 @@ def _frame_observer(scene: Scene, chosen: Integrator) -> tuple[Callable[[State, 
         seen = {name: shown for name, (shown, _) in reports.items()}
         stored = {name: energy for name, (_, energy) in reports.items() if energy is not None}
         status = status_of_frame(scene, seen, state, step, chosen.diagnostics(state).residual)
+        status = status | status_of_lines(scene, now)
         kinetic = system.kinetic_energy(state) if chosen.inertia else jnp.zeros_like(step)
         return Observation(patella, center, seen, kinetic, stored, status)
 

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from pftwin.base.spatial import Scalar
 from pftwin.dynamics.state import State
+from pftwin.model.effects.base import Instant
 from pftwin.model.scene import Scene
 
 if TYPE_CHECKING:
@@ -44,6 +45,7 @@ class Status(enum.IntFlag):
     SNAPPED = 256
     INACCURATE = 512
     FACETS_INACCURATE = 1024
+    END_WITHIN_WRAP = 2048
 
     def describe(self) -> str:
         """The status in words."""
@@ -70,6 +72,8 @@ _WORDS = {
     f" {1e3 * MOST_PATH_ERROR:g} mm in place, or above {_FORCE} in contact force: take shorter steps, or float64",
     Status.FACETS_INACCURATE: f"by estimate the steps make an error above {_FORCE} in the force on one facet:"
     " take shorter steps, or use the sum of both",
+    Status.END_WITHIN_WRAP: "an end of a line lies within what it wraps over, so that it runs straight through:"
+    " move the end or make the obstacle smaller",
     Status.START_NOT_IN_EQUILIBRIUM: "the run did not start from a converged equilibrium",
 }
 
@@ -174,6 +178,16 @@ def status_of_frame(
             flags = flags | jnp.where(condition, int(flag), 0)
     finite = jnp.isfinite(state.position.squared_norm() + state.orientation.w + state.velocity.squared_norm())
     return jnp.where(finite, flags, int(Status.NOT_FINITE) | (flags & int(Status.SEARCH_OVERFLOW)))
+
+
+def status_of_lines(scene: Scene, now: Instant) -> Array:
+    """The flag of lines that run straight through what they wrap over at an instant, () int; 0 where none wraps."""
+    lines = [line for e in scene.effects if (line := e.line_element()) is not None and line.wrap is not None]
+    flags = jnp.zeros((), int)
+    for line in lines:
+        within = jnp.any(line.depth_in_wrap(now) > 0)
+        flags = flags | jnp.where(within, int(Status.END_WITHIN_WRAP), 0)
+    return flags
 
 
 def reservations(report: dict[str, Array]) -> Array:

@@ -120,7 +120,7 @@ class Result:
             error, impact: as the fields; frames where the error is large are flagged.
         """
         seen, ledger, start = on_host((seen, ledger, start))
-        first = jax.tree.map(lambda a: a[0], (seen.patella, seen.effects))
+        first = jax.tree.map(lambda a: a[0], (seen.patella, seen.effects, seen.status))
         contact, lines = scene.contact, [e.line_element() for e in scene.effects]
         kinetic, account = _double(seen.kinetic_energy), (None, None, None)
         if ledger is not None:

@@ -304,7 +304,7 @@ def test_equilibrium_on_both_facets_is_stable_and_agrees_with_the_run(result):
 def _report(scene, residual, stiffness):
     pose = scene.center_of_mass_pose()
     solution = Solution(pose, (), jnp.asarray(residual), jnp.asarray(80), jnp.asarray(stiffness))
-    there = (scene.start, {"contact": {"force_medial": np.array(1.0), "force_lateral": np.array(0.0)}})
+    there = (scene.start, {"contact": {"force_medial": np.array(1.0), "force_lateral": np.array(0.0)}}, 0)
     return EquilibriumReport.build(scene, solution, True, there=there)
 
 
@@ -329,7 +329,7 @@ def test_distance_from_the_start_pose():
         orientation=pose.orientation * Quaternion.from_rotation_vector(vec(0.0, 0.2, 0.0)),
     )
     solution = Solution(moved, (), jnp.asarray(0.0), jnp.asarray(3), jnp.eye(6))
-    report = EquilibriumReport.build(scene, solution, False, there=(scene.start, {}))
+    report = EquilibriumReport.build(scene, solution, False, there=(scene.start, {}, 0))
     assert report.moved == pytest.approx(0.005)
     assert report.turned == pytest.approx(0.2)
     assert report.facets == ()

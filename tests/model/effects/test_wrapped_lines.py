@@ -14,6 +14,8 @@ from scenes import MASS, G, J, energies, gravity, knee, look, record, run, settl
 from pftwin.base.leaves import vector
 from pftwin.base.spatial import Quaternion, Rotation, Vec3
 from pftwin.dynamics.integrators import BDF2
+from pftwin.dynamics.simulate import equilibrium, simulate
+from pftwin.dynamics.status import Status
 from pftwin.geometry.wrapping.cylinder import Cylinder
 from pftwin.model.effects.base import Instant
 from pftwin.model.effects.tendon import StrandGroup
@@ -186,3 +188,24 @@ def test_the_energy_budget_of_a_knee_with_a_wrapped_tendon_closes():
         assert np.abs(ledger.work).max() > 2e-3
         assert gaps[0] < 1e-3 * np.abs(ledger.work).max()
     assert gaps[1] < 0.3 * gaps[0]
+
+
+def test_frames_in_which_an_end_is_within_the_obstacle_are_flagged():
+    """The tibia carries the end of the patellar tendon through a thin cylinder on the femur, which it then leaves."""
+    scene = knee(31)
+    line: Any = scene.effect("patellar_tendon")
+    tibia = scene.motion.tibia.frames(scene.motion.frame_times())
+    path = np.asarray(jax.vmap(lambda f: f.point(line.origin).array())(tibia))
+    middle, radius = path[12], 0.5 * np.linalg.norm(path[15] - path[9])
+    post = Cylinder(vector(middle), "femur", J(radius), vec(0, 1, 0))
+    away = path - middle
+    within = np.hypot(away[:, 0], away[:, 2]) < radius
+    assert 3 < within.sum() < 20
+    assert not within[0]
+    result = simulate(scene.with_effect(over(post, line)))
+    np.testing.assert_array_equal((result.flags & Status.END_WITHIN_WRAP) > 0, within)
+    assert f"({within.sum()} of 31 frames)" in result.verdict.describe()
+    assert "runs straight through" in result.verdict.describe()
+    assert not result.equilibrium.status
+    there = eqx.tree_at(lambda c: c.center, post, vector(path[0]))
+    assert equilibrium(scene.with_effect(over(there, line))).status == Status.END_WITHIN_WRAP

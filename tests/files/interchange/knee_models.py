@@ -188,7 +188,7 @@ def model(forces: str | None = None, joints: str = "", meshes: bool = True, head
 
 def write_knee(folder: Path, text: str | None = None) -> Path:
     """The model beside its meshes; the button's is in millimetres, as the model's scale factors say."""
-    folder.mkdir(exist_ok=True)
+    folder.mkdir(parents=True, exist_ok=True)
     femur = rig_implant().mesh(deviation=0.1e-3)
     save_mesh(SurfaceMesh(femur.vertices @ OSIM.T, femur.faces), folder / "femur.stl")
     ball = icosphere(BUTTON_RADIUS, 12)

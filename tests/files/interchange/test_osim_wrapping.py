@@ -153,7 +153,7 @@ OFF = CYLINDER.replace("KnExt", "off").replace("<active>true", "<active>false")
 HALF = ELLIPSOID.replace("ball", "half").replace(">all<", ">x<")
 
 
-def scene_of(folder: Path, *lines: tuple[str, str, tuple[str, ...]]):
+def scene_of(folder: Path, *lines: tuple[str, str, tuple[str, ...]], side: str = "right"):
     """A scene with ligaments (name, bone, objects), and what was told; the femur has all objects above."""
     forces = "".join(
         ligament(
@@ -170,7 +170,7 @@ def scene_of(folder: Path, *lines: tuple[str, str, tuple[str, ...]]):
     here = '<Body name="femur_r">'
     assert here in text
     text = text.replace(here, here + wrap_set(CYLINDER, ELLIPSOID, SPHERE, OFF, HALF), 1)
-    told = import_osim(write_knee(folder / "model", text), folder / "scene")
+    told = import_osim(write_knee(folder / "model", text), folder / "scene", side=side)
     return load_scene(told.scene), told
 
 
@@ -207,6 +207,25 @@ def test_cylinders_and_ellipsoids_are_taken_over(tmp_path):
     np.testing.assert_allclose(own @ np.diag(np.asarray(b.radii.array()) ** -2) @ own.T, shape, rtol=1e-6, atol=1e-3)
     assert any("cylinders are taken as endless" in note for note in told.notes)
     assert not any("not wrapped" in note for note in told.notes)
+
+
+def test_a_left_knee_has_their_mirror_images(tmp_path):
+    """OpenSim's z is to the right in every model: lateral of a right knee, medial of a left one."""
+    lines = ("A1", FEMUR, ("KnExt",)), ("B1", TIBIA, ("ball",))
+    right, left = (scene_of(tmp_path / side, *lines, side=side)[0] for side in ("right", "left"))
+    mirror = np.array([1.0, -1.0, 1.0])
+    (a, b), (mirrored, other) = ([wrap_of(scene, name) for name in "ab"] for scene in (right, left))
+    assert a.side is not None
+    for name in ("center", "axis", "side"):
+        seen, expected = (np.asarray(getattr(wrap, name).array()) for wrap in (mirrored, a))
+        assert abs(expected[1]) > 1e-3
+        np.testing.assert_allclose(seen, mirror * expected, atol=1e-12)
+    shapes = []
+    for wrap in (b, other):
+        own = np.asarray(wrap.orientation.rotation().array())
+        shapes.append(own @ np.diag(np.asarray(wrap.radii.array()) ** -2) @ own.T)
+    np.testing.assert_allclose(shapes[1], np.outer(mirror, mirror) * shapes[0], rtol=1e-6, atol=1e-3)
+    np.testing.assert_allclose(other.center.array(), mirror * b.center.array(), atol=1e-12)
 
 
 def test_what_a_scene_cannot_have_is_told(tmp_path):

@@ -117,7 +117,7 @@ def course_of(scene: Scene, seen: CourseFrame, status: Array, groove: Groove) ->
 
 
 def dislocated(offset: Array, threshold: float = DISLOCATED) -> Array:
-    """Frame by frame, whether the button has left its groove (n,), as `pftwin.results.tracking.follow` has it."""
+    """Frame by frame, whether the button has left its groove (n,), as `find_dislocations` has it."""
 
     def look(out: Array, far: Array) -> tuple[Array, Array]:
         out = jnp.where(out, ~(far < RE_ENGAGED * threshold), far > threshold)

@@ -34,7 +34,15 @@ NaturalOption = Annotated[
     Option(
         "--knee",
         metavar=_TROCHLEAE,
-        help="The natural knee in a squat instead of a scene file: normal, or with a trochlea of Dejour's types.",
+        help="The natural knee instead of a scene file: normal, or with a trochlea of Dejour's types.",
+    ),
+]
+ActivityOption = Annotated[
+    str | None,
+    Option(
+        "--activity",
+        metavar="squat|extension",
+        help="What the natural knee does: squat (if left out), or extension, seated and against a weight at the ankle.",
     ),
 ]
 # Whether scene files may name files outside their folders: --allow-outside, set before each command by the program.
@@ -97,6 +105,7 @@ def chosen_scene(
     rate: float | None = None,
     *,
     natural: str | None = None,
+    activity: str | None = None,
 ) -> Chosen:
     """Loads the scene file, the rig's case or the natural knee, with another contact or motion if one is named;
     InputError where it cannot."""
@@ -107,7 +116,9 @@ def chosen_scene(
         found = f"both {' and '.join(given)}" if given else "neither a scene file nor --case"
         raise InputError(f"{found} given", expected="one of them", remedy="pftwin simulate --case 1 -o case1.nc")
     if natural is not None:
-        return _natural(natural, contact, motion)
+        return _natural(natural, activity, contact, motion)
+    if activity is not None:
+        raise InputError("given without --knee", where="--activity", expected="--knee, whose motion is made up")
     if contact is not None:
         from pftwin.rig.contacts import ON_MESHES, parse_contact
 
@@ -139,8 +150,8 @@ def chosen_scene(
         return Chosen(rig.case(case, contact=name), name)
 
 
-def _natural(trochlea: str, contact: str | None, motion: Path | None) -> Chosen:
-    """The natural knee; InputError for no such trochlea, or for what it cannot have."""
+def _natural(trochlea: str, activity: str | None, contact: str | None, motion: Path | None) -> Chosen:
+    """The natural knee; InputError for no such trochlea or activity, or for what it cannot have."""
     if trochlea not in _TROCHLEAE.split("|"):
         raise InputError(f"found {trochlea!r}", where="--knee", expected=f"one of: {_TROCHLEAE.replace('|', ', ')}")
     for option, value in (("--contact", contact), ("--motion", motion)):
@@ -151,7 +162,7 @@ def _natural(trochlea: str, contact: str | None, motion: Path | None) -> Chosen:
 
     with spinner("making the natural knee"):
         anatomy = rig.Anatomy() if trochlea == "normal" else rig.Anatomy.dejour(trochlea)
-        return Chosen(rig.knee(anatomy), None)
+        return Chosen(rig.knee(anatomy, activity=activity or "squat"), None)
 
 
 @dataclass(frozen=True)
@@ -161,11 +172,12 @@ class SceneOptions:
     scene: SceneArgument = None
     case: CaseOption = None
     natural: NaturalOption = None
+    activity: ActivityOption = None
     contact: ContactOption = None
 
     def load(self) -> Chosen:
         """Loads the scene; InputError where it cannot."""
-        return chosen_scene(self.scene, self.case, self.contact, natural=self.natural)
+        return chosen_scene(self.scene, self.case, self.contact, natural=self.natural, activity=self.activity)
 
 
 @dataclass(frozen=True)
@@ -187,7 +199,8 @@ class RecordingOptions(SceneOptions):
         """Loads the scene; InputError where it cannot."""
         if self.rate is not None and self.motion is None:
             raise InputError("a rate without --motion", where="--rate", expected="both")
-        return chosen_scene(self.scene, self.case, self.contact, self.motion, self.rate, natural=self.natural)
+        made_up = {"natural": self.natural, "activity": self.activity}
+        return chosen_scene(self.scene, self.case, self.contact, self.motion, self.rate, **made_up)
 
 
 TrialsArgument = Annotated[

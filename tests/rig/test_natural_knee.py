@@ -43,6 +43,19 @@ def test_the_squat_leans_thigh_and_shank_alike_and_pulls_with_the_sine():
     np.testing.assert_allclose(done.pull, np.sin(half) / np.sin(np.radians(45)))
 
 
+def test_in_an_extension_the_thigh_is_horizontal_and_the_pull_follows_the_weights_lever():
+    """The shank's proximal axis is x up, z backward less so as it is raised: its horizontal part is the lever."""
+    done = motion.extension(1.0)
+    femur, tibia = done.motion.frames(done.motion.times)
+    assert femur is not None
+    axes = np.asarray(femur.rotation.array())
+    np.testing.assert_allclose(axes[:, :, 0], np.tile([0, 0, -1], (len(axes), 1)), atol=1e-6)
+    np.testing.assert_allclose(axes[:, :, 2], np.tile([1, 0, 0], (len(axes), 1)), atol=1e-6)  # its front is up
+    np.testing.assert_allclose(done.flexion[[0, 30, -1]], [90, 15, 90])
+    lever = -np.asarray(tibia.rotation.array())[:, 2, 0]
+    np.testing.assert_allclose(done.pull, 0.05 + 0.95 * lever / lever[30], atol=1e-5)
+
+
 def test_the_four_parts_share_the_pull_and_leave_at_their_angles():
     """Farahmand et al. 1998: together nearly along the shaft."""
     ends = placing.muscles(NORMAL)
@@ -84,6 +97,7 @@ def test_a_ratio_that_is_refused_is_made_good_by_what_the_message_says():
     ("options", "words"),
     [
         ({"quadriceps": 1e5}, r"quadriceps: found 100000.0; expected: 20 to 5000"),
+        ({"activity": "walk"}, r"activity: found 'walk'; expected: one of: squat, extension"),
         ({"duration": 0.0}, r"duration: found 0.0; expected: 0.2 to 60 s"),
         ({"resolution_mm": 3.0}, r"resolution_mm: found 3.0; expected: 0.5 to 2"),
     ],
@@ -147,6 +161,23 @@ def test_tendon_and_contact_by_quadriceps_lie_in_wide_bounds_and_change_as_measu
     contact = squat.effects["contact"]
     assert contact["force_lateral"][deep] > contact["force_medial"][deep]
     assert 150e-6 < contact["area"][deep] < 600e-6
+
+
+@pytest.mark.slow
+def test_an_extension_is_clean_and_bears_as_much_in_proportion_as_a_squat(squat):
+    """Slow motions: at the same flexion forces by quadriceps are alike, though in a squat they grow as it bends."""
+    done = simulate(rig.knee(activity="extension", duration=1.0, resolution_mm=2.0), dt=1 / 480)
+    assert done.verdict.valid, done.verdict.describe()
+    assert done.status == Status.OK
+    bending = slice(0, int(np.argmax(squat.knee.flexion)) + 1), slice(int(np.argmin(done.knee.flexion)), None)
+    ratios = [
+        np.interp(np.radians([30, 50, 70]), r.knee.flexion[part], (force / r.effects["quadriceps"]["tension"])[part])
+        for r, part in zip((squat, done), bending, strict=True)
+        for force in (r.effects["patellar_tendon"]["tension"], r.effects["contact"]["force"])
+    ]
+    np.testing.assert_allclose(ratios[:2], ratios[2:], atol=0.05)
+    tendon = ratios[2]
+    assert 0.6 < tendon[2] < tendon[0] < 1.1  # 0.65 at 70 deg in extensions against resistance, Buff et al. 1988
 
 
 @pytest.mark.slow

@@ -1,7 +1,8 @@
 """What a natural knee does: flexion over time, the tibia's rotation with it, the femur's place, and the muscles' pull.
 
-A squat, down and up again, femur and tibia inclined alike. The knee is before the line from hip to ankle by as much as
-the sine of half its flexion, and so the moment that the quadriceps holds rises with it. The tibia turns about the
+In a squat femur and tibia are inclined alike. The knee is before the line from hip to ankle by as much as the sine of
+half its flexion, and so the moment that the quadriceps holds rises with it. In an extension against a weight at the
+ankle the thigh is horizontal, and the weight's lever goes with the cosine of the flexion. The tibia turns about the
 condyles' axis, and inward over the first 30 deg of flexion (screw-home: 17 deg in gait, Kim et al. 2015,
 Clin Orthop Surg 7:303; 8 is a choice).
 """
@@ -24,32 +25,57 @@ from pftwin.rig.natural.implicit import smooth_step
 
 STRAIGHT, BENT = 15.0, 90.0  # flexion between which it goes [deg]
 SCREW_HOME, SCREWED = 8.0, 30.0  # inward turn of the tibia, and the flexion at which it is complete [deg]
+AT_REST = 0.05  # share of the largest pull that is left in an extension where the shank hangs down: a choice
 RATE = 60.0  # frames in a second
+GRAVITY = (-9.81, 0.0, 0.0)  # in the world, whose x points up [m/s^2]
 
 
 class Activity(NamedTuple):
     """What is prescribed, at each frame."""
 
+    name: str
     motion: KneeMotion
     flexion: Floats  # (n,) of the knee [deg]
     inclined: Floats  # (n,) the femur backward from its place in full extension [deg]
     pull: Floats  # (n,) of all the quadriceps, as a share of its largest
-    gravity: tuple[float, float, float]  # in the world [m/s^2]
 
 
 def squat(duration: float) -> Activity:
-    """A squat that takes so long [s], to the next even number of frames: one of them is at the deepest.
+    """Down and up again, in so many seconds, to the next even number of frames: one of them is at the deepest.
 
     Raises:
         InputError: a duration that is no time for it.
     """
+    times, there = _there_and_back(duration)
+    flexion = STRAIGHT + (BENT - STRAIGHT) * there
+    inclined = 0.5 * flexion
+    pull = np.sin(np.radians(inclined)) / np.sin(np.radians(0.5 * BENT))
+    return Activity("squat", _motion("squat", times, inclined, flexion), flexion, inclined, pull)
+
+
+def extension(duration: float) -> Activity:
+    """Seated, against a weight at the ankle: out and back, as `squat`; one frame is at the straightest.
+
+    Raises:
+        InputError: a duration that is no time for it.
+    """
+    times, there = _there_and_back(duration)
+    flexion = BENT - (BENT - STRAIGHT) * there
+    inclined = np.full_like(flexion, 90.0)
+    lever = np.cos(np.radians(flexion)) / np.cos(np.radians(STRAIGHT))
+    pull = AT_REST + (1 - AT_REST) * lever
+    return Activity("extension", _motion("extension", times, inclined, flexion), flexion, inclined, pull)
+
+
+ACTIVITIES = {"squat": squat, "extension": extension}
+
+
+def _there_and_back(duration: float) -> tuple[Floats, Floats]:
+    """Times of the frames [s], and how far it is from 0 at both ends to 1 in the middle."""
     if not 0.2 <= duration <= 60:
         raise InputError(f"found {duration!r}", where="duration", expected="0.2 to 60 s")
     times = np.arange(2 * round(0.5 * duration * RATE) + 1) / RATE
-    flexion = STRAIGHT + (BENT - STRAIGHT) * (0.5 - 0.5 * np.cos(2 * np.pi * times / times[-1]))
-    inclined = 0.5 * flexion
-    pull = np.sin(np.radians(inclined)) / np.sin(np.radians(0.5 * BENT))
-    return Activity(_motion(times, inclined, flexion), flexion, inclined, pull, (-9.81, 0.0, 0.0))
+    return times, 0.5 - 0.5 * np.cos(2 * np.pi * times / times[-1])
 
 
 def tibia_turn(flexion: Floats) -> Rotation:
@@ -59,13 +85,13 @@ def tibia_turn(flexion: Floats) -> Rotation:
     return Rotation.from_quat(np.stack([q.w, q.x, q.y, q.z], axis=-1), scalar_first=True)
 
 
-def _motion(times: NDArray, inclined: NDArray, flexion: NDArray) -> KneeMotion:
+def _motion(name: str, times: NDArray, inclined: NDArray, flexion: NDArray) -> KneeMotion:
     femur = Rotation.from_euler("Y", inclined[:, None], degrees=True)
     tibia = femur * tibia_turn(flexion)
     axis = 1e-3 * np.array([FLEXION_AXIS[0], 0.0, FLEXION_AXIS[1]])
     places = {"femur": np.zeros((times.size, 3)), "tibia": femur.apply(axis) - tibia.apply(axis)}
     femoral, tibial = (
-        PoseSeries(times, places[bone], turn.as_quat(scalar_first=True), source=f"squat, {bone}")
+        PoseSeries(times, places[bone], turn.as_quat(scalar_first=True), source=f"{name}, {bone}")
         for bone, turn in (("femur", femur), ("tibia", tibia))
     )
     return KneeMotion.from_poses(femoral, tibial)

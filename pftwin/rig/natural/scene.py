@@ -24,7 +24,7 @@ from pftwin.model.effects.tension import PrescribedTension
 from pftwin.model.scene import PatellaBody, Scene
 from pftwin.rig.natural import placing
 from pftwin.rig.natural.anatomy import Anatomy
-from pftwin.rig.natural.motion import RATE, Activity, squat
+from pftwin.rig.natural.motion import ACTIVITIES, GRAVITY, RATE, Activity
 from pftwin.rig.natural.surfaces import articular, bones
 from pftwin.rig.retinacula import LIGAMENTS, TOE_STRAIN, strand_group
 
@@ -44,30 +44,35 @@ TABLE = 1e-3  # cubes of the femur's table of depths [m]
 def knee(
     anatomy: Anatomy | None = None,
     *,
+    activity: str = "squat",
     quadriceps: float = 700.0,
     duration: float = 2.0,
     resolution_mm: float = 1.5,
 ) -> Scene:
-    """A natural knee that squats, from 15 to 90 deg of flexion and back. Motion and loads are made up: `synthetic`.
+    """A natural knee in motion between 15 and 90 deg of flexion. Motion and loads are made up: `synthetic`.
 
     Args:
         anatomy: the knee's numbers; by default a normal knee's.
+        activity: "squat", down and up again, or "extension", seated and against a weight at the ankle, out and back.
         quadriceps: largest pull of its four parts together, 20 to 5000 N.
         duration: of the motion [s].
         resolution_mm: size of the triangles, 0.5 to 2 mm; the patella's are half as large.
 
     Raises:
-        InputError: a number out of range, a patella that lies nowhere on the trochlea, a resolution too coarse.
+        InputError: no such activity, a number out of range, a patella that lies nowhere on the trochlea, a resolution
+            too coarse.
     """
     limits = {"quadriceps": (quadriceps, 20.0, 5000.0), "resolution_mm": (resolution_mm, 0.5, 2.0)}
     for name, (value, low, high) in limits.items():
         if not low <= value <= high:
             raise InputError(f"found {value!r}", where=name, expected=f"{low:g} to {high:g}")
-    anatomy, done = anatomy or Anatomy(), squat(duration)
+    if activity not in ACTIVITIES:
+        raise InputError(f"found {activity!r}", where="activity", expected=f"one of: {', '.join(ACTIVITIES)}")
+    anatomy, done = anatomy or Anatomy(), ACTIVITIES[activity](duration)
     made = bones(anatomy, resolution_mm)
     body = _patella_body(made.patella)
     effects = (
-        Gravity(body.mass, vector(done.gravity)),
+        Gravity(body.mass, vector(GRAVITY)),
         _quadriceps(anatomy, quadriceps, done),
         _strands(anatomy, "patellar_tendon"),
         *(_strands(anatomy, name) for name in LIGAMENTS),
@@ -75,7 +80,8 @@ def knee(
         LinearDamping(*(number(c) for c in DRAG), body="femur"),
     )
     drawn = DrawnBones(made._asdict())
-    return Scene(body, effects, done.motion, _start(anatomy, done), "natural knee, squat", synthetic=True, bones=drawn)
+    name = f"natural knee, {activity}"
+    return Scene(body, effects, done.motion, _start(anatomy, done), name, synthetic=True, bones=drawn)
 
 
 def _start(anatomy: Anatomy, done: Activity) -> Pose:

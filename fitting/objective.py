@@ -109,7 +109,10 @@ class Objective:
         channels = tuple(data)
         if noise is not None:
             check_noise(noise, channels, _residuals_of(channels))
-        if loss != "linear" and (noise is None or kind == "paper"):
+            if kind == "paper":
+                found, expected = "given with the paper's objective, which knows none", "the likelihood, or no noise"
+                raise InputError(found, where="noise", expected=expected)
+        if loss != "linear" and noise is None:
             problem = f"the loss {loss!r} tells outliers by the measurements' noise, which is not known here"
             expected = 'a likelihood with noise, such as noise={"position": 2e-4}'
             raise InputError(problem, where="loss", expected=expected)
@@ -121,7 +124,7 @@ class Objective:
                 found = f"no frame in which {unseen[0]} was measured counts"
                 raise InputError(found, where=measured.source, expected="a weight that is not 0")
             weights = weights / weights[weights > 0].mean()
-        own = None if noise is None or kind == "paper" else {c: noise[c] for c in channels}
+        own = None if noise is None else {c: noise[c] for c in channels}
         column_channel, stated = channel_of_columns(channels), covariances(own)
         return Objective(
             kind,

@@ -220,9 +220,6 @@ def free_parameters(
     """
     if isinstance(names, str) or not names:
         raise InputError(f"found {names!r}", where="free", expected='names of parameters, such as ("K1", "L1")')
-    for given, what in ((bounds, "bounds"), (priors, "priors")):
-        if isinstance(given, Mapping) and (stray := [n for n in given if not _known(n, names)]):
-            raise InputError(f"{stray[0]!r} is not free", where=what, expected=f"one of: {', '.join(names)}")
     items: list[Parameter] = []
     for name in names:
         places = find(scene, name)
@@ -231,12 +228,11 @@ def free_parameters(
             if any(p.place.overlaps(place) for p in items):
                 raise InputError(f"{own!r} is named twice", where="free", expected="every number once")
             items.append(_parameter(scene, own, name, place, bounds, priors or {}))
+    own = [p.name for p in items]
+    for given, what in ((bounds, "bounds"), (priors, "priors")):
+        if isinstance(given, Mapping) and (stray := [n for n in given if n not in own and n not in names]):
+            raise InputError(f"{stray[0]!r} is not free", where=what, expected=f"one of: {', '.join(own)}")
     return Parameters(tuple(items))
-
-
-def _known(name: str, names: Sequence[str]) -> bool:
-    """Whether a name is among them, or one of the numbers of a field that is."""
-    return name in names or (not name.endswith("[:]") and name.partition("[")[0] in names)
 
 
 def with_nuisance(

@@ -37,6 +37,7 @@ class TimeShift(NamedTuple):
     explained: float  # the share of the channel's whitened squares
     enough: float  # the least such share of a shift that is said
     change: Floats  # (p,) by which the parameters would change without it
+    at_least: bool = False  # whether it is the largest that was looked for: it may be larger, and has no deviation
 
     def beyond(self, limit: float) -> bool:
         """Whether it is surely larger than a limit [s], well known, and explains the residuals."""
@@ -69,16 +70,18 @@ def late_channels(shifts: Mapping[str, TimeShift], source: str, limits: Limits) 
     for channel, s in shifts.items():
         if not s.beyond(limits["shift"][0]):
             continue
-        words = (
-            f"measured {channel} {'is' if s.seconds > 0 else 'comes'} {1e3 * abs(s.seconds):.0f} ms (+- "
-            f"{2e3 * s.deviation:.1f}) {'late' if s.seconds > 0 else 'early'} against the motion of the bones"
-        )
+        size = f"{1e3 * abs(s.seconds):.0f} ms"
+        size = f"at least {size}" if s.at_least else f"{size} (+- {2e3 * s.deviation:.1f})"
+        verb, when = ("is", "late") if s.seconds > 0 else ("comes", "early")
+        more = " or more" if s.at_least else ""
+        words = f"measured {channel} {verb} {size} {when} against the motion of the bones"
         if s.beyond(limits["shift"][1]):
             raise InputError(
                 words,
                 where=source,
                 expected=f"less than {1e3 * limits['shift'][1]:g} ms, by the limit 'shift'",
-                remedy=f"move its times by {-1e3 * s.seconds:+.0f} ms; or {raised('shift', limits, abs(s.seconds))}",
+                remedy=f"move its times by {-1e3 * s.seconds:+.0f} ms{more}; "
+                f"or {raised('shift', limits, abs(s.seconds))}",
             )
         said.append(words)
     return said
@@ -136,7 +139,7 @@ class _Whitened(NamedTuple):
 
 
 def _shift(seen: _Fitted, columns: slice, rows: slice, reach: float) -> TimeShift | None:
-    """The shift of one channel; None where too little of it was measured, or no shift within reach is best."""
+    """The shift of one channel; at the end of the reach it is `at_least` that. None where too little was measured."""
     frame = float(np.median(np.diff(seen.times)))  # whole frames: between them interpolation would smooth the motion
     h = frame * max(1, int(reach / frame) // _STEPS)
     grid = h * np.arange(-int(reach / h), int(reach / h) + 1)
@@ -148,17 +151,22 @@ def _shift(seen: _Fitted, columns: slice, rows: slice, reach: float) -> TimeShif
     for _ in range(_ROUNDS):
         squares = np.array([np.sum(model.left(model.residuals(seen.residuals(columns, s))) ** 2) for s in grid])
         best = int(np.argmin(squares))
-        if best in (0, len(grid) - 1):
-            return None
         used, r = model, seen.residuals(columns, grid[best])
+        at_end = best in (0, len(grid) - 1)
+        if at_end:
+            break
         model = _Whitened.of(seen, np.where(seen.present, r + seen.slopes @ model.change(model.residuals(r)), 0.0))
-    below, least, above = squares[best - 1 : best + 2]
-    curvature = (below - 2 * least + above) / h**2
-    if not curvature > 0:
-        return None
-    seconds = float(grid[best] + 0.5 * (below - above) / (h * curvature))
+    seconds, deviation = float(grid[best]), 0.0
+    if not at_end:
+        below, least, above = squares[best - 1 : best + 2]
+        curvature = (below - 2 * least + above) / h**2
+        if not curvature > 0:
+            return None
+        seconds += float(0.5 * (below - above) / (h * curvature))
+        deviation = float(np.sqrt(2 * least / freedom / curvature))
     one, other = used.residuals(plain), used.residuals(r)
     before, after = (float(np.sum(used.left(z)[:, rows] ** 2)) for z in (one, other))
-    deviation = float(np.sqrt(2 * least / freedom / curvature))
     enough = EXPLAINED[rows.stop - rows.start == 1]
-    return TimeShift(seconds, deviation, 1 - after / max(before, 1e-300), enough, used.change(other) - used.change(one))
+    return TimeShift(
+        seconds, deviation, 1 - after / max(before, 1e-300), enough, used.change(other) - used.change(one), at_end
+    )

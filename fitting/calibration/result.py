@@ -28,10 +28,11 @@ FORMAT = "pftwin calibration 1"
 LEVELS = (0.5, 0.8, 0.9, 0.95)
 INTERVALS, BANDS = 0.95, 0.9  # levels on which verdicts are: of what is asked for, of what is predicted
 _SURE = 0.95  # of the intervals of all parameters' shares together that are held against it
+_LEAST_TOLD = 0.5  # lower end of the interval of a share that was held throughout, or there were too few plants
 _MOST_RUN = 0.5  # least share of draws that run, of predictions that are counted
-_NARROW, _WIDE, _NONE = "too narrow", "wider than need be", "no plant was answered"
+_NARROW, _WIDE, _NONE, _FEW = "too narrow", "wider than need be", "no plant was answered", "too few plants to tell"
 _UNSAFE, _NO_PLAN = "not as safe as they say", "no plan was found"
-_BAD = (_NARROW, _NONE, _UNSAFE, _NO_PLAN)
+_BAD = (_NARROW, _NONE, _FEW, _UNSAFE, _NO_PLAN)
 
 
 class Answers(NamedTuple):
@@ -92,11 +93,19 @@ class Answers(NamedTuple):
         """Whether intervals of its level hold as often as they say, as far as so many plants can tell."""
         if not len(self.ranks):
             return _NONE
+        if self._few and _NARROW not in self._words():
+            return _FEW
         words = self._words()
         listed = {
             word: [name for name, own in zip(names, words, strict=True) if own == word] for word in (_NARROW, _WIDE)
         }
         return "; ".join(f"{word}: {', '.join(named)}" for word, named in listed.items() if named) or "hold"
+
+    @property
+    def _few(self) -> bool:
+        """Whether even intervals that hold the truth every time would tell next to nothing."""
+        count = len(self.ranks)
+        return bool(binomtest(count, count).proportion_ci(_SURE).low < _LEAST_TOLD)
 
     def _words(self) -> list[str]:
         """Of each parameter, whether its share may be as large as the level, with room for so many being looked at."""
@@ -113,7 +122,7 @@ class Answers(NamedTuple):
         if len(self.ranks):
             held, half = self.coverage[self.level], scales * self.half_widths.mean(axis=0)
             cells = [f"{100 * share:.0f} %, {width:.2g}" for share, width in zip(held, half, strict=True)]
-            words = [word for word in (_NARROW, _WIDE) if word in self._words()] or ["hold"]
+            words = [word for word in (_NARROW, _WIDE) if word in self._words()] or [_FEW if self._few else "hold"]
         return f"{len(self.ranks)} of {of}", *cells, "; ".join(words)
 
     def to_dict(self, names: tuple[str, ...]) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from typer import Argument, Option
 
 from pftwin.base.sheet import Sheet
 from pftwin.cli.exit_codes import exit_flagged, report_written_on_interrupt
-from pftwin.cli.scenes import allow_outside
+from pftwin.cli.scenes import allow_outside, limits
 from pftwin.cli.terminal import JsonOption, check_outputs, present, progress, start_computing, tell, written_line
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ def cohort(
     start_computing(batches=True)
     from fitting.cohort.description import read_cohort
 
-    described = read_cohort(file, allow_outside=allow_outside.get())
+    described = read_cohort(file, allow_outside=allow_outside.get(), limits=limits.get())
     folder = described.output if out_dir is None else out_dir
     why = _check(described, folder, json) if check else _run(described, folder, resume, json)
     if why:

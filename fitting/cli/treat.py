@@ -74,7 +74,14 @@ def treat(
     found = _loaded(estimate)
     chosen = knee.load()
     from fitting.prediction.band_sources import band_sources
-    from fitting.prediction.plots import facts, invalid_variants, main_finding, outcome_figure, outcome_sheet
+    from fitting.prediction.plots import (
+        facts,
+        invalid_variants,
+        main_finding,
+        narrow_bands,
+        outcome_figure,
+        outcome_sheet,
+    )
     from pftwin.files.result_files import save_dataset
     from pftwin.results.plots import save_figure
 
@@ -89,10 +96,13 @@ def treat(
             drawn = outcome_figure(data, f"{chosen.scene.name}: predicted outcomes")
             files += save_figure(drawn, output.with_suffix(""))
     said = main_finding(data)
+    doubted = found is not None and found.invalid
+    if found is not None and doubted:
+        said = f"{found.sentence()}\n{said}"
     told = {**facts(data), "finding": said, "files": [str(p) for p in files]}
-    doubt = invalid_variants(data)
+    doubt = invalid_variants(data) or narrow_bands(data)
     sheet = outcome_sheet(data, _MOST_ROWS)
-    parts = (said, sheet) if doubt else (sheet, said)
+    parts = (said, sheet) if doubt or doubted else (sheet, said)
     if "parameter_kind" in data.coords and "sample" in data.dims:
         sources = band_sources(data)
         told["bands_narrower_if_known"] = sources.facts()

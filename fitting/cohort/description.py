@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 import os
 from collections import Counter
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -202,14 +203,18 @@ class Cohort:
     treatments: tuple[Amounts, ...]
     predict: dict[str, Any]  # samples, seed, dt [s]
     allow_outside: bool = False  # whether scene files may name files outside their folders
+    limits: Mapping[str, float] = field(default_factory=dict)  # of what a knee can be, in place of the scene files'
 
 
-def read_cohort(path: str | os.PathLike[str], *, allow_outside: bool = False) -> Cohort:
+def read_cohort(
+    path: str | os.PathLike[str], *, allow_outside: bool = False, limits: Mapping[str, float] | None = None
+) -> Cohort:
     """What a TOML file says of a cohort. Scene files are not read here: a broken one is reported with its patient.
 
     Args:
         path: the file; relative paths in it start at its folder.
         allow_outside: whether it, and the scene files, may name files outside their folders.
+        limits: of what a knee can be (`pftwin.model.limits.Limits`), by name, in place of those of the scene files.
 
     Raises:
         InputError: a file that cannot be read, unknown or missing fields, values that cannot be right, two patients of
@@ -224,7 +229,7 @@ def read_cohort(path: str | os.PathLike[str], *, allow_outside: bool = False) ->
         output = _inside(document, table.output or f"{document.path.stem}_results")
     predict = {"samples": table.predict.samples, "seed": table.predict.seed, "dt": table.predict.dt_s}
     name = table.name or document.path.stem
-    return Cohort(name, document.path, output, patients, treatments, predict, allow_outside)
+    return Cohort(name, document.path, output, patients, treatments, predict, allow_outside, dict(limits or {}))
 
 
 def _patient(table: PatientTable, i: int, cohort: CohortTable, document: Document) -> Patient:

@@ -37,6 +37,8 @@ def units_of(cohort: Cohort, patient: Patient) -> tuple[Unit, ...]:
     """The units of a patient, in their order. Raises InputError: the scene file, or a file that it names, cannot be
     read."""
     inputs = _inputs(patient, cohort.allow_outside)
+    if cohort.limits:
+        inputs["limits"] = json.dumps(cohort.limits, sort_keys=True)
     units, before = [], ""
     if patient.fit is not None:
         before = _key("fit", inputs, {"contact": patient.contact, "fit": patient.fit})

@@ -82,7 +82,8 @@ class Work:
             else:
                 from pftwin.files.scene_file import load_scene
 
-                scene = load_scene(patient.scene, contact=patient.contact, allow_outside=self.cohort.allow_outside)
+                own: dict[str, Any] = {"allow_outside": self.cohort.allow_outside, "limits": self.cohort.limits}
+                scene = load_scene(patient.scene, contact=patient.contact, **own)
             self._last = patient, scene
         return self._last[1]
 

@@ -14,6 +14,7 @@ from scipy.special import ndtri
 
 from fitting.estimate import Estimate
 from fitting.measured_channels import check_times
+from fitting.prediction.plots import MOST_FAILED
 from fitting.prediction.predicted_motion import COORDINATES, LEVEL, PredictedMotion
 from fitting.prediction.predicting import check_draws, estimate_and_draws, reservations
 from fitting.programs import ORIENTATION, POSITION, TURNS
@@ -30,7 +31,6 @@ from pftwin.model.scene_parameters import find
 from pftwin.results.verdict import INVALID, is_invalid, verdict_of_counts
 
 _QUANTILES = 401  # of the normal error that widens each draw
-_MOST_FAILED = 0.1  # share of the draws without a motion that a band may leave out
 
 
 def predict_motion(
@@ -82,7 +82,7 @@ def predict_motion(
     if verdict == "valid" and not good[0]:
         verdict = "INVALID: the estimate has no motion"
     lost = int((~good[1:]).sum())
-    if verdict == "valid" and lost > _MOST_FAILED * samples:
+    if verdict == "valid" and lost > MOST_FAILED * samples:
         verdict = f"INVALID: {lost} of {samples} draws have no motion that may be spoken of"
     each = (f"{name} {value:.2g} {unit}" for (name, (unit, _)), value in zip(COORDINATES.items(), left, strict=True))
     notes = [f"{samples} draws, and what the fit left: {', '.join(each)} (rms)"]
@@ -132,8 +132,12 @@ def _with_values(
                 found, expected = "not as it was fitted", f"the fit's name: {', '.join(names[k] for k in same)}"
                 raise InputError(found, where=name, expected=expected)
             if same:
+                k = same[0]
+                if names[k] in estimate.coordinates:  # applied as what is added to the scene's own
+                    shift = dict(zip(names, estimate.nominal, strict=False))[names[k]] - float(place.read(scene))
+                    low, high = low + shift, high + shift
                 drawn = random.uniform(low, high, len(thetas)) if low < high else np.full(len(thetas), low)
-                thetas[:, same[0]] = np.concatenate([[0.5 * (low + high)], drawn[1:]])
+                thetas[:, k] = np.concatenate([[0.5 * (low + high)], drawn[1:]])
             elif low < high:
                 expected = f"one of: {', '.join(names)}"
                 raise InputError("a range of what was not fitted", where=name, expected=expected, remedy="one number")

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from xarray import DataArray, Dataset
 
 BAND = (0.025, 0.975)  # quantiles over samples: 95 %
+MOST_FAILED = 0.1  # share of the draws without a motion beyond which a band is not to be believed
 PANELS = (
     ("largest_offset", 1e3, "off the groove's bottom, largest [mm]"),
     ("peak_contact_force", 1.0, "contact force, peak [N]"),
@@ -119,7 +120,9 @@ def outcome_figure(data: Dataset, title: str | None = None, *, axes: Any = None)
 def _note(data: Dataset) -> str:
     parts = ["crosses: dislocated"]
     if "sample" in data.dims:
-        parts.append(f"bands: 95 % of {data.sizes['sample'] - 1} draws from the estimate")
+        lost = int(draws_failed(data).sum())
+        without = f", less {lost} of all variants together that did not run" if lost else ""
+        parts.append(f"bands: 95 % of {data.sizes['sample'] - 1} draws from the estimate{without}")
         parts.append(str(data.attrs.get("coverage_briefly", NOT_KNOWN.briefly)))
     if data.attrs.get("note"):
         parts.append(data.attrs["note"])
@@ -184,7 +187,7 @@ def outcome_sheet(data: Dataset, most: int) -> Sheet:
         lines.append((*scene, *(f"{a[i]:.4g}" for a in amounts), _dislocation(data, i), *cells))
     title = str(data.attrs.get("title", "Treatment prediction"))
     title += f" ({count - most} of {count} variants not shown)" if count > most else ""
-    notes = (f"in brackets: 95 % of the draws; {coverage_in(data)}",) if "sample" in data.dims else ()
+    notes = (f"in brackets: 95 % of the draws that ran; {coverage_in(data)}",) if "sample" in data.dims else ()
     keys = headings.index("dislocation")
     return Sheet(title, tuple(headings), tuple(lines), words=(), notes=notes, keys=keys)
 
@@ -209,9 +212,10 @@ def _dislocation(data: Dataset, i: int) -> str:
         said = f"{side} at {float(first['dislocation_flexion']):.0f} deg"
         said += "" if np.isnan(back) else f", back at {back:.0f} deg"
     if "sample" in data.dims:
-        rest = one["dislocations"].isel(sample=slice(1, None)).values
-        rest = rest[np.isfinite(rest)]
-        said += f"; {100 * np.mean(rest > 0):.0f} % of draws" if rest.size else ""
+        drawn = one["dislocations"].isel(sample=slice(1, None)).values
+        rest = drawn[np.isfinite(drawn)]
+        of = "draws" if rest.size == drawn.size else f"the {rest.size} of {drawn.size} draws that ran"
+        said += f"; {100 * np.mean(rest > 0):.0f} % of {of}" if rest.size else "; no draw ran"
     return said
 
 
@@ -224,7 +228,7 @@ def main_finding(data: Dataset) -> str:
     if failed.all():
         return parts[0]
     names = amount_names(data)
-    one = len(names) == 1 and len(set(data["scene"].values)) == 1
+    one = len(names) == 1 and len(set(data["scene"].values)) == 1 and _one_sign(data[names[0]].values)
     if failed.any():
         parts.append(f"{np.count_nonzero(fine)} of the other {np.count_nonzero(~failed)} track without dislocation")
     elif fine.all():
@@ -245,6 +249,10 @@ def main_finding(data: Dataset) -> str:
     return "; ".join(parts)
 
 
+def _one_sign(amounts: Floats) -> bool:
+    return bool((amounts >= 0).all() or (amounts <= 0).all())
+
+
 def invalid_variants(data: Dataset) -> str:
     """How many variants have motions that may not be spoken of, and why the first; empty where all may be."""
     failed = _by_estimate(data)["failed"].values
@@ -252,6 +260,24 @@ def invalid_variants(data: Dataset) -> str:
         return ""
     why = str(data["verdict"].values[failed][0]) if "verdict" in data.coords else "an older file does not say why"
     return f"{INVALID}: {np.count_nonzero(failed)} of {failed.size} variants ({why.removeprefix(f'{INVALID}: ')})"
+
+
+def draws_failed(data: Dataset) -> NDArray[np.int64]:
+    """How many draws of each variant have no motion that may be spoken of, (variants,); bands are of the others."""
+    failed = data["failed"]
+    if "sample" not in failed.dims:
+        return np.zeros(data.sizes["variant"], dtype=np.int64)
+    return failed.isel(sample=slice(1, None)).transpose("variant", "sample").values.sum(axis=1)
+
+
+def narrow_bands(data: Dataset) -> str:
+    """That of some variant too many draws failed for its band to be believed; empty where of none."""
+    lost, draws = draws_failed(data), data.sizes.get("sample", 1) - 1
+    few = lost > MOST_FAILED * draws
+    if not few.any():
+        return ""
+    said = f"{np.count_nonzero(few)} of {few.size} variants have bands of too few draws"
+    return f"{said} (up to {lost.max()} of {draws} failed)"
 
 
 def coverage_in(data: Dataset) -> str:
@@ -272,7 +298,7 @@ def facts(data: Dataset) -> dict[str, Any]:
     if "status_frames" in first:
         trust = (_trust(first["status_frames"].isel(variant=i)) for i in range(data.sizes["variant"]))
         variants = [{**variant, **said} for variant, said in zip(variants, trust, strict=True)]
-    coverage = {"coverage": coverage_in(data)} if drawn else {}
+    coverage = {"coverage": coverage_in(data), "draws_failed": draws_failed(data).tolist()} if drawn else {}
     return {"attributes": dict(data.attrs), "units": units, "variants": variants, "bands_95": bands, **coverage}
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Argument, Option
 
+from pftwin.base.errors import InputError
 from pftwin.base.sheet import Sheet
 from pftwin.cli import terminal
 from pftwin.cli.exit_codes import exit_flagged
@@ -43,6 +44,10 @@ def doctor_mesh(
 
     if repair is not None:
         check_format(repair)
+        if repair.resolve() == mesh.resolve():
+            raise InputError(
+                "is the mesh that is examined", where="--repair", expected="another file: this one is kept"
+            )
     terminal.check_figure(output)
     terminal.check_outputs(repair, output, json)
     with terminal.spinner(f"examining {mesh}"):

@@ -63,6 +63,8 @@ def export(
     """
     from pftwin.files.interchange.exporting import check_format
     from pftwin.files.interchange.exporting import export as write
+    from pftwin.files.result_files import load_dataset
+    from pftwin.results.verdict import verdict_of_file
 
     for path in output:
         check_format(path)
@@ -73,6 +75,9 @@ def export(
     sizes = {str(p): p.stat().st_size for p in output}
     lines = (f"written: {path} ({size / 1e6:.2f} MB)" for path, size in sizes.items())
     terminal.present({"result": str(result), "files": sizes}, *lines, json=json)
+    verdict = verdict_of_file(load_dataset(result))
+    if not verdict.valid:
+        exit_flagged(f"{verdict.describe()} ({result.name})")
 
 
 def import_model(

@@ -148,7 +148,7 @@ def _observe_at(scene: Scene, pose: Pose) -> tuple[Pose, dict[str, dict[str, Any
     memories = system.remember(now)
     seen = {e.name: e.observe(now, m) for e, m in zip(system.effects, memories, strict=True)}
     frame = instant_and_frame(scene, system.at_rest(pose, memories), guide)[1]
-    return frame, seen, status_of_lines(scene, now)
+    return frame, seen, status_of_lines(system, now)
 
 
 def on_host(tree: Any) -> Any:

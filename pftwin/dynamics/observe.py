@@ -110,7 +110,7 @@ def _frame_observer(scene: Scene, chosen: Integrator) -> tuple[Callable[[State, 
         seen = {name: shown for name, (shown, _) in reports.items()}
         stored = {name: energy for name, (_, energy) in reports.items() if energy is not None}
         status = status_of_frame(scene, seen, state, step, chosen.diagnostics(state).residual)
-        status = status | status_of_lines(scene, now)
+        status = status | status_of_lines(system, now)
         kinetic = system.kinetic_energy(state) if chosen.inertia else jnp.zeros_like(step)
         return Observation(patella, center, seen, kinetic, stored, status)
 

@@ -12,7 +12,7 @@ from jaxtyping import Array
 from numpy.typing import ArrayLike
 
 from pftwin.base.spatial import Scalar
-from pftwin.dynamics.state import State
+from pftwin.dynamics.state import State, System
 from pftwin.model.effects.base import Instant
 from pftwin.model.scene import Scene
 
@@ -159,16 +159,16 @@ def status_of_frame(
     too_long = step * state.spin.norm() > MOST_TURN
     if residual is not None:
         too_long = too_long | (residual > 0)
-    flags = jnp.where(too_long, int(Status.STEP_TOO_LONG), 0)
+    flags, touching = jnp.where(too_long, int(Status.STEP_TOO_LONG), 0), []
     for effect in scene.effects:
         report = seen[effect.name]
         flags = flags | reservations(report)
         contact = effect.contact_role()
         if contact is None:
             continue
+        touching.append(report["force"] > 0)
         radius = contact.button_radius()
         conditions = [
-            (report["force"] <= 0, Status.NO_CONTACT),
             (step * state.velocity.norm() > FARTHEST * radius, Status.STEP_TOO_LONG),
         ]
         if "indentation_medial" in report:
@@ -176,13 +176,15 @@ def status_of_frame(
             conditions.append((deepest > DEEPEST * radius, Status.DEEP_INDENTATION))
         for condition, flag in conditions:
             flags = flags | jnp.where(condition, int(flag), 0)
+    if touching:  # one of several contacts is enough
+        flags = flags | jnp.where(jnp.stack(touching).any(), 0, int(Status.NO_CONTACT))
     finite = jnp.isfinite(state.position.squared_norm() + state.orientation.w + state.velocity.squared_norm())
     return jnp.where(finite, flags, int(Status.NOT_FINITE) | (flags & int(Status.SEARCH_OVERFLOW)))
 
 
-def status_of_lines(scene: Scene, now: Instant) -> Array:
+def status_of_lines(system: System, now: Instant) -> Array:
     """The flag of lines that run straight through what they wrap over at an instant, () int; 0 where none wraps."""
-    lines = [line for e in scene.effects if (line := e.line_element()) is not None and line.wrap is not None]
+    lines = [line for e in system.effects if (line := e.line_element()) is not None and line.wrap is not None]
     flags = jnp.zeros((), int)
     for line in lines:
         within = jnp.any(line.depth_in_wrap(now) > 0)

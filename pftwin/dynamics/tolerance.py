@@ -117,11 +117,18 @@ def coarsest(run: Callable[[int], Tried[Run]], order: float, tolerance: Toleranc
 
     Its settings tell the tolerance, the estimate of what is to stay within it, and whether it does.
 
-    Warns where none holds it: the finest that an error is known of is then the choice.
+    Warns where none holds it: the finest that an error is known of is then the choice. Raises InputError: a tolerance
+    of the contact force where there is none.
     """
     n, here = 1, run(1)
     while True:
         finer = run(2 * n)
+        if tolerance.unit == "N" and not (np.any(here.course.force) or np.any(finer.course.force)):
+            raise InputError(
+                "there is no contact force in the whole motion",
+                where="tolerance",
+                expected='a length, such as "0.05 mm"',
+            )
         error = _error_of(here, finer, order, 0.5)
         found = tolerance.measure(error)
         held = found <= tolerance.value

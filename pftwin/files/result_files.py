@@ -130,7 +130,12 @@ def save_sto(data: Dataset, path: str | os.PathLike[str]) -> None:
         OutputError: as `save_dataset`.
     """
     title = str(data.attrs.get("title", "pftwin result")).replace("\n", " ")
-    write_storage(path, title, data["time"].values, flat_columns(data)[0])
+    write_storage(path, title, data["time"].values, flat_columns(data)[0], reservations(data))
+
+
+def reservations(data: Dataset) -> list[str]:
+    """What a file without attributes has to say of a motion, in lines of its header."""
+    return [f"{name.title()}: {data.attrs[name]}" for name in ("verdict", "note") if data.attrs.get(name)]
 
 
 def write_storage(

@@ -17,7 +17,7 @@ import numpy as np
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.base.leaves import host_array
-from pftwin.base.quantities import declarations
+from pftwin.base.quantities import declarations, declared_field
 from pftwin.base.rotations import tibiofemoral_angles
 from pftwin.base.spatial import Rotation
 from pftwin.model.motion_on_host import first_pose, tibia_orientation
@@ -204,7 +204,10 @@ def _of_line(scene: Scene, line: LineElement) -> Iterator[Found]:
     what = f"the slack length of {line.name}"
     yield Found(what, float(share.max()), most="most_slack_share")
     yield Found(what, float(share.min()), least="least_slack_share")
-    pull = float(np.max(stiffness * np.maximum(length - slack, 0.0)))
+    declared = declared_field(type(line), "stiffness")
+    by_strain = declared is not None and "strain" in declared.unit
+    stretch = np.maximum(length - slack, 0.0) / (slack if by_strain else 1.0)  # as if there were no toe region
+    pull = float(np.max(stiffness * stretch))
     yield Found(f"the pull of {line.name} at the start", pull, most="most_force_N")
 
 

@@ -83,10 +83,11 @@ class Measured:
             InputError: a span that ends before it starts, or all of them without a frame.
         """
         inside = np.zeros(self.times.size, bool)
+        slack = 1e-6 * np.median(np.diff(self.times)) if self.times.size > 1 else 0.0  # ends are written in decimals
         for first, last in spans:
             if not first <= last:
                 raise InputError(f"found {first:g}:{last:g}", where="during", expected="FROM:TO in seconds")
-            inside |= (self.times >= first) & (self.times <= last)
+            inside |= (self.times >= first - slack) & (self.times <= last + slack)
         weights = np.where(inside, 1.0 if self.weights is None else self.weights, 0.0)
         if not (weights > 0).any():
             found = f"no frame that counts of {self.times[0]:g} s to {self.times[-1]:g} s"

@@ -146,3 +146,14 @@ def test_what_cannot_be_calibrated_is_refused():
     several = replace(trained(), set_up=trained().set_up._replace(frames=(41, 41)))
     with pytest.raises(InputError, match="41 frames; expected: 41, 41, as it was set up for"):
         fitting.calibrate(several, scene(HELD))
+
+
+def test_too_few_plants_tell_nothing():
+    """Of five that are held throughout, Clopper and Pearson's interval begins at 0.478, of six at 0.541."""
+    few, enough = answers(1.0, count=5), answers(1.5, count=6)
+    assert few.verdict(NAMES) == "too few plants to tell"
+    assert few.column(NAMES, np.ones(2))[-1] == "too few plants to tell"
+    assert enough.verdict(NAMES) == "hold"
+    whole = Calibration(NAMES, {"twin": few}, "a posterior", 0, 1.0)
+    assert not whole.holds
+    assert "too few plants to tell" in whole.sentence()

@@ -77,3 +77,15 @@ def test_a_short_recording_and_one_that_does_not_move_have_no_shift():
     assert time_shifts(objective(still + 1e-3, None), TIMES, still, np.zeros((401, 4, 2))) == {}
     few = slice(0, 15)
     assert time_shifts(objective(course(TIMES)[few], None), TIMES[few], course(TIMES)[few], np.zeros((15, 4, 2))) == {}
+
+
+@pytest.mark.parametrize("late", [0.28, -0.35])
+def test_one_that_is_later_than_is_looked_for_is_named_and_refused(late):
+    """Less than 0.2 s is looked through, in whole steps of 10 ms."""
+    found = shifts((late, 0.0))["position"]
+    assert found.at_least
+    assert found.seconds == pytest.approx(np.copysign(0.19, late))
+    with pytest.raises(
+        InputError, match=r"measured position \w+ at least 190 ms (late|early) .* ms or more; or limits"
+    ):
+        late_channels({"position": found}, "a file", LIMITS)

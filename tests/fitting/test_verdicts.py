@@ -12,7 +12,7 @@ from small_scene import small_result, small_scene
 from fitting.cli.live import words
 from fitting.cli.live.motion import ShownMotion
 from fitting.estimate import Estimate
-from fitting.prediction.plots import facts, main_finding
+from fitting.prediction.plots import draws_failed, facts, main_finding, narrow_bands
 from fitting.prediction.predicting import predict
 from fitting.prediction.variants import grid
 from fitting.treatments.limits import Limit
@@ -81,3 +81,38 @@ def test_the_live_page_says_so_first_and_nothing_of_dislocation():
     told = words.outcome(ShownMotion.of(result, "after", result.geometry()))
     assert WHY in told
     assert "islocat" not in told
+
+
+def outcomes(angles, dislocations, failed=None):
+    """Of a rotated component by so many degrees: dislocations by variant, or by variant and sample."""
+    from xarray import Dataset
+
+    out = np.asarray(dislocations, dtype=float)
+    dims, n = ("variant", "sample")[: out.ndim], len(angles)
+    failed = np.isnan(out) if failed is None else failed
+    amounts = ("variant", np.radians(angles), {"units": "rad"})
+    coords = {"variant": range(n), "scene": ("variant", ["knee"] * n), "component_rotation": amounts}
+    return Dataset({"failed": (dims, failed), "dislocations": (dims, out)}, coords)
+
+
+@pytest.mark.parametrize(
+    ("angles", "out", "said"),
+    [
+        ([0, 3, 6], [1, 1, 0], "without dislocation from 6 deg of component rotation on"),
+        ([0, -3, -6], [1, 0, 0], "without dislocation from -3 deg of component rotation on"),
+        ([-6, -3, 0, 3, 6], [1, 1, 1, 0, 0], "2 of 5 variants track without dislocation"),
+        ([-6, -3, 0, 3, 6], [0, 0, 1, 1, 1], "2 of 5 variants track without dislocation"),
+    ],
+)
+def test_from_an_amount_on_is_said_of_amounts_to_one_side_alone(angles, out, said):
+    assert main_finding(outcomes(angles, out)) == said
+
+
+def test_draws_that_failed_are_counted_and_doubted():
+    out = np.zeros((2, 51))
+    out[1, 4:] = np.nan  # 3 of 50 draws are left
+    data = outcomes([0, 3], out)
+    assert draws_failed(data).tolist() == [0, 47]
+    assert narrow_bands(data) == "1 of 2 variants have bands of too few draws (up to 47 of 50 failed)"
+    assert not narrow_bands(data.isel(variant=[0]))
+    assert not narrow_bands(outcomes([0, 3], [0, 0]))

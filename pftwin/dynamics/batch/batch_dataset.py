@@ -59,21 +59,28 @@ def dataset(groups: list[Group], parts: list[Found], values: Any, settings: dict
     status = ((frames > 0) @ np.array([int(f) for f in FLAGS])).astype(np.int32)
     failed = ~gathered("sensible") | (status & sum(int(f) for f in _VOID) > 0)
     variables: Variables = {}
+
+    def known(values: NDArray[Any]) -> NDArray[Any]:
+        """NaN for members that failed, where there is such a number."""
+        if not np.issubdtype(values.dtype, np.inexact):
+            return values
+        return np.where(failed.reshape(-1, *[1] * (values.ndim - 1)), np.nan, values)
+
     for name in [n for n in SUMMARY if all(n in part["summary"] for part in parts)]:
         unit, words = SUMMARY[name]
         shown = gathered("summary", name)
         shown = np.degrees(shown) if unit == "deg" else shown
-        variables[name] = (("variant",), np.where(failed, np.nan, shown), about(unit, words))
+        variables[name] = (("variant",), known(shown), about(unit, words))
     for name in parts[0]["own"]:
         own = gathered("own", name)
         dimensions = ("variant", *(f"{name}_{i}" for i in range(own.ndim - 1)))
-        variables[name] = (dimensions, own, {"long_name": name.replace("_", " ")})
+        variables[name] = (dimensions, known(own), {"long_name": name.replace("_", " ")})
     variables |= _trust(gathered, frames, status, failed)
     for name in parts[0]["courses"]:
         last, unit, words = COURSES[name]
         variables[name] = (
             ("variant", "time", *([last] if last else [])),
-            gathered("courses", name),
+            known(gathered("courses", name)),
             about(unit, words),
         )
     attributes = {"source": f"pftwin {__version__}", "jax_version": jax.__version__, **settings}

@@ -65,6 +65,12 @@ class InParts:
             PftwinError: what another process failed in.
         """
         self._agree()
+        if self.share is not None and self.share[1] > len(self.units):
+            raise InputError(
+                f"{self.share[1]} shares of {len(self.units)} parts",
+                where="share",
+                expected=f"at most as many shares as parts: (k, {len(self.units)})",
+            )
         asked = [u for u in range(len(self.units)) if self.share is None or u % self.share[1] == self.share[0]]
         missing = self._missing(asked)
         if missing and self.processes.count > 1:

@@ -17,7 +17,7 @@ import numpy as np
 
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError, OutputError, PftwinWarning
-from pftwin.files.result_files import finite_frames, motion_dataset, save_csv, save_sto, write_storage
+from pftwin.files.result_files import finite_frames, motion_dataset, reservations, save_csv, save_sto, write_storage
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -50,8 +50,8 @@ def save_mot(data: Dataset, path: str | os.PathLike[str]) -> None:
         warnings.warn(message, PftwinWarning, stacklevel=2)
     shown = data.isel(time=finite)
     notes = ["Units are S.I. units (second, meters, Newtons, ...)", "Angles are in degrees."]
-    notes += [f"Note: {data.attrs['note']}"] if "note" in data.attrs else []
-    write_storage(path, "Coordinates", shown["time"].values, coordinates(shown), ("", *notes, ""))
+    rows = shown["time"].values, coordinates(shown)
+    write_storage(path, "Coordinates", *rows, ("", *notes, *reservations(data), ""))
 
 
 def coordinates(data: Dataset) -> dict[str, Floats]:

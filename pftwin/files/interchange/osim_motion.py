@@ -70,6 +70,9 @@ def _flexed_through_range(tree: Tree, tibia: str, name: str | None) -> tuple[Flo
     if name is not None and name not in coordinates:
         known = ", ".join(c.name for c in joint.coordinates)
         raise InputError(f"no coordinate {name!r}", where="--bend", expected=f"such as {known}")
+    if name is not None and not coordinates[name].rotational:
+        known = ", ".join(c.name for c in turning)
+        raise InputError(f"{name!r} is no rotation", where="--bend", expected=f"one, such as {known}")
     if name is None and not turning:
         raise InputError(f"nothing turns {tibia!r}", where="--bend", expected="a joint with a rotation")
     chosen = turning[0] if name is None else coordinates[name]

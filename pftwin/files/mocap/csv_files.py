@@ -46,8 +46,14 @@ def read_csv(path: str | os.PathLike[str], *, time_column: str | None = None, un
     if strange := [key for key in told if key not in known]:
         raise unknown_name("column", strange[0], labels, where=f"{path}, argument units")
     found = [
-        _unit(label, unit, told.get(label, told.get(name)), path)
-        for label, (name, unit) in zip(labels, parts, strict=True)
+        _unit(
+            label,
+            unit,
+            told.get(label, told.get(name)),
+            path,
+            remedy="the header time_s (or time_ms)" if i == at else "",
+        )
+        for i, (label, (name, unit)) in enumerate(zip(labels, parts, strict=True))
     ]
     _check_time(found[at][0], labels[at], path)
     values = values * [factor for _, factor in found]
@@ -161,7 +167,7 @@ def _time_index(labels: list[str], time_column: str | None, path: object) -> int
         raise InputError(f"several columns of times: {shown}", where=path, expected="one, or its name as time_column")
     if found:
         return found[0]
-    expected = "a column time_s, time [s] or t"
+    expected = "a column time_s or time [s]"
     raise InputError("no column of times", where=path, expected=expected, remedy="its name as argument time_column")
 
 

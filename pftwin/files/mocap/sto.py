@@ -16,11 +16,14 @@ from pftwin.files.mocap.tables import Table, quoted_list, row_values, unknown_na
 
 # Columns that hold no angle whatever inDegrees says: translations, forces, centres of pressure, muscle states; with a
 # side behind them, as in OpenSim JAM's knee_tx_r, or none. Each alternative has a greatest length: with \w* in one, a
-# search takes the square of a name's length.
+# search takes the square of a name's length. The last parts are those of what pftwin exports.
 _NO_ANGLE = re.compile(
     r"((^|_)t[xyz]|_[vpmf][xyz]\d?|_q[wxyz]|activation|excitation|length)(_r|_l|_right|_left)?$", re.IGNORECASE
 )
-_NO_ANGLE_PARTS = ("force", "torque", "moment", "cop", "power")  # anywhere in the name's last word
+_NO_ANGLE_PARTS = (  # anywhere in the name's last word
+    *("force", "torque", "moment", "cop", "power"),
+    *("position", "center", "point", "offset", "indentation"),
+)
 
 
 def read_sto(path: str | os.PathLike[str], *, rotational: Collection[str] | None = None) -> Table:

@@ -153,8 +153,10 @@ class MeasuredSection(Section):
             with document.naming("measured", name):
                 values = _column(table, column, "N")
                 if self.smoothing_window is not None:
-                    # Cables and contacts do not push and pull both ways; smoothing overshoots where they let go.
-                    values = np.maximum(singular_spectrum_filter(values, self.smoothing_window), 0.0)
+                    # Cables and contacts do not push and pull both ways; smoothing overshoots where they let go. A
+                    # column of the other sign stays as it is: `fit` and `validate` name it.
+                    smooth = singular_spectrum_filter(values, self.smoothing_window)
+                    values = np.maximum(smooth, 0.0) if values.mean() >= 0 else smooth
                 out[name] = frame_means(motion.times, table.times, values)
         with document.naming("measured", "readings"):
             units = {name: scene.reported(name).unit for name in self.readings}

@@ -115,13 +115,14 @@ def _source(result: Result, measured: Measured | None) -> Callable[[PlottedQuant
 
 
 def _dislocated(result: Result, measured: Measured | None) -> NDArray[np.bool_]:
-    """Frames in which the patella is out of its groove (n,), simulated or measured; none without a groove."""
-    found = None
-    if measured is None:
-        found = result.dislocations()
-    elif result.surface is not None:
-        found = find_dislocations(measured.times, groove_offset(result.surface, measured.center)[1])
-    return np.zeros(result.times.size, dtype=bool) if found is None else found.dislocated
+    """Frames in which the patella is out of its groove (n,), simulated or measured; none without a groove.
+
+    Of a motion that is INVALID too: what is drawn apart is no statement about it.
+    """
+    if result.surface is None:
+        return np.zeros(result.times.size, dtype=bool)
+    times, center = (result.times, result.center) if measured is None else (measured.times, measured.center)
+    return find_dislocations(times, groove_offset(result.surface, center)[1]).dislocated
 
 
 def _draw(ax: Axes, courses: list[Course], grid: Floats, way: Strokes, name: str, colour: str) -> bool:

@@ -94,5 +94,6 @@ def quantities(names: Sequence[str]) -> dict[str, PlottedQuantity]:
 
 
 def provenance(*results: Result) -> str | None:
-    """What has to be said of synthetic motion; None where there is nothing to say."""
-    return SYNTHETIC if any(r.scene.synthetic for r in results) else None
+    """What has to be said of motions that are INVALID, and of synthetic ones; None where there is nothing to say."""
+    doubted = dict.fromkeys(f"{r.scene_name}: {r.verdict.describe()}" for r in results if not r.verdict.valid)
+    return "; ".join([*doubted, *([SYNTHETIC] if any(r.scene.synthetic for r in results) else [])]) or None

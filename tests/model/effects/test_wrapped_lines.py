@@ -13,9 +13,12 @@ from scenes import MASS, G, J, energies, gravity, knee, look, record, run, settl
 
 from pftwin.base.leaves import vector
 from pftwin.base.spatial import Quaternion, Rotation, Vec3
+from pftwin.dynamics.frame_states import first_guide
 from pftwin.dynamics.integrators import BDF2
 from pftwin.dynamics.simulate import equilibrium, simulate
-from pftwin.dynamics.status import Status
+from pftwin.dynamics.state import System
+from pftwin.dynamics.static_load import patella_at_rest
+from pftwin.dynamics.status import Status, status_of_lines
 from pftwin.geometry.wrapping.cylinder import Cylinder
 from pftwin.model.effects.base import Instant
 from pftwin.model.effects.tendon import StrandGroup
@@ -209,3 +212,19 @@ def test_frames_in_which_an_end_is_within_the_obstacle_are_flagged():
     assert not result.equilibrium.status
     there = eqx.tree_at(lambda c: c.center, post, vector(path[0]))
     assert equilibrium(scene.with_effect(over(there, line))).status == Status.END_WITHIN_WRAP
+
+
+def test_insertions_are_looked_for_where_they_are_and_not_from_the_centre_of_mass():
+    """A post of 3 mm on the insertion, and one beside it by the centre of mass, which is 4.1 mm from the origin."""
+    scene = knee(5)
+    com = scene.patella.center_of_mass
+    assert 3.5e-3 < np.linalg.norm(com.array()) < 5e-3
+    line: Any = scene.effect("quadriceps")
+    there = scene.start.apply(line.insertion)
+    along = vec(0, 1, 0)
+    found = []
+    for place in (there, there - com, there + com):
+        post = Cylinder(place, "femur", J(0.003), along)
+        at = System.of(scene.with_effect(over(post, line)))
+        found.append(int(status_of_lines(at, patella_at_rest(first_guide(scene), scene.center_of_mass_pose()))))
+    assert found == [Status.END_WITHIN_WRAP, Status.OK, Status.OK]

@@ -55,9 +55,13 @@ AMOUNTS = (
     Amount("--trochleoplasty", "--deepen", "trochleoplasty", "deepening", "Groove deeper"),
     Amount("--rotate-component", "", _ROTATED, "external_rotation", "Femoral component turned externally", "deg"),
     Amount("--component-medial", "--medialise-component", _MOVED, "medialisation", "Femoral component medially"),
+    Amount("--derotate-femur", "", "femoral_derotation", "external_rotation", "Femur cut, knee externally", "deg"),
     Amount("--button-medial", "--medialise-button", "button_position", "medialisation", "Button medially"),
     Amount("--lateral-release", "--release", "lateral_release", "release", "Lateral strands released", "%"),
     Amount("--tighten-mpfl", "", "mpfl_graft", "shortening", "MPFL graft shorter"),
+    Amount("--stiffen-mpfl", "", "mpfl_graft", "stiffening", "MPFL graft stiffer than the ligament", "%"),
+    Amount("--mpfl-proximal", "", "mpfl_graft", "proximalisation", "MPFL graft's femoral tunnel proximally"),
+    Amount("--mpfl-anterior", "", "mpfl_graft", "anteriorisation", "MPFL graft's femoral tunnel anteriorly"),
 )
 
 

@@ -77,6 +77,22 @@ def quadriceps_lengthening(scene: Scene, lengthening: Amount = 0.0, *, tendon: s
     return scene.with_effect(elastic(scene, tendon, "quadriceps_lengthening").lengthened(lengthening))
 
 
+def femoral_derotation(scene: Scene, external_rotation: Amount = 0.0, *, tendon: str = QUADRICEPS) -> Scene:
+    """The scene with the femur cut above the knee, and what is below the cut turned externally [rad].
+
+    Trochlea, ligaments and tibia go with the lower part, whose frame is the femur's: in it the quadriceps' origins turn
+    internally, about the frame's long axis (x), which is taken for that of the cut. Hip and foot are not looked at.
+
+    Raises:
+        InputError: no such tendon or muscle on the femur.
+    """
+    found = line_element(scene, tendon, "femoral_derotation", body="femur")
+    origin = found.origin
+    angle = jax.numpy.asarray(external_rotation, origin.x.dtype)
+    turn = Quaternion.from_rotation_vector(Vec3(angle, 0 * angle, 0 * angle)).rotation()
+    return scene.with_effect(found.with_origin_moved(turn.apply(origin) - origin))
+
+
 _LEFT = 1e-6  # share of its stiffness that a strand keeps when all is released: a scene's strands have some
 
 

@@ -75,6 +75,7 @@ KINDS = {
         (changes.trochleoplasty, "trochlear groove", {"deepening": Way("m", "deeper", "shallower")}),
         (changes.femoral_component_rotation, "femoral component turned", _TURNED),
         (changes.femoral_component_translation, "femoral component", _MOVED),
+        (changes.femoral_derotation, "femur below its cut", {"external_rotation": _TURNED["external_rotation"]}),
         (changes.button_position, "button", _MOVED),
         (changes.lateral_release, "lateral strands", {"release": Way("1", "released", "tightened")}),
         (changes.mpfl_graft, "MPFL graft", _GRAFTED),

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
+from collections.abc import Mapping
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -38,6 +41,8 @@ TENDON_TOE_STRAIN = 0.03
 TOGETHER = 4  # triangles of the patella that are taken for one
 GROOVE_ANGLES, GROOVE_HALF_WIDTH = (-75.0, 45.0), 22e-3  # of the smooth stand-in [deg], [m]
 GROOVE_TOLERANCE = 0.05e-3  # [m]
+# What a trochleoplasty changes.
+TROCHLEA = ("sulcus_angle_deg", "lateral_inclination_deg", "facet_ratio", "trochlear_depth_mm", "prominence_mm")
 TABLE = 1e-3  # cubes of the femur's table of depths [m]
 
 
@@ -48,6 +53,7 @@ def knee(
     quadriceps: float = 700.0,
     duration: float = 2.0,
     resolution_mm: float = 1.5,
+    trochleoplasty: Mapping[str, float] | None = None,
 ) -> Scene:
     """A natural knee in motion between 15 and 90 deg of flexion. Motion and loads are made up: `synthetic`.
 
@@ -57,6 +63,8 @@ def knee(
         quadriceps: largest pull of its four parts together, 20 to 5000 N.
         duration: of the motion [s].
         resolution_mm: size of the triangles, 0.5 to 2 mm; the patella's are half as large.
+        trochleoplasty: numbers of the trochlea that an operation changes, by their names in `Anatomy`. Tendon,
+            ligaments and the muscles' ends stay where they are without it.
 
     Raises:
         InputError: no such activity, a number out of range, a patella that lies nowhere on the trochlea, a resolution
@@ -69,19 +77,26 @@ def knee(
     if activity not in ACTIVITIES:
         raise InputError(f"found {activity!r}", where="activity", expected=f"one of: {', '.join(ACTIVITIES)}")
     anatomy, done = anatomy or Anatomy(), ACTIVITIES[activity](duration)
-    made = bones(anatomy, resolution_mm)
+    operated = _operated(anatomy, trochleoplasty or {})
+    made = bones(anatomy, resolution_mm)._replace(femur=bones(operated, resolution_mm).femur)
     body = _patella_body(made.patella)
     effects = (
         Gravity(body.mass, vector(GRAVITY)),
         _quadriceps(anatomy, quadriceps, done),
         _strands(anatomy, "patellar_tendon"),
         *(_strands(anatomy, name) for name in LIGAMENTS),
-        _cartilage(anatomy, *articular(made)),
+        _cartilage(operated, *articular(made)),
         LinearDamping(*(number(c) for c in DRAG), body="femur"),
     )
     drawn = DrawnBones(made._asdict())
     name = f"natural knee, {activity}"
-    return Scene(body, effects, done.motion, _start(anatomy, done), name, synthetic=True, bones=drawn)
+    return Scene(body, effects, done.motion, _start(operated, done), name, synthetic=True, bones=drawn)
+
+
+def _operated(anatomy: Anatomy, trochlea: Mapping[str, float]) -> Anatomy:
+    if other := sorted(set(trochlea) - set(TROCHLEA)):
+        raise InputError(f"found {other[0]!r}", where="trochleoplasty", expected=f"some of: {', '.join(TROCHLEA)}")
+    return dataclasses.replace(anatomy, **trochlea)
 
 
 def _start(anatomy: Anatomy, done: Activity) -> Pose:

@@ -41,7 +41,7 @@ ActivityOption = Annotated[
     str | None,
     Option(
         "--activity",
-        metavar="squat|extension",
+        metavar="NAME",
         help="What the natural knee does: squat (if left out), or extension, seated and against a weight at the ankle.",
     ),
 ]

@@ -268,6 +268,17 @@ class Estimate:
         lines += [*([] if self.invalid else [self.sentence()]), *self.remarks(), f"stopped: {self.reason}"]
         return "\n".join(lines)
 
+    def untold(self) -> list[str]:
+        """What the measurements do not tell: combinations left to bounds and priors, values at a bound."""
+        out = []
+        if (open_ := self.undetermined).count and not self.invalid:
+            told = f"{self.asked - open_.count} of {self.asked} combinations of what was asked for"
+            hardly = f"hardly more than bounds and priors do ({', '.join(open_.names)})"
+            out.append(f"the measurements tell {told}, and of the others {hardly}")
+        if self.at_bounds:
+            out.append(f"at a bound: {', '.join(self.at_bounds)}; the true value may lie beyond")
+        return out
+
     def remarks(self) -> list[str]:
         """Remarks that qualify the numbers."""
         out = list(self.notes)
@@ -278,12 +289,7 @@ class Estimate:
             unit = unit_of(channel, self.readings)
             parts = [f"{shown(left, unit, 3)} in {name}" for name, left in of_each.items()]
             out.append(f"left of {channel}: {', '.join(parts)}")
-        if (open_ := self.undetermined).count and not self.invalid:
-            told = f"{self.asked - open_.count} of {self.asked} combinations of what was asked for"
-            hardly = f"hardly more than bounds and priors do ({', '.join(open_.names)})"
-            out.append(f"the measurements tell {told}, and of the others {hardly}")
-        if self.at_bounds:
-            out.append(f"at a bound: {', '.join(self.at_bounds)}; the true value may lie beyond")
+        out += self.untold()
         if self.serial_correlation > SERIAL:
             out.append(
                 f"neighbouring residuals are correlated ({self.serial_correlation:.2f}): the model or the filter "

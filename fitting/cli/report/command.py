@@ -33,7 +33,8 @@ def report(
     browser: Annotated[bool, Option("--open", help="Show the page in the browser.")] = False,
     json: JsonOption = None,
 ) -> None:
-    """Report a fit or a result on one page that opens offline: scene, data quality, fit, treatment, figures, the knee.
+    """Report a fit or a result on one page that opens offline: the verdict, the knee in three dimensions, what a
+    treatment does, how sure that is; an appendix with parameters, data quality, figures and settings.
 
     Example: `pftwin report fit.json --treatment variants.nc -o report.html`
     """
@@ -56,8 +57,8 @@ def report(
     present({**facts, "synthetic": material.synthetic()}, left_out, told, json=json)
     if browser:
         typer.launch(output.resolve().as_uri())
-    if doubts := [f"{run.verdict.describe()} ({run.name})" for run in material.runs if not run.verdict.valid]:
-        exit_flagged("; ".join(doubts))
+    if invalid := material.invalid():
+        exit_flagged("; ".join(invalid))
 
 
 def report_page(material: Material, command: str) -> tuple[str, bool]:

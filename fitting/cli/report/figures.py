@@ -123,7 +123,9 @@ def outcomes(data: Dataset) -> list[Picture]:
         "Four outcomes (largest offset from the groove, peak contact force, mean tilt, share of force on the "
         f"medial facet) against {what}. {sentence(main_finding(data))} The numbers are in the table above."
     )
-    return [Picture(outcome_figure(data), alternative, f"Predicted outcomes against {what}.")]
+    figure = outcome_figure(data)
+    figure.set_size_inches(figure.get_figwidth(), 4.8)  # the first sheet of the printed report holds more than it
+    return [Picture(figure, alternative, f"Predicted outcomes against {what}.")]
 
 
 def of_demo(folder: Path) -> list[Picture]:

@@ -25,6 +25,7 @@ _RIG = re.compile(r"rig case ([1-4]), (\w+)")
 _WHICH = "fit.json of `pftwin fit`, the folder of `pftwin demo`, or the NetCDF file of `pftwin simulate`"
 _NAME_IT = "--scene knee/scene.toml or --case N"
 DEMO_FIT = "fit.json"
+NOMINAL = "nominal"  # the run with the values before the fit
 
 
 @dataclass(eq=False)
@@ -62,6 +63,20 @@ class Material:
         here = [(n, e.nominal_scene.get(n), began) for n, began in zip(e.names[: e.shared], e.nominal, strict=False)]
         return [name for name, value, began in here if abs(value - began) > 1e-6 * abs(began)]
 
+    def invalid(self) -> list[str]:
+        """What may not be spoken of and why: motions, fits, variants of the prediction."""
+        from fitting.prediction.plots import invalid_variants
+
+        said = [f"{run.verdict.describe()} ({run.name})" for run in self.runs if not run.verdict.valid]
+        said += [f"{e.sentence()} ({name})" for name, e in self.estimates.items() if e.invalid]
+        variants = "" if self.treatment is None else invalid_variants(self.treatment)
+        return [*said, *([f"{variants} (treatment)"] if variants else [])]
+
+    def without_basis(self) -> str:
+        """Names of the INVALID motion or fit that forbids to speak of the prediction; empty where none does."""
+        unsound = [r.name for r in self.runs if r.name != NOMINAL and not r.verdict.valid]
+        return " and ".join([*unsound, *(name for name, e in self.estimates.items() if e.invalid)])
+
     def doubts(self) -> list[str]:
         """Signs that the prediction belongs to another knee than the rest of the report."""
         data, estimate, out = self.treatment, self.estimate, []
@@ -77,7 +92,7 @@ class Material:
         used = data["parameters"].values.reshape(-1, data.sizes["parameter"])[0]
         names = tuple(map(str, data["parameter"].values))
         if names != estimate.names or not np.allclose(used, estimate.values, rtol=1e-9, atol=0):
-            out.append("The prediction was made with other parameters than those under Fit.")
+            out.append("The prediction was made with other parameters than those of the fit.")
         return out
 
     def synthetic(self) -> list[str]:
@@ -135,7 +150,7 @@ def _of_estimate(path: Path, given: Scene | None) -> Material:
     loaded = Estimate.load(path)
     scene = _scene_of(loaded, given, path)
     estimate = loaded.about(scene)
-    scenes = {"nominal": scene, "fitted": estimate.scene}
+    scenes = {NOMINAL: scene, "fitted": estimate.scene}
     with spinner("compiling and simulating"):
         runs = [ReportedRun.of_result(simulate(one), name) for name, one in scenes.items()]
     title = f"Fitted knee: {estimate.scene_name}"

@@ -56,6 +56,7 @@ SIMULATED = {
     "pftwin_version": "pftwin",
     "jax_version": "JAX",
 }
+_MOST_NAMES = 6  # of parameters, in a sentence
 PREDICTED = {"source": "made by", "jax_version": "JAX", "dt": "longest time step [s]", "seed": "seed of the draws"}
 
 
@@ -185,11 +186,39 @@ def meaning(scene: Scene | None, name: str) -> str:
     return " and ".join(n.replace("_", " ").replace(".", ", ", 1) for n in find(scene, name)[0].names)
 
 
-def predicted(data: Dataset) -> Sheet:
-    """A row for each variant of a prediction, at most 60."""
+def predicted(data: Dataset, most: int = 60) -> Sheet:
+    """A row for each variant of a prediction."""
     from fitting.prediction.plots import outcome_sheet
 
-    return outcome_sheet(data, 60)
+    return outcome_sheet(data, most)
+
+
+def how_sure(data: Dataset) -> list[str]:
+    """How far a prediction goes: variants that are missing, what widens its bands most, how often such bands hold."""
+    from fitting.prediction.plots import coverage_in
+
+    left = data.attrs.get("variants_missing")
+    said = [f"The prediction was interrupted: {int(left)} variants are missing."] if left else []
+    if "sample" not in data.dims:
+        return [*said, "The prediction has no bands: it was made without draws from a fit's uncertainty."]
+    return [*said, *_widest_source(data), f"{coverage_in(data)}."]
+
+
+def _widest_source(data: Dataset) -> list[str]:
+    """What makes a prediction's bands wide more than anything else; nothing where its draws do not tell."""
+    from fitting.prediction.band_sources import band_sources
+
+    if "parameter_kind" not in data.coords:
+        return []
+    found = band_sources(data)
+    told = [row for row in zip(found.sources[:-1], found.narrower, strict=False) if np.isfinite(row[1]).all()]
+    if not told:
+        return []
+    name, shares = max(told, key=lambda row: row[1].mean())
+    names = data["parameter"].values[data["parameter_kind"].values == name]
+    which = f" ({', '.join(map(str, names))})" if len(names) <= _MOST_NAMES else ""
+    low, high = (f"{100 * share:.0f}" for share in (shares.min(), shares.max()))
+    return [f"Widest source of the bands: {name}{which}. If it were known, they would be {low} to {high} % narrower."]
 
 
 def reservations(data: Dataset) -> list[str]:
@@ -202,8 +231,6 @@ def reservations(data: Dataset) -> list[str]:
         said.append(f"In brackets: 95 % of {draws} draws from the fit's uncertainty. {coverage_in(data)}.")
     if doubt := invalid_variants(data):
         said.append(f"{doubt}: their rows are empty.")
-    if left := data.attrs.get("variants_missing"):
-        said.append(f"The prediction was interrupted: {int(left)} variants are missing.")
     return said
 
 

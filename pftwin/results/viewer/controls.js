@@ -22,7 +22,12 @@
         .pftwin .play:hover { background: #005f94; }
         .pftwin input[type=range] { flex: 1; min-width: 80px; accent-color: #0072B2; }
         .pftwin output { min-width: 62px; text-align: right; font-variant-numeric: tabular-nums; }
-        .pftwin label { display: inline-flex; align-items: center; gap: 4px; }`);
+        .pftwin label { display: inline-flex; align-items: center; gap: 4px; }
+        @media print { /* the knee as it stands */
+            .pftwin { display: none; }
+            #canvasTarget { height: 100% !important; print-color-adjust: exact; }
+            #canvasTarget canvas { width: 100% !important; height: 100% !important; object-fit: contain; }
+        }`);
     const bar = make('div', { class: 'pftwin' }), upper = make('div'), lower = make('div');
     bar.append(upper, lower);
     const play = make('button', { class: 'play', type: 'button' }, '\u25B6 Play');

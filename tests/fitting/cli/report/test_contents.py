@@ -59,6 +59,14 @@ def shown(value: float, digits: int = 4) -> str:
     return f"{value:.{digits}g}".replace("-", "−")
 
 
+def test_what_a_clinician_reads_comes_before_the_appendix(fit_seen):
+    titles = ["verdict", "view", "treatment", "sure", "appendix", "fit", "prediction", "scene", "quality", "figures"]
+    found = [a["id"] for tag, a in fit_seen.tags if a.get("id") in titles and tag in ("section", "h2")]
+    assert found == titles
+    tables = [i for i, (tag, _) in enumerate(fit_seen.tags) if tag == "table"]
+    assert min(tables) > next(i for i, (_, a) in enumerate(fit_seen.tags) if a.get("id") == "appendix")
+
+
 def test_forces_are_those_of_the_file(seen):
     result = small_result()
     rows = {
@@ -178,7 +186,7 @@ def test_a_page_is_accessible(seen, fit_seen):
     for page in (seen, fit_seen):
         assert page.all("html") == [{"lang": "en"}]
         assert all(len(i["alt"]) > 40 for i in page.all("img"))
-        levels = [int(tag[1]) for tag, _ in page.tags if tag in ("h1", "h2", "h3")]
+        levels = [int(tag[1]) for tag, _ in page.tags if tag in ("h1", "h2", "h3", "h4")]
         assert levels[0] == 1
         assert levels.count(1) == 1
         assert all(b <= a + 1 for a, b in pairwise(levels))

@@ -11,6 +11,8 @@ from small_scene import small_result
 from fitting.cli.report.run import ReportedRun
 from pftwin.dynamics.status import Status
 
+OUTCOMES = ("largest_offset", "peak_contact_force", "mean_tilt", "medial_share")
+
 
 def test_a_scene_with_other_values_than_the_fit_began_from_is_doubted(tmp_path):
     words = "This scene has other values of K1, L1, K2, L2 than the fit began from"
@@ -24,7 +26,7 @@ def test_a_prediction_of_another_fit_is_called_so(tmp_path):
     material.treatment = prediction().assign_coords(scene=("variant", ["another knee"] * 3))
     material.treatment["parameters"] = 1.01 * material.treatment["parameters"]
     text = words_of(material).text
-    assert "other parameters than those under Fit" in text
+    assert "other parameters than those of the fit" in text
     assert "The prediction is of another knee; this report is of small knee." in text
 
 
@@ -36,7 +38,43 @@ def test_a_motion_that_may_not_be_spoken_of_comes_first_and_nothing_is_said_of_i
     assert "All 41 frames clean." in words_of(material).text
     material.runs[:] = [ReportedRun.of_result(lost, "fitted")]
     text = words_of(material).text
-    short = text[text.rindex("In short") :]
-    assert short.split("In short", 1)[1].split()[0] == "INVALID:"
+    assert text.split("Verdict", 1)[1].split()[0] == "INVALID:"
     assert "normal tracking" not in text
     assert "frames clean" not in text
+
+
+def test_nothing_is_said_of_a_treatment_whose_untreated_knee_is_invalid(tmp_path):
+    material = fitted(tmp_path)
+    material.treatment = prediction()
+    finding = "Without dislocation from 10 mm"
+    assert finding in words_of(material).text
+    result = small_result()
+    lost = dataclasses.replace(result, flags=np.full_like(result.flags, int(Status.NO_CONTACT)))
+    material.runs[:] = [ReportedRun.of_result(lost, "fitted")]
+    text = words_of(material).text
+    assert finding not in text
+    assert "Nothing is said of a treatment, since fitted is INVALID." in text
+
+
+def test_a_fit_that_may_not_be_spoken_of_is_in_the_verdict(tmp_path):
+    material = fitted(tmp_path, verdict="INVALID: not finite")
+    material.treatment = prediction()
+    text = words_of(material).text
+    assert text.split("Verdict", 1)[1].split()[0] == "INVALID:"
+    assert "Without dislocation" not in text
+    assert "see the verdict" in text
+
+
+def test_what_widens_the_bands_most_is_told(tmp_path):
+    """An outcome that is a straight function of the fitted K1 alone, over draws in which friction varies as well."""
+    from xarray import Dataset
+
+    from fitting.cli.report.tables import how_sure
+
+    draws = np.random.default_rng(0).normal(size=(41, 2))
+    outcomes = dict.fromkeys(OUTCOMES, (("variant", "sample"), draws[:, :1].T))
+    numbers = {"parameters": (("sample", "parameter"), draws)}
+    kinds = {"parameter": ["K1", "mu"], "parameter_kind": ("parameter", ["springs", "friction"])}
+    said = how_sure(Dataset({**outcomes, **numbers}, kinds, {"variants_missing": 2}))
+    assert said[0] == "The prediction was interrupted: 2 variants are missing."
+    assert said[1] == "Widest source of the bands: springs (K1). If it were known, they would be 100 to 100 % narrower."

@@ -71,7 +71,7 @@ def treat(
     if (count := prod(len(v) for own in numbers.values() for v in own.values())) > _MOST_VARIANTS:
         raise InputError(f"{count} combinations", expected=f"at most {_MOST_VARIANTS}", remedy="longer steps")
     variants = combinations(numbers)
-    found = _loaded(estimate)
+    found = loaded_estimate(estimate)
     chosen = knee.load()
     from fitting.prediction.band_sources import band_sources
     from fitting.prediction.plots import (
@@ -155,7 +155,7 @@ def optimise(
     from fitting.treatments.optimise import optimise_treatment
 
     stated = [Limit.parsed(text) for text in limit]
-    found = _loaded(estimate)
+    found = loaded_estimate(estimate)
     chosen = knee.load()
     with terminal.progress("searching") as shown:
         plan = optimise_treatment(
@@ -232,7 +232,7 @@ def _joined_blocks(blocks: list[Dataset], count: int) -> Dataset:
     return data
 
 
-def _loaded(path: Path | None) -> Estimate | None:
+def loaded_estimate(path: Path | None) -> Estimate | None:
     """An estimate that `pftwin fit` wrote."""
     from fitting.estimate import Estimate
 

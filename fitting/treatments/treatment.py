@@ -25,6 +25,7 @@ class Way(NamedTuple):
     unit: str  # "m", "rad" or "1"
     more: str  # effect of a positive amount, in words
     less: str  # a negative one
+    usual: tuple[float, float]  # between what a slider goes, as people read it
 
     @property
     def shown_unit(self) -> str:
@@ -48,21 +49,21 @@ class TreatmentKind(NamedTuple):
     amounts: dict[str, Way]
 
 
-_MEDIAL = Way("m", "medially", "laterally")
-_DISTAL = Way("m", "distally", "proximally")
-_ANTERIOR = Way("m", "anteriorly", "posteriorly")
-_LONGER = Way("m", "longer", "shorter")
+_MEDIAL = Way("m", "medially", "laterally", (-20.0, 30.0))
+_DISTAL = Way("m", "distally", "proximally", (-30.0, 30.0))
+_ANTERIOR = Way("m", "anteriorly", "posteriorly", (-20.0, 30.0))
+_LONGER = Way("m", "longer", "shorter", (-60.0, 60.0))
 _MOVED = {"medialisation": _MEDIAL, "distalisation": _DISTAL, "anteriorisation": _ANTERIOR}
 _TURNED = {
-    "external_rotation": Way("rad", "externally", "internally"),
-    "flexion": Way("rad", "into flexion", "into extension"),
-    "varus": Way("rad", "into varus", "into valgus"),
+    "external_rotation": Way("rad", "externally", "internally", (-20.0, 20.0)),
+    "flexion": Way("rad", "into flexion", "into extension", (-20.0, 20.0)),
+    "varus": Way("rad", "into varus", "into valgus", (-20.0, 20.0)),
 }
 _GRAFTED = {
-    "stiffening": Way("1", "stiffer", "softer"),
-    "shortening": Way("m", "shorter", "longer"),
-    "proximalisation": Way("m", "proximally on the femur", "distally on the femur"),
-    "anteriorisation": Way("m", "anteriorly on the femur", "posteriorly on the femur"),
+    "stiffening": Way("1", "stiffer", "softer", (-90.0, 300.0)),
+    "shortening": Way("m", "shorter", "longer", (-30.0, 30.0)),
+    "proximalisation": Way("m", "proximally on the femur", "distally on the femur", (-20.0, 20.0)),
+    "anteriorisation": Way("m", "anteriorly on the femur", "posteriorly on the femur", (-20.0, 20.0)),
 }
 _TUBEROSITY = {"medialisation": _MEDIAL, "anteriorisation": _ANTERIOR, "distalisation": _DISTAL}
 
@@ -72,12 +73,12 @@ KINDS = {
         (changes.tibial_tuberosity_transfer, "tibial tuberosity", _TUBEROSITY),
         (changes.patellar_tendon_length_change, "patellar tendon", {"lengthening": _LONGER}),
         (changes.quadriceps_lengthening, "quadriceps tendon", {"lengthening": _LONGER}),
-        (changes.trochleoplasty, "trochlear groove", {"deepening": Way("m", "deeper", "shallower")}),
+        (changes.trochleoplasty, "trochlear groove", {"deepening": Way("m", "deeper", "shallower", (-5.0, 10.0))}),
         (changes.femoral_component_rotation, "femoral component turned", _TURNED),
         (changes.femoral_component_translation, "femoral component", _MOVED),
         (changes.femoral_derotation, "femur below its cut", {"external_rotation": _TURNED["external_rotation"]}),
         (changes.button_position, "button", _MOVED),
-        (changes.lateral_release, "lateral strands", {"release": Way("1", "released", "tightened")}),
+        (changes.lateral_release, "lateral strands", {"release": Way("1", "released", "tightened", (0.0, 100.0))}),
         (changes.mpfl_graft, "MPFL graft", _GRAFTED),
     )
 }

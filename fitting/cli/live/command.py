@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from typer import Option
 
+from fitting.cli.treat import EstimateOption, loaded_estimate
 from pftwin.cli.scenes import CaseOption, SceneArgument, chosen_scene
 from pftwin.cli.terminal import show, spinner, tell
 
@@ -23,6 +24,7 @@ def app(
     contact: Annotated[
         str | None, Option(metavar="NAME", help="Contact to begin with; the page can choose others.")
     ] = None,
+    estimate: EstimateOption = None,
     host: Annotated[
         str, Option(metavar="ADDRESS", help="Address to serve at; by default this machine alone.")
     ] = "127.0.0.1",
@@ -34,6 +36,8 @@ def app(
     browser: Annotated[bool, Option("--open", help="Show the page in the browser.")] = False,
 ) -> None:
     """Turn treatments by sliders in the browser: every move simulates the whole motion anew.
+
+    With --estimate the knee is the fitted one, and curves have bands from draws of the estimate.
 
     Example: `pftwin app --case 2 --open`
     """
@@ -52,7 +56,7 @@ def app(
     def load(name: str) -> Scene:
         return chosen.scene if name == own else chosen_scene(scene, case, name).scene
 
-    engine = Engine(load, contacts_of(case, chosen.contact))
+    engine = Engine(load, contacts_of(case, chosen.contact), loaded_estimate(estimate))
     with spinner(f"compiling {chosen.scene.name}, half a minute the first time"):
         engine.prepare(own)
     server = LiveServer(engine, host, port, origins)

@@ -1,4 +1,4 @@
-"""What is drawn on the page: bones and moving parts of a knee at a frame (femur frame, mm), and curves over time."""
+"""What is drawn on the page: bones and moving parts of a knee at a frame (femur frame, mm)."""
 
 from __future__ import annotations
 
@@ -6,8 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fitting.cli.live.motion import Floats, Shown, ShownMotion
-from fitting.cli.live.words import AFTER, BEFORE
+from fitting.cli.live.motion import Shown
 from pftwin.results.viewer import bones
 from pftwin.results.viewer.bones import METAL
 from pftwin.results.viewer.knee import darker, paler
@@ -15,12 +14,10 @@ from pftwin.results.viewer.recorded import Recorded
 from pftwin.results.viewer.shapes import Shape, arrow_shape, ellipsoid
 
 if TYPE_CHECKING:
-    from viser import GuiApi, SceneApi
+    from viser import SceneApi
 
 BUMP = (9.5, 6.5, 8.0)  # half axes of a tuberosity [mm]
 POINT = 1.8  # radius of a contact point [mm]
-CHART = 142  # height of a chart [pixels]
-EDGES = 5.0  # edges of the charts are multiples of this, in degrees, mm or newtons
 SIDE = 55.0  # of the words "lateral" and "medial" from the middle [mm]
 
 
@@ -49,11 +46,16 @@ class Bones:
         self._tibia = scene.add_frame("/tibia", show_axes=False)
         mesh(scene, "/tibia/shaft", shin.shape, shin.colour, shin.opacity)
         self._beyond: Any = None
+        self._component: Any = None  # vertices that are drawn
         for words, y in (("lateral", SIDE), ("medial", -SIDE)):
             scene.add_label(f"/{words}", words, position=(0.0, y, 25.0), anchor="center-center")
 
     def set_component(self, recorded: Recorded) -> None:
-        """Draws the femoral component of another contact: its mesh, or its fitted surface made solid."""
+        """Draws the femoral component if it is another: its mesh, or its fitted surface made solid."""
+        found = recorded.mesh("femur") or recorded.mesh("surface")
+        if found is None or (self._component is not None and np.array_equal(found[0], self._component)):
+            return
+        self._component = found[0]
         for part in bones.femoral_component(recorded)[:1]:
             mesh(self._scene, "/component", part.shape, METAL)
 
@@ -87,7 +89,9 @@ class DrawnKnee:
     def set(self, shown: Shown) -> None:
         """Draws another motion in the place of the current one."""
         others = self._others
-        if self._shown is None:
+        before = None if self._shown is None else self._shown.recorded.geometry
+        places = [n for n in ("button_center", "button_vertices") if n in shown.recorded.geometry]
+        if before is None or any(not shown.recorded.geometry[n].equals(before[n]) for n in places):
             self._body(shown.recorded)
         self._shown = shown
         for name, (vertices, triangles) in shown.lines.items():
@@ -130,66 +134,3 @@ class DrawnKnee:
         self._mesh("patella/body", body.shape, self._code if body.opacity < 1 else paler(self._code, 0.5), body.opacity)
         for part in button:
             self._mesh("patella/button", part.shape, part.colour, part.opacity)
-
-
-class Curves:
-    """Charts of tilt, shift and contact force, treated and if asked for untreated, with a mark at the time shown."""
-
-    def __init__(self, gui: GuiApi, before: ShownMotion) -> None:
-        self._before = self._after = before
-        self._compared = False
-        names = (("tilt", "tilt [°]"), ("shift", "shift [mm]"), ("force", "contact force [N]"))
-        self._drawn = {name: self._scales(name) for name, _ in names}
-        self._charts = {
-            name: gui.add_uplot(
-                self._data(name, 0),
-                (
-                    {"label": "time [s]"},
-                    {"label": "untreated", "stroke": BEFORE, "width": 1.5},
-                    {"label": "treated", "stroke": AFTER, "width": 2},
-                    {"label": "now", "stroke": "#222222", "points": {"show": True, "size": 9, "fill": AFTER}},
-                ),
-                title=f"{title} over time [s]",
-                scales=self._drawn[name],
-                axes=({"size": 24}, {"size": 42}),
-                legend={"show": False},
-                cursor={"drag": {"x": False, "y": False}},
-                height=CHART,
-                padding=(4, 14, 0, 0),
-            )
-            for name, title in names
-        }
-
-    def set(self, before: ShownMotion, after: ShownMotion, *, compared: bool) -> None:
-        """Takes other motions, which are drawn with the next mark; the untreated one only if they are compared."""
-        self._before, self._after, self._compared = before, after, compared
-        for name, chart in self._charts.items():
-            if (scales := self._scales(name)) != self._drawn[name]:  # new scales make a page rebuild its chart
-                chart.scales = self._drawn[name] = scales
-
-    def mark(self, k: int) -> None:
-        """Moves the mark to a frame of the treated motion."""
-        for name, chart in self._charts.items():
-            chart.data = self._data(name, k)
-
-    def _scales(self, name: str) -> Any:
-        """Both axes, rounded outwards so that they stay while a slider is moved a little.
-
-        uPlot would find no range for a mark that is at one place and missing (NaN) elsewhere.
-        """
-        shown = (self._before, self._after) if self._compared else (self._after,)
-        values = np.concatenate([getattr(a, name) for a in shown])
-        there = values[np.isfinite(values)]
-        low, high = (float(there.min()), float(there.max())) if there.size else (0.0, 1.0)
-        edges = EDGES * np.floor(low / EDGES - 0.05), EDGES * np.ceil(high / EDGES + 0.05)
-        return {"x": {"time": False}, "y": {"range": tuple(float(e) for e in edges)}}
-
-    def _data(self, name: str, k: int) -> tuple[Floats, ...]:
-        series: list[Any] = [getattr(a, name) for a in (self._before, self._after)]
-        times = self._after.times
-        mark = np.full_like(times, np.nan)
-        mark[k] = series[1][k]
-        before, own = series[0] if self._compared else np.full_like(times, np.nan), self._before.times
-        if self._compared and not (own.shape == times.shape and np.allclose(own, times)):
-            before = np.interp(times, own, before)
-        return times, before, series[1], mark

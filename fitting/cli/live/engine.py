@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from fitting.cli.live.knobs import neutral, scene_with_knobs, usable_knobs
-from fitting.cli.live.motion import Floats, ShownMotion
+from fitting.cli.live.knobs import Knobs, neutral
+from fitting.cli.live.motion import Band, Floats, Shown, ShownMotion
 from pftwin.base.errors import InputError
 from pftwin.base.spatial import Vec3
 from pftwin.dynamics.simulate import prepare_relaxation, simulate
@@ -23,7 +25,11 @@ from pftwin.results.viewer.shapes import MM, Shape
 if TYPE_CHECKING:
     from xarray import Dataset
 
+    from fitting.estimate import Estimate
+    from pftwin.results.result import Result
+
 UNTREATED, TREATED = "untreated", "treated"
+DRAWS = 24  # from an estimate, for bands
 FAR = 0.045  # beyond the edges of a fitted surface that its continuation is made [m]
 HEIGHT = 0.02  # over the chart of the points that only say how far the continuation goes [m]
 MOST_ANGLE = 2.8  # of a cylinder's chart, which closes at pi [rad]
@@ -34,24 +40,26 @@ class LiveModel:
     """A scene with one contact, ready to be simulated at once."""
 
     contact: str
-    scene: Scene
+    knobs: Knobs
     still: Still
     before: ShownMotion  # untreated
 
 
 class Engine:
-    """Simulates a scene after treatments, with one of several contacts.
+    """Simulates a scene after treatments, with one of several contacts, as an estimate has it where there is one.
 
     Safe to be used by several threads. What `run` gives is what `pftwin.simulate` gives of the treated scene.
     """
 
-    def __init__(self, load: Callable[[str], Scene], contacts: tuple[str, ...]) -> None:
+    def __init__(
+        self, load: Callable[[str], Scene], contacts: tuple[str, ...], estimate: Estimate | None = None
+    ) -> None:
         """For scenes of these contacts, loaded by name; loads the first one, and raises InputError if that fails."""
-        self._load, self.contacts = load, contacts
+        self._load, self.contacts, self.estimate = load, contacts, estimate
         self._models: dict[str, LiveModel] = {}
-        self._preparing = threading.Lock()  # two threads cannot trace at once
+        self._tracing = threading.Lock()  # two threads cannot trace at once
         self._first = load(contacts[0])
-        self.knobs, self.missing = usable_knobs(self._first)
+        self._draws = () if estimate is None else estimate.samples(DRAWS)[:, : estimate.shared]
 
     def ready(self, contact: str) -> bool:
         """Whether this contact is compiled."""
@@ -63,19 +71,21 @@ class Engine:
 
     def prepare(self, contact: str) -> LiveModel:
         """Compiles for a contact, unless that is done; takes seconds. InputError if its scene cannot be simulated."""
-        with self._preparing:
+        with self._tracing:
             if contact in self._models:
                 return self._models[contact]
             if contact not in self.contacts:
                 expected = f"one of: {', '.join(self.contacts)}"
                 raise InputError(f"found {contact!r:.40}", where="contact", expected=expected)
-            scene = self._first if contact == self.contacts[0] else self._load(contact)
-            rest, still = scene_with_knobs(scene, self.knobs, neutral(self.knobs)), Still(scene)
+            knobs = Knobs.of(self._first if contact == self.contacts[0] else self._load(contact), self.estimate)
+            rest = knobs.scene_with(neutral())
+            still = Still(rest)
             _simulated(rest, UNTREATED, still)  # compiles this, and the small programs of what is shown
             prepare_relaxation(rest)
-            before = _simulated(rest, UNTREATED, still)
+            before = _simulated(rest, UNTREATED, still.of(rest))
             before.refuse_if_lost()
-            return self._models.setdefault(contact, LiveModel(contact, scene, still, before))
+            before.continued(Shown(before.recorded, 1.0).touched)
+            return self._models.setdefault(contact, LiveModel(contact, knobs, still, before))
 
     def run(self, contact: str, values: Mapping[str, float]) -> ShownMotion:
         """The whole motion with these values of the knobs and a contact that is ready.
@@ -83,24 +93,45 @@ class Engine:
         Raises InputError for values that are not allowed, and for a motion without an equilibrium or with lost frames.
         """
         model = self._models[contact]
-        answer = _simulated(scene_with_knobs(model.scene, self.knobs, values), TREATED, model.still)
+        scene = model.knobs.scene_with(values)
+        answer = _simulated(scene, TREATED, model.still.of(scene))
         answer.refuse_if_lost(unlike=model.before)
         return answer
+
+    def band(
+        self, contact: str, values: Mapping[str, float], answer: ShownMotion, wanted: Callable[[], bool]
+    ) -> Band | None:
+        """The band of a motion that `run` gave; None without an estimate, and as soon as it is no longer wanted.
+
+        Draws are simulated one by one by the program that is there: a batch of so few takes minutes to compile.
+        """
+        found: list[Result] = []
+        for theta in self._draws:
+            if not wanted():
+                return None
+            with contextlib.suppress(InputError):  # of a draw that makes the scene impossible: counted as lost
+                found.append(simulate(self._models[contact].knobs.scene_with(values, theta)))
+        good = [result for result in found if result.verdict.valid]
+        return Band.of(good, answer, len(self._draws)) if good else None
 
 
 def _simulated(scene: Scene, name: str, still: Still) -> ShownMotion:
     """Simulates with the default integrator and step of every command."""
     began = time.perf_counter()
-    answer = ShownMotion.of(simulate(scene), name, still.geometry(scene))
+    answer = ShownMotion.of(simulate(scene), name, still.geometry(scene), still.continued)
     return replace(answer, seconds=time.perf_counter() - began)
 
 
 class Still:
-    """What is drawn of a scene and not changed by any knob: meshes and surfaces are made once."""
+    """What is drawn of a scene and made once as long as no knob changes it: meshes and surfaces."""
 
     def __init__(self, scene: Scene) -> None:
-        self._bodies = geometry(scene)
+        self._contact, self._bodies = scene.contact, geometry(scene)
         self._beyond = _beyond(scene)
+
+    def of(self, scene: Scene) -> Still:
+        """This one for a scene with the same contact, else that of the scene."""
+        return self if eqx.tree_equal(scene.contact, self._contact) else Still(scene)
 
     def geometry(self, scene: Scene) -> Dataset:
         """The dataset of a treated scene: the still parts, and its own lines of force."""

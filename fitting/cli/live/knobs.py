@@ -1,21 +1,29 @@
-"""The sliders of the page: amounts of treatments and properties of tendons, each a change of the scene."""
+"""The sliders of the page: amounts of every treatment in the table, and stiffnesses of tendons."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from functools import partial
-from typing import Any
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple
 
+import equinox as eqx
+import numpy as np
+
+from fitting.treatments import KINDS, Treatment
+from fitting.treatments.parts import PATELLAR_TENDON, QUADRICEPS, elastic
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.model.scene import Scene
 
+if TYPE_CHECKING:
+    from fitting.estimate import Estimate
+
 _ROUNDING = 1e-9  # of a value that a browser sends
+_STEPS = {"mm": 0.5, "deg": 0.5, "%": 5.0}
+_TENDONS = {QUADRICEPS: KINDS["quadriceps_lengthening"].part, PATELLAR_TENDON: PATELLAR_TENDON.replace("_", " ")}
 
 
-@dataclass(frozen=True)
-class Knob:
+class Knob(NamedTuple):
     """One slider."""
 
     name: str
@@ -24,81 +32,112 @@ class Knob:
     unit: str
     least: float
     most: float
-    step: float
     neutral: float  # where the scene is as it was
     hint: str
-    change: Callable[[Scene, float], Scene]  # from a value in `unit`
+    size: float  # of one unit [SI]
+
+    @property
+    def step(self) -> float:
+        """Between two of its values, in its unit."""
+        return _STEPS[self.unit]
 
     def checked(self, value: Any) -> float:
         """The value as a number; InputError if it is none, not finite, or out of range."""
-        expected = f"{self.least:g} to {self.most:g} {self.unit}"
+        where, expected = f"{self.group}, {self.label}", f"{self.least:g} to {self.most:g} {self.unit}"
         if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-            raise InputError(f"found {value!r:.40}", where=self.label, expected=expected)
+            raise InputError(f"found {value!r:.40}", where=where, expected=expected)
         if not self.least - _ROUNDING <= value <= self.most + _ROUNDING:
-            raise InputError(f"found {value:g} {self.unit}", where=self.label, expected=expected)
+            raise InputError(f"found {value:g} {self.unit}", where=where, expected=expected)
         return float(min(max(value, self.least), self.most))
 
 
-def _treated(kind: str, amount: str, scene: Scene, value: float) -> Scene:
-    from fitting.treatments import KINDS, Treatment
-
-    return Treatment.of(kind, {amount: KINDS[kind].amounts[amount].from_shown(value)})(scene)
+def _group(part: str) -> str:
+    return f"{part[:1].upper()}{part[1:]}"
 
 
-def _stiffened(tendon: str, scene: Scene, value: float) -> Scene:
-    import equinox as eqx
-
-    from fitting.treatments.parts import elastic
-
-    found = elastic(scene, tendon, "stiffness")
-    return scene.with_effect(eqx.tree_at(lambda t: t.stiffness, found, found.stiffness * (0.01 * value)))
+def _stiffness(tendon: str) -> Knob:
+    hint = "Of what the scene has; damping stays."
+    return Knob(f"{tendon}.stiffness", "stiffness [%]", _group(_TENDONS[tendon]), "%", 10.0, 400.0, 100.0, hint, 0.01)
 
 
-def _transfer(name: str, least: float, most: float, hint: str) -> Knob:
-    change = partial(_treated, "tibial_tuberosity_transfer", name)
-    return Knob(name, f"{name} [mm]", "Tibial tuberosity", "mm", least, most, 0.5, 0.0, hint, change)
+def _amount(kind: str, name: str) -> Knob:
+    part, way = KINDS[kind].part, KINDS[kind].amounts[name]
+    label, hint = f"{name.replace('_', ' ')} [{way.shown_unit}]", f"Positive: {way.more}; negative: {way.less}."
+    size = float(way.from_shown(1.0))
+    return Knob(f"{kind}.{name}", label, _group(part), way.shown_unit, *way.usual, 0.0, hint, size)
 
 
-def _tendon(tendon: str, words: str, kind: str) -> tuple[Knob, Knob]:
-    group = words.capitalize()
-    stiff = f"Stiffness of the {words}, of what the scene has; its damping stays."
-    long = f"Slack length of the {words}, against that in the scene; negative: shorter."
-    soften, lengthen = partial(_stiffened, tendon), partial(_treated, kind, "lengthening")
-    return (
-        Knob(f"{tendon}_stiffness", "stiffness [%]", group, "%", 10.0, 400.0, 5.0, 100.0, stiff, soften),
-        Knob(f"{tendon}_length", "longer by [mm]", group, "mm", -60.0, 60.0, 0.5, 0.0, long, lengthen),
-    )
+KNOBS = (*map(_stiffness, _TENDONS), *(_amount(kind, name) for kind, about in KINDS.items() for name in about.amounts))
+GROUPS = tuple(dict.fromkeys(_group(about.part) for about in KINDS.values()))  # in the order of the page
 
 
-KNOBS = (
-    _transfer("medialisation", -20.0, 30.0, "Towards the midline; negative: laterally."),
-    _transfer("anteriorisation", -20.0, 30.0, "Towards the front; negative: backwards."),
-    _transfer("distalisation", -30.0, 30.0, "Towards the foot; negative: proximally."),
-    *_tendon("quadriceps", "quadriceps tendon", "quadriceps_lengthening"),
-    *_tendon("patellar_tendon", "patellar tendon", "patellar_tendon_length_change"),
-)
+def neutral() -> dict[str, float]:
+    """Values that leave a scene as it is."""
+    return {k.name: k.neutral for k in KNOBS}
 
 
-def neutral(knobs: tuple[Knob, ...] = KNOBS) -> dict[str, float]:
-    """Values that leave the scene as it is."""
-    return {k.name: k.neutral for k in knobs}
+class Turned(eqx.Module):
+    """Scenes by a row of numbers [SI]: parameters that were fitted, if any, then values of knobs. Pure."""
+
+    fitted: Any  # of an estimate: a function of scene and parameters; None without one
+    parameters: int = eqx.field(static=True)
+    tendons: tuple[str, ...] = eqx.field(static=True)
+    treatment: Treatment
+
+    def __call__(self, scene: Scene, row: Any) -> Scene:
+        """The scene with the parameters, after the treatment."""
+        if self.fitted is not None:
+            scene = self.fitted(scene, row[: self.parameters])
+        amounts = self.parameters + len(self.tendons)
+        for tendon, share in zip(self.tendons, row[self.parameters : amounts], strict=True):
+            scene = scene.with_effect(elastic(scene, tendon, "stiffness").stiffened(share))
+        return self.treatment.with_values(row[amounts:])(scene)
 
 
-def usable_knobs(scene: Scene) -> tuple[tuple[Knob, ...], dict[str, str]]:
+_turned = eqx.filter_jit(lambda turned, scene, row: turned(scene, row))
+
+
+class Knobs(NamedTuple):
     """The knobs for which a scene has the parts, and by group why it lacks the others."""
-    found, reasons = [], {}
-    for knob in KNOBS:
-        try:
-            knob.change(scene, knob.neutral)
-        except InputError as error:
-            reasons[knob.group] = f"{error.problem}"
-        else:
-            found.append(knob)
-    return tuple(found), reasons
 
+    scene: Scene  # nominal
+    estimate: Estimate | None
+    turned: Turned
+    missing: dict[str, str]
 
-def scene_with_knobs(scene: Scene, knobs: tuple[Knob, ...], values: Mapping[str, float]) -> Scene:
-    """The scene with every knob applied, neutral ones too, so that all values share one compiled program."""
-    for knob in knobs:
-        scene = knob.change(scene, knob.checked(values.get(knob.name)))
-    return scene
+    @classmethod
+    def of(cls, scene: Scene, estimate: Estimate | None = None) -> Knobs:
+        """Asks every treatment; InputError for a scene without what the estimate has fitted."""
+        fitted = None if estimate is None else estimate.apply
+        own, treatment, tendons = scene if fitted is None else fitted(scene), Treatment(), []
+        missing: dict[str, str] = {}
+        for tendon in _TENDONS:
+            try:
+                elastic(own, tendon, "stiffness")
+            except InputError as error:
+                missing[_group(_TENDONS[tendon])] = error.problem
+            else:
+                tendons.append(tendon)
+        for kind, about in KINDS.items():
+            try:
+                treatment = treatment.then(Treatment.of(kind, dict.fromkeys(about.amounts, 0.0)).prepared(own))
+            except InputError as error:
+                missing[_group(about.part)] = error.problem
+        parameters = 0 if estimate is None else estimate.shared
+        return cls(scene, estimate, Turned(fitted, parameters, tuple(tendons), treatment), missing)
+
+    @property
+    def usable(self) -> tuple[Knob, ...]:
+        """In the order of the numbers of `turned`."""
+        names = [*(f"{tendon}.stiffness" for tendon in self.turned.tendons), *self.turned.treatment.names]
+        by_name = {k.name: k for k in KNOBS}
+        return tuple(by_name[name] for name in names)
+
+    def scene_with(self, values: Mapping[str, float], theta: Floats | None = None) -> Scene:
+        """The scene with every knob applied, neutral ones too, so that all values share one compiled program.
+
+        Parameters (p,) are the estimate's if left out. Raises InputError for a value that is not allowed.
+        """
+        amounts = [k.checked(values.get(k.name)) * k.size for k in self.usable]
+        own = () if self.estimate is None else self.estimate.values[: self.turned.parameters]
+        return _turned(self.turned, self.scene, np.array([*(own if theta is None else theta), *amounts]))

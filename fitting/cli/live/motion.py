@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from fitting.prediction.predicted_motion import LEVEL
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.results.viewer.knee import REST, gaps_filled
@@ -32,14 +34,19 @@ class ShownMotion:
     dislocates: bool | None  # None: there is no groove to leave, or the motion may not be spoken of
     finite: bool
     settled: bool  # whether it starts from an equilibrium
+    flexion: Floats  # of the knee [deg]
+    out: NDArray[np.bool_]  # frames in which the patella has left its groove
     tilt: Floats  # [deg]
     shift: Floats  # [mm]
     force: Floats  # of the contact [N]; NaN without one
     highest_force: float  # over all frames [N]
+    continued: Callable[[Floats], Shape | None]  # the surface as far beyond its edge as points (k, 3) [m] reach
     seconds: float = 0.0  # from the treated scene to here
 
     @classmethod
-    def of(cls, result: Result, name: str, geometry: Dataset) -> ShownMotion:
+    def of(
+        cls, result: Result, name: str, geometry: Dataset, continued: Callable[[Floats], Shape | None]
+    ) -> ShownMotion:
         """From a result, under a name for the legend, and what there is to draw of its scene."""
         from pftwin.dynamics.status import Status
 
@@ -48,6 +55,7 @@ class ShownMotion:
         force = None if result.contact is None else recorded.series(f"{result.contact}_force")
         every = np.array([np.nan]) if force is None else np.asarray(result.effects[str(result.contact)]["force"])
         there = every[np.isfinite(every)]
+        out = np.zeros(result.times.size, dtype=bool) if outcome is None else outcome.dislocated
         tilt, shift = recorded.series("patella_tilt"), recorded.series("patella_shift")
         assert tilt is not None
         assert shift is not None
@@ -57,10 +65,13 @@ class ShownMotion:
             None if outcome is None else bool(outcome.events),
             not (result.flags & int(Status.NOT_FINITE)).any(),
             bool(result.equilibrium.converged),
+            np.degrees(np.asarray(result.knee.flexion, dtype=np.float64))[recorded.frames],
+            out[recorded.frames],
             tilt,
             1e3 * shift,
             np.full_like(tilt, np.nan) if force is None else force,
             float(there.max()) if there.size else float("nan"),
+            continued,
         )
 
     @property
@@ -78,6 +89,27 @@ class ShownMotion:
             raise InputError("the patella is lost in this motion (frames are not finite)", remedy=_REMEDY)
         if not self.settled and unlike is not None and unlike.settled:
             raise InputError("there is no static equilibrium to start from", remedy=_REMEDY)
+
+
+class Band(NamedTuple):
+    """Between what the middle 90 % of draws from an estimate lie, at the frames that are shown."""
+
+    ends: dict[str, tuple[Floats, Floats]]  # (n,) each, by the curve's name in `ShownMotion`
+    words: str
+
+    @classmethod
+    def of(cls, results: Sequence[Result], answer: ShownMotion, draws: int) -> Band:
+        """Of those draws that have a motion which may be spoken of, around the motion of the estimate itself."""
+        contact, rows = answer.result.contact, []
+        for result in results:
+            force = np.full(result.times.size, np.nan) if contact is None else result.effects[contact]["force"]
+            rows.append((np.degrees(result.angles.tilt), 1e3 * result.shift, force))
+        low, high = np.quantile(rows, [0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL], axis=0)[..., answer.recorded.frames]
+        lost = draws - len(results)
+        left_out = f"; {lost} without a motion were left out" if lost else ""
+        out = sum(bool(found.events) for r in results if (found := r.dislocations()) is not None)
+        words = f"Bands: the middle {100 * LEVEL:.0f} % of {draws} draws from the estimate{left_out}. {out} dislocate."
+        return cls({name: (low[k], high[k]) for k, name in enumerate(("tilt", "shift", "force"))}, words)
 
 
 @dataclass(frozen=True, eq=False)

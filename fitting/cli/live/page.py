@@ -9,10 +9,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fitting.cli.live import words
-from fitting.cli.live.drawing import Bones, Curves, DrawnKnee
+from fitting.cli.live.curves import AGAINST, Curves, no_strokes
+from fitting.cli.live.drawing import Bones, DrawnKnee
 from fitting.cli.live.engine import TREATED, Engine, LiveModel
-from fitting.cli.live.motion import Shown, ShownMotion
+from fitting.cli.live.knobs import GROUPS, KNOBS
+from fitting.cli.live.motion import Band, Shown, ShownMotion
 from fitting.cli.live.words import AFTER, BEFORE
+from fitting.prediction.predicting import reservations
 from pftwin.results.viewer.assembly import per_centimetre, views
 from pftwin.results.viewer.page import legend, notes, readout
 
@@ -31,6 +34,8 @@ class Page:
         self._client, self._gui, self._session = client, client.gui, session
         self.newtons = per_centimetre([model.before.recorded])
         self._contact: str | None = None
+        self._band: Band | None = None
+        self._notes = [] if engine.estimate is None else reservations(engine.estimate, synthetic=False)
         self._before, self._after = model.before, model.before.named(TREATED)
         self._bones = Bones(client.scene, model.before.recorded)
         self._treated = DrawnKnee(client.scene, "/treated", AFTER)
@@ -38,7 +43,8 @@ class Page:
         self._gui.main_panel.dock_right()
         self._gui.set_panel_label("Treatment")
         self.state = self._gui.add_html("")
-        self.knobs = self._sliders(engine)
+        self._folders: dict[str, Any] = {}
+        self.knobs = self._sliders()
         self._model(engine)
         self._views(model)
         self._legend = self._gui.add_html(self._legend_text())
@@ -47,6 +53,10 @@ class Page:
             self._playing(model)
             self._numbers = self._gui.add_html("")
             self._whole = self._gui.add_html("")
+            why = no_strokes(model.before)
+            self._over = self._gui.add_checkbox("against knee flexion", False, disabled=bool(why), hint=why or AGAINST)
+            self._tell_of(self._over, self._session.redraw)
+            self._said = self._gui.add_html("")
             self._curves = Curves(self._gui, model.before)
         with panel.add_tab("Times"):  # of the program: no matter of a treatment
             self.pace = self._gui.add_html(words.pace_text((), (), 0.0))
@@ -55,18 +65,25 @@ class Page:
 
     def tell(self, model: LiveModel, after: ShownMotion) -> None:
         """Takes another motion into the table and the curves, which are redrawn with the next numbers."""
-        self._before, self._after = model.before, after
+        if self._contact != model.contact:
+            self._offer(model)
+        self._before, self._after, self._band = model.before, after, None
+        self._retell()
+
+    def tell_band(self, band: Band | None) -> None:
+        """Takes the band of the motion that is shown into the curves."""
+        self._band = band
         self._retell()
 
     def draw(self, model: LiveModel, shown: Shown) -> None:
         """Draws another motion: the knee and its continued surface."""
         if self._contact != model.contact:
             self._contact = model.contact
-            self._bones.set_component(model.before.recorded)
             self.untreated.set(Shown(model.before.recorded, self.newtons))
         self._shown = shown
         self._treated.set(shown)
-        self._bones.set_beyond(model.still.continued(shown.touched))
+        self._bones.set_component(shown.recorded)
+        self._bones.set_beyond(self._after.continued(shown.touched))
 
     def frame(self, k: int) -> None:
         """Sets the drawing to a frame."""
@@ -81,14 +98,18 @@ class Page:
         self._numbers.content = words.with_margins(readout([m.recorded for m in motions], colours, at))
         self._curves.mark(k)
 
-    def compare(self, visible: bool) -> None:
-        """Shows or hides the untreated knee, its curves and its numbers, those of a time with the next ones."""
-        self.untreated.show(visible)
+    def redraw(self) -> None:
+        """Shows the untreated knee, its curves and numbers or hides them, those of a time with the next ones, and draws
+        the curves over what was asked for."""
+        self.untreated.show(self._compared.value)
         self._legend.content = self._legend_text()
         self._retell()
 
     def _retell(self) -> None:
-        self._curves.set(self._before, self._after, compared=self._compared.value)
+        shown = {"compared": self._compared.value, "against_flexion": self._over.value}
+        self._curves.set(self._before, self._after, self._band, **shown)
+        said = [AGAINST] if self._over.value else []
+        self._said.content = words.aside(*said, *([] if self._band is None else [self._band.words]))
         self._whole.content = words.whole_motion(*self._shown_motions())
 
     def _shown_motions(self) -> tuple[list[ShownMotion], list[str]]:
@@ -98,20 +119,33 @@ class Page:
 
     def _legend_text(self) -> str:
         motions, colours = self._shown_motions()
-        said = [*notes([self._before.recorded], self.newtons), words.NOT_FOR_PATIENTS]
+        said = [*notes([self._before.recorded], self.newtons), *self._notes, words.NOT_FOR_PATIENTS]
         return words.with_margins(legend([m.recorded for m in motions], colours, said).replace("max-width:290px", ""))
 
-    def _sliders(self, engine: Engine) -> dict[str, Any]:
+    def _sliders(self) -> dict[str, Any]:
+        """A slider for every knob, in folders; `_offer` hides what a model has no part for."""
         found = {}
-        for group in dict.fromkeys(k.group for k in engine.knobs):
-            with self._gui.add_folder(group):
-                for k in (k for k in engine.knobs if k.group == group):
+        for group in GROUPS:
+            self._folders[group] = self._gui.add_folder(group, expand_by_default=group == GROUPS[0])
+            with self._folders[group]:
+                for k in (k for k in KNOBS if k.group == group):
                     numbers = (k.least, k.most, k.step, k.neutral)
                     found[k.name] = self._gui.add_slider(k.label, *numbers, hint=k.hint, marks=(k.neutral,))
                     self._tell_of(found[k.name], partial(self._session.turn, k))
-        for group, why in engine.missing.items():
-            self._gui.add_html(words.state("doubt", f"{group}: cannot be changed", why))
+        self._missing = self._gui.add_folder("Cannot be changed here", expand_by_default=False)
+        with self._missing:
+            self._reasons = self._gui.add_html("")
         return found
+
+    def _offer(self, model: LiveModel) -> None:
+        """Shows the knobs that act on a model, and says why there are no others."""
+        usable = {k.name for k in model.knobs.usable}
+        for name, slider in self.knobs.items():
+            slider.visible = name in usable
+        for group, folder in self._folders.items():
+            folder.visible = any(k.group == group and k.name in usable for k in KNOBS)
+        self._missing.visible = bool(model.knobs.missing)
+        self._reasons.content = "".join(words.state("doubt", g, why) for g, why in model.knobs.missing.items())
 
     def _tell_of(self, element: Any, told: Callable[[Any], None]) -> None:
         """Has every new value of an element told that comes from the client and not from here."""
@@ -128,7 +162,7 @@ class Page:
             reset = self._gui.add_button("Reset")
         self.untreated.show(False)
         self._tell_of(self.contacts, self._session.choose)
-        self._tell_of(self._compared, self._session.compare)
+        self._tell_of(self._compared, self._session.redraw)
 
         @reset.on_click
         async def _(_: Any) -> None:

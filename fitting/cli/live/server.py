@@ -42,7 +42,7 @@ class LiveServer:
         package = viser()
         check_address(host, port)
         self._engine = engine
-        self._simulating, self._preparing = Worker("simulating"), Worker("preparing")
+        self._workers = [Worker(name) for name in ("simulating", "preparing", "drawing bands")]
         self._sessions: dict[int, Session] = {}
         self._lock = threading.Lock()
         _quiet_about_broken_messages()
@@ -81,8 +81,8 @@ class LiveServer:
             session.close()
         with _viser_silenced():
             self._server.stop()
-        self._simulating.stop()
-        self._preparing.stop()
+        for worker in self._workers:
+            worker.stop()
 
     def _look(self, engine: Engine) -> None:
         server = self._server
@@ -95,7 +95,7 @@ class LiveServer:
         first.fov, first.near, first.far = 0.52, 1.0, 5000.0
 
     def _joined(self, client: Any) -> None:
-        session = Session(client, self._engine, self._simulating, self._preparing)
+        session = Session(client, self._engine, *self._workers)
         with self._lock:
             self._sessions[client.client_id] = session
         if client.client_id not in self._server.get_clients():  # it left while its page was made

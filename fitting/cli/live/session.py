@@ -5,13 +5,14 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
+from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from fitting.cli.live import words
 from fitting.cli.live.engine import TREATED, Engine, LiveModel
-from fitting.cli.live.knobs import Knob, neutral
+from fitting.cli.live.knobs import KNOBS, Knob, neutral
 from fitting.cli.live.motion import Shown, ShownMotion
 from fitting.cli.live.page import Page
 from fitting.cli.live.threads import Player, Worker
@@ -20,6 +21,7 @@ from pftwin.base.errors import InputError
 if TYPE_CHECKING:
     from viser import ClientHandle
 
+_REST = 0.3  # that a slider has to rest before the band is begun [s]
 _NUMBERS_EVERY = 0.1  # between numbers, and marks in the curves, while it plays [s]
 
 
@@ -30,12 +32,15 @@ class Session:
     they share is changed under a lock.
     """
 
-    def __init__(self, client: ClientHandle, engine: Engine, simulating: Worker, preparing: Worker) -> None:
+    def __init__(
+        self, client: ClientHandle, engine: Engine, simulating: Worker, preparing: Worker, drawing_bands: Worker
+    ) -> None:
         self._client, self._engine = client, engine
-        self._simulating, self._preparing = simulating, preparing
+        self._simulating, self._preparing, self._drawing_bands = simulating, preparing, drawing_bands
+        self._asked = 0  # motions so far
         self._lock = threading.RLock()
         self._closed, self._numbered = False, 0.0
-        self._values = neutral(engine.knobs)
+        self._values = neutral()
         self._wanted = self._contact = engine.contacts[0]
         self.motions, self.drawings = deque[float](maxlen=words.KEPT), deque[float](maxlen=words.KEPT)
         model = engine.model(self._contact)
@@ -45,6 +50,7 @@ class Session:
             self._player = Player(self._played, self._now, float(model.before.times[-1]))
             self._told(model, self._after)
             self._drawn(model, Shown(model.before.recorded, self._page.newtons))
+        self._ask_band(self._contact, dict(self._values))
 
     def turn(self, knob: Knob, value: Any) -> None:
         """Takes the value of a slider that was moved."""
@@ -60,8 +66,8 @@ class Session:
     def reset(self) -> None:
         """Sets all sliders back to the untreated scene."""
         began = time.perf_counter()
-        self._values = neutral(self._engine.knobs)
-        for knob in self._engine.knobs:
+        self._values = neutral()
+        for knob in KNOBS:
             self._page.knobs[knob.name].value = knob.neutral
         self._ask(began)
 
@@ -103,13 +109,13 @@ class Session:
         self._page.play.label = "Play"
         self._frame(self._now, numbers=True)
 
-    def compare(self, visible: bool) -> None:
-        """Shows or hides the untreated knee, its curves and its numbers."""
+    def redraw(self, _: Any = None) -> None:
+        """Shows or hides the untreated knee, its curves and its numbers, and draws curves over time or flexion."""
         with self._lock:
             if self._closed:
                 return
             with self._client.atomic():
-                self._page.compare(bool(visible))
+                self._page.redraw()
                 self._frame(self._now, numbers=True)
 
     def refuse(self, why: str) -> None:
@@ -124,6 +130,7 @@ class Session:
         self._player.pause()
         self._simulating.forget(self)
         self._preparing.forget(self)
+        self._drawing_bands.forget(self)
 
     def _prepare(self, contact: str) -> None:
         """Compiles for a contact, in the preparing worker's thread."""
@@ -142,14 +149,15 @@ class Session:
 
     def _ask(self, began: float) -> None:
         """Asks for a motion of the values at the time when its turn comes."""
+        self._asked += 1
         self._simulating.submit(self, lambda: self._answer(began))
 
     def _answer(self, began: float) -> None:
         """In the worker's thread: simulates, then sends the words and numbers, then the drawing, which takes longer."""
-        contact = self._wanted if self._engine.ready(self._wanted) else self._contact
+        contact, values = self._wanted if self._engine.ready(self._wanted) else self._contact, dict(self._values)
         try:
             model = self._engine.model(contact)
-            after = self._engine.run(contact, dict(self._values))
+            after = self._engine.run(contact, values)
         except Exception as error:
             self._failed(error)
             if not isinstance(error, InputError):
@@ -171,6 +179,26 @@ class Session:
             self._page.pace.content = words.pace_text(self.motions, self.drawings, after.seconds)
             if self._wanted != contact:
                 self._page.state.content = words.waiting(self._wanted, contact)
+        self._ask_band(contact, values)
+
+    def _ask_band(self, contact: str, values: dict[str, float]) -> None:
+        """Asks for the band of what is shown, if there is an estimate; the next move drops it."""
+        if self._engine.estimate is not None:
+            after, asked = self._after, self._asked
+            wanted = lambda: self._asked == asked and not self._closed  # noqa: E731
+            self._drawing_bands.submit(self, lambda: self._answer_band(contact, values, after, wanted))
+
+    def _answer_band(
+        self, contact: str, values: dict[str, float], after: ShownMotion, wanted: Callable[[], bool]
+    ) -> None:
+        """In the bands' thread, once the slider rests: simulates draws, and draws their band."""
+        time.sleep(_REST)
+        band = self._engine.band(contact, values, after, wanted)
+        with self._lock:
+            if band is not None and wanted() and self._after is after:
+                with self._client.atomic():
+                    self._page.tell_band(band)
+                    self._frame(self._now, numbers=True)
 
     def _told(self, model: LiveModel, after: ShownMotion) -> None:
         self._contact, self._after = model.contact, after

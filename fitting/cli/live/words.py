@@ -71,6 +71,11 @@ def pace_text(motions: Sequence[float], drawings: Sequence[float], seconds: floa
     return _written("pace", rows)
 
 
+def aside(*lines: str) -> str:
+    """Small lines beside the curves."""
+    return _written("aside", lines)
+
+
 def with_margins(content: str) -> str:
     """HTML of the viewer with the page's margins."""
     return f"<div style='padding:2px 12px'>{content}</div>"

@@ -6,6 +6,8 @@ import equinox as eqx
 from small_scene import polynomial, small_scene
 
 from fitting.cli.live.engine import Engine
+from fitting.cli.live.knobs import Knobs, neutral
+from fitting.estimate import Estimate
 from pftwin.base.errors import InputError
 from pftwin.model.scene import Scene
 
@@ -25,8 +27,17 @@ def load(name: str) -> Scene:
     return scene.with_effect(eqx.tree_at(lambda c: c.surface, scene.contact, deeper))
 
 
-def live_engine() -> Engine:
+TRANSFER = "tibial_tuberosity_transfer"
+
+
+def turned(scene: Scene, **values: float) -> Scene:
+    """The scene after a transfer of its tuberosity, or with other knobs, by name with __ for the dot."""
+    names = {k.replace("__", ".") if "__" in k else f"{TRANSFER}.{k}": v for k, v in values.items()}
+    return Knobs.of(scene).scene_with({**neutral(), **names})
+
+
+def live_engine(estimate: Estimate | None = None) -> Engine:
     """The first contact of it is prepared."""
-    engine = Engine(load, CONTACTS)
+    engine = Engine(load, CONTACTS, estimate)
     engine.prepare("groove")
     return engine

@@ -50,9 +50,8 @@ class PageClient:
         self._socket.send(message if isinstance(message, bytes) else msgspec.msgpack.encode(message))
 
     def uuid(self, label: str) -> str:
-        """Of the only element with this label."""
-        (found,) = [u for u, e in self.elements.items() if e.get("label") == label]
-        return found
+        """Of the first element with this label."""
+        return next(u for u, e in self.elements.items() if e.get("label") == label)
 
     def move(self, label: str, value: Any) -> None:
         """As a slider does, or with a value that none has."""

@@ -7,17 +7,23 @@ import dataclasses
 import equinox as eqx
 import numpy as np
 import pytest
-from live_engine import live_engine, load
+from live_engine import TRANSFER, live_engine, load, turned
 from small_scene import small_scene
 
 import pftwin
 from fitting.cli.live.engine import Engine
-from fitting.cli.live.knobs import KNOBS, neutral, scene_with_knobs
+from fitting.cli.live.knobs import neutral
 from fitting.cli.live.motion import Shown
 from pftwin.base.errors import InputError
 from pftwin.results.viewer.shapes import of_poses
 
-MOVED = {**neutral(), "medialisation": 6.5, "anteriorisation": 2.0, "quadriceps_stiffness": 120.0}
+BY = {"medialisation": 6.5, "anteriorisation": 2.0, "quadriceps__stiffness": 120.0}
+MOVED = {
+    **neutral(),
+    f"{TRANSFER}.medialisation": 6.5,
+    f"{TRANSFER}.anteriorisation": 2.0,
+    "quadriceps.stiffness": 120.0,
+}
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +33,7 @@ def engine():
 
 def test_gives_what_simulate_gives_of_the_treated_scene(engine):
     answer = engine.run("groove", MOVED)
-    result = pftwin.simulate(scene_with_knobs(small_scene(), KNOBS, MOVED))
+    result = pftwin.simulate(turned(small_scene(), **BY))
     data = answer.recorded.data
     np.testing.assert_array_equal(data["patella_position"].values, result.position)
     np.testing.assert_array_equal(data["patella_quaternion"].values, result.quaternion)
@@ -40,9 +46,9 @@ def test_gives_what_simulate_gives_of_the_treated_scene(engine):
 
 
 def test_turning_compiles_nothing(engine):
-    treated = scene_with_knobs(small_scene(), KNOBS, MOVED)
+    treated = turned(small_scene(), **BY)
     assert pftwin.simulate(treated).timing["compile_s"] == 0
-    assert pftwin.simulate(scene_with_knobs(small_scene(), KNOBS, neutral())).timing["compile_s"] == 0
+    assert pftwin.simulate(turned(small_scene())).timing["compile_s"] == 0
     assert engine.ready("groove")
 
 
@@ -57,7 +63,7 @@ def test_lines_of_the_treated_scene_are_drawn(engine):
 
 def test_values_out_of_range_are_refused_and_the_next_ones_work(engine):
     with pytest.raises(InputError, match="medialisation"):
-        engine.run("groove", {**MOVED, "medialisation": float("nan")})
+        engine.run("groove", {**MOVED, f"{TRANSFER}.medialisation": float("nan")})
     assert engine.run("groove", MOVED).finite
 
 
@@ -70,7 +76,7 @@ def test_a_scene_that_the_values_make_impossible_is_refused():
     engine = Engine(short, ("groove",))
     engine.prepare("groove")
     with pytest.raises(InputError, match=r"patellar_tendon\.slack_length: found -0\.0086; expected: a positive number"):
-        engine.run("groove", {**neutral(), "patellar_tendon_length": -60.0})
+        engine.run("groove", {**neutral(), "patellar_tendon_length_change.lengthening": -60.0})
 
 
 def test_motions_that_mean_nothing_are_refused(engine):

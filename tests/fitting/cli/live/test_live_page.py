@@ -23,7 +23,7 @@ from pftwin.base import cache_folder  # noqa: E402
 from pftwin.model.measured import SYNTHETIC  # noqa: E402
 
 pytestmark = pytest.mark.slow
-SLIDER = "xpath=//*[normalize-space(text())='{}']/ancestor::*[.//*[@role='slider']][1]"
+SLIDER = "xpath=(//*[normalize-space(text())='{}']/ancestor::*[.//*[@role='slider']][1])[1]"
 ORANGE = (213, 94, 0)  # of the treated knee
 
 

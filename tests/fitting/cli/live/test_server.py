@@ -11,11 +11,12 @@ import weakref
 
 import numpy as np
 import pytest
-from live_engine import live_engine
+from live_engine import live_engine, turned
+from made_estimates import made_estimate
+from scipy.spatial.transform import Rotation
 from small_scene import small_scene
 
 import pftwin
-from fitting.cli.live.knobs import KNOBS, neutral, scene_with_knobs
 from fitting.cli.live.words import KEPT
 from pftwin.base.errors import MissingExtraError
 
@@ -58,7 +59,7 @@ def until(true, seconds: float = 60.0) -> None:
 
 def drawn_for(session, **values) -> None:
     """Until what is drawn is the motion of these values."""
-    result = pftwin.simulate(scene_with_knobs(small_scene(), KNOBS, {**neutral(), **values}))
+    result = pftwin.simulate(turned(small_scene(), **values))
     until(lambda: np.array_equal(session._after.recorded.data["patella_position"].values, result.position))
 
 
@@ -172,24 +173,82 @@ def test_two_pages_are_independent(client, server):
 
 
 def test_the_untreated_motion_is_shown_only_when_it_is_asked_for(client, server):
-    """In the curves (their second row), the numbers at a time, those of the whole motion, and the legend."""
+    """In the curves, the numbers at a time, those of the whole motion, and the legend."""
     (session,) = server.sessions
 
-    def charts() -> list[np.ndarray]:
-        return [np.asarray(chart.data[1]) for chart in session._page._curves._charts.values()]
+    def lines() -> list[int]:
+        return [label(e).count("untreated") for e in client.elements.values() if "series" in e]
+
+    def label(element) -> list[str]:
+        return [line["label"] for line in element["series"]]
 
     client.move(MEDIALISE, 8.0)
     drawn_for(session, medialisation=8.0)
     client.wait_for("of the last 1: median")
     assert "untreated" not in client.text()
-    assert len(charts()) == 3
-    assert all(np.isnan(before).all() for before in charts())
+    assert lines() == [0, 0, 0]
     client.move("compare with untreated", True)
     client.wait(lambda c: c.text().count("untreated") == 3)
-    client.wait(lambda _: all(np.isfinite(before).any() for before in charts()))
+    client.wait(lambda _: lines() == [1, 1, 1])
     client.move("compare with untreated", False)
     client.wait(lambda c: "untreated" not in c.text())
-    client.wait(lambda _: all(np.isnan(before).all() for before in charts()))
+    client.wait(lambda _: lines() == [0, 0, 0])
+
+
+def test_curves_are_drawn_against_flexion_when_it_is_asked_for(client, server):
+    charts = [e for e in client.elements.values() if "series" in e]
+    assert [c["series"][0]["label"] for c in charts] == 3 * ["time [s]"]
+    client.move("against knee flexion", True)
+    client.wait(lambda _: [c["series"][0]["label"] for c in charts] == 3 * ["knee flexion [°]"])
+    (session,) = server.sessions
+    flexion = session._page._curves._drawn["tilt"][0].data[0]
+    assert (np.diff(flexion) > 0).all()
+    assert flexion[[0, -1]] == pytest.approx([45, 55], abs=0.1)  # of the small knee, which bends and straightens
+    assert [line["dash"] for line in charts[0]["series"][1:-1]] == [[], [9.0, 5.0]]  # solid, dashed
+
+
+def test_sliders_are_those_that_act_on_the_scene(client):
+    shown = {label for e in client.elements.values() if e.get("visible") and (label := e.get("label"))}
+    assert {"Tibial tuberosity", "Button", "Femoral component turned", "external rotation [deg]"} < shown
+    assert not {"Trochlear groove", "Lateral strands", "deepening [mm]", "release [%]"} & shown
+    assert "no tendon or strands named &#39;mpfl&#39;" in client.text()
+
+
+def test_a_turned_component_is_drawn(client, server):
+    (session,) = server.sessions
+    until(lambda: session._page._bones._component is not None)
+    rest = session._page._bones._component
+    client.move("external rotation [deg]", 5.0)
+    until(lambda: np.abs(session._page._bones._component - rest).max() > 1e-3)
+    axis, turn = np.array([1.0, 0.0, 0.0]), -np.radians(5)  # about x proximal; the front, z, turns laterally: to y
+    about = Rotation.from_rotvec(turn * axis)
+    np.testing.assert_allclose(session._page._bones._component, about.apply(rest), atol=1e-7)
+    client.move("Reset", True)
+    until(lambda: np.array_equal(session._page._bones._component, rest))
+
+
+def test_bands_of_an_estimate_come_when_the_slider_rests_and_go_at_the_next_move():
+    """Their draws differ in one spring alone, so that the ends are those of the draws' own motions."""
+    found = made_estimate({"K1": (156.0, 5.0)})
+    server = LiveServer(live_engine(found), port=0)
+
+    def bands(client) -> list[int]:
+        return [len(e["bands"]) for e in client.elements.values() if "series" in e]
+
+    try:
+        with PageClient(server.address) as client:
+            client.wait_for("Bands: the middle 90 % of 24 draws from the estimate. 0 dislocate.")
+            client.wait(lambda c: bands(c) == [1, 1, 1])
+            (session,) = server.sessions
+            low, high = session._page._band.ends["tilt"]
+            scenes = [turned(found.apply(small_scene(), theta)) for theta in found.samples(24)]
+            tilts = [np.degrees(pftwin.simulate(scene).angles.tilt) for scene in scenes]
+            np.testing.assert_allclose([low, high], np.percentile(tilts, [5, 95], axis=0), atol=1e-9)
+            client.move(MEDIALISE, 8.0)
+            client.wait(lambda c: bands(c) == [0, 0, 0])
+            client.wait(lambda c: bands(c) == [1, 1, 1])
+    finally:
+        server.stop()
 
 
 def test_reset_time_play_and_comparison(client, server):
@@ -268,9 +327,9 @@ def test_nothing_is_written_to_a_client_who_has_left(server, monkeypatch):
         (session,) = server.sessions
     gone(server)
     asked = []
-    monkeypatch.setattr(session._page, "compare", asked.append)
+    monkeypatch.setattr(session._page, "redraw", lambda: asked.append(1))
     monkeypatch.setattr(session._page, "frame", asked.append)
-    session.compare(True)
+    session.redraw()
     session.pause()
     assert not asked
 

@@ -1,0 +1,138 @@
+"""The charts of the page: tilt, shift and contact force over time, or stroke by stroke against knee flexion."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from fitting.cli.live.motion import Band, Floats, ShownMotion
+from fitting.cli.live.words import AFTER, BEFORE
+from pftwin.base.errors import InputError
+from pftwin.results.plots.strokes import strokes_of
+
+if TYPE_CHECKING:
+    from viser import GuiApi
+
+CHART = 142  # height of a chart [pixels]
+EDGES = 5.0  # edges of the charts are multiples of this, in degrees, mm or newtons
+NAMES = {"tilt": "tilt [°]", "shift": "shift [mm]", "force": "contact force [N]"}
+SOLID, DASHED, DOTTED = (), (9.0, 5.0), (2.0, 4.0)
+AGAINST = "solid: bending; dashed: straightening; dotted: the patella is out of its groove"
+_FAINT = f"{AFTER}38"
+
+
+class Piece(NamedTuple):
+    """Frames in a row along which the abscissa rises, and how their line is drawn."""
+
+    frames: NDArray[np.int64]
+    dash: tuple[float, ...]
+
+
+def pieces(motion: ShownMotion, *, against_flexion: bool) -> list[Piece]:
+    """The lines of a motion: one over time; against flexion the strokes, broken where the patella leaves its groove or
+    comes back. InputError for a motion without a stroke."""
+    if not against_flexion:
+        return [Piece(np.arange(motion.times.size), SOLID)]
+    found = []
+    for frames, bending, _ in strokes_of(motion.flexion):
+        for run in np.split(frames, 1 + np.flatnonzero(np.diff(motion.out[frames]))):
+            dash = DOTTED if motion.out[run[0]] else SOLID if bending else DASHED
+            found.append(Piece(run if bending else run[::-1], dash))
+    return found
+
+
+def no_strokes(motion: ShownMotion) -> str:
+    """Why a motion cannot be drawn against flexion; empty where it can."""
+    try:
+        pieces(motion, against_flexion=True)
+    except InputError as error:
+        return error.problem
+    return ""
+
+
+class Curves:
+    """Charts of the treated and if asked for the untreated motion, with a mark at the time shown, and bands."""
+
+    def __init__(self, gui: GuiApi, before: ShownMotion) -> None:
+        self._before = self._after = before
+        self._band: Band | None = None
+        self._compared = self._against_flexion = False
+        self._drawn: dict[str, Any] = {}
+        for name in NAMES:
+            props, data = self._content(name, 0)
+            chart = gui.add_uplot(
+                data,
+                **props,
+                axes=({"size": 24}, {"size": 42}),
+                legend={"show": False},
+                cursor={"drag": {"x": False, "y": False}},
+                height=CHART,
+                padding=(4, 14, 0, 0),
+            )
+            self._drawn[name] = chart, props
+
+    def set(
+        self, before: ShownMotion, after: ShownMotion, band: Band | None, *, compared: bool, against_flexion: bool
+    ) -> None:
+        """Takes other motions, which are drawn with the next mark; the untreated one only if they are compared."""
+        self._before, self._after, self._band = before, after, band
+        self._compared, self._against_flexion = compared, against_flexion
+
+    def mark(self, k: int) -> None:
+        """Draws what was taken, with the mark at a frame of the treated motion."""
+        for name, (chart, drawn) in self._drawn.items():
+            props, data = self._content(name, k)
+            for prop in (p for p in props if props[p] != drawn[p]):  # which makes a page rebuild its chart
+                setattr(chart, prop, props[prop])
+            chart.data = data
+            self._drawn[name] = chart, props
+
+    def _content(self, name: str, k: int) -> tuple[dict[str, Any], tuple[Floats, ...]]:
+        """How a chart is to be, and its data: abscissa, ends of bands, lines, mark."""
+        along = self._after.flexion if self._against_flexion else self._after.times
+        grid, at = np.unique(along, return_inverse=True)
+        series: list[dict[str, Any]] = [{"label": "knee flexion [°]" if self._against_flexion else "time [s]"}]
+        data, bands = [grid], []
+
+        def add(piece: Piece, values: Floats, look: dict[str, Any]) -> None:
+            x, y = along[piece.frames], values[piece.frames]
+            data.append(np.interp(grid, x, y, left=np.nan, right=np.nan))
+            series.append({**look, "dash": piece.dash})
+
+        lines = pieces(self._after, against_flexion=self._against_flexion)
+        ends = () if self._band is None else self._band.ends[name]
+        for piece in lines if ends else ():
+            for end in ends:
+                add(piece, end, {"label": "band", "stroke": _FAINT, "width": 1, "points": {"show": False}})
+            bands.append({"series": (len(data) - 1, len(data) - 2), "fill": _FAINT})
+        if self._compared:
+            for piece in pieces(self._before, against_flexion=self._against_flexion):
+                look = {"label": "untreated", "stroke": BEFORE, "width": 1.5, "points": {"show": False}}
+                add(piece, getattr(self._before, name), look)
+        for piece in lines:
+            look = {"label": "treated", "stroke": AFTER, "width": 2, "points": {"show": False}}
+            add(piece, getattr(self._after, name), look)
+        mark = np.full_like(grid, np.nan)
+        mark[at[k]] = getattr(self._after, name)[k]
+        look = {"label": "now", "stroke": "#222222", "points": {"show": True, "size": 9, "fill": AFTER}}
+        words = "against knee flexion [°]" if self._against_flexion else "over time [s]"
+        props = {
+            "series": (*series, look),
+            "bands": tuple(bands),
+            "title": f"{NAMES[name]} {words}",
+            "scales": self._scales(data[1:]),
+        }
+        return props, (*data, mark)
+
+    def _scales(self, data: list[Floats]) -> Any:
+        """Both axes, rounded outwards so that they stay while a slider is moved a little.
+
+        uPlot would find no range for a mark that is at one place and missing (NaN) elsewhere.
+        """
+        values = np.concatenate(data)
+        there = values[np.isfinite(values)]
+        low, high = (float(there.min()), float(there.max())) if there.size else (0.0, 1.0)
+        edges = EDGES * np.floor(low / EDGES - 0.05), EDGES * np.ceil(high / EDGES + 0.05)
+        return {"x": {"time": False}, "y": {"range": tuple(float(e) for e in edges)}}

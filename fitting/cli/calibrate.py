@@ -86,12 +86,10 @@ def calibrate(
     check_suffix(output, [".json"], "calibrations are JSON")
     if widen is not None:
         check_suffix(widen, [".npz"], "trained posteriors are files of NumPy's")
-    asked = knee.asked()
     errors = {
         "marker_noise": amount(marker_noise, "m", "--marker-noise", least=0),
         "force_noise": amount(force_noise, "N", "--force-noise", least=0),
     }
-    _check_what(trained, method, asked, widen)
     check_outputs(output, widen, json)
     from fitting.calibration.calibrate import calibrate as run
     from fitting.calibration.laboratory import Laboratory
@@ -109,6 +107,8 @@ def calibrate(
         readings=deviations(reading_noise, "--reading-noise", "contact.force_medial=0.2") or {},
     )
     allowed, scenes = knee.limits(), [trial.scene for trial in knee.load()]
+    asked = knee.asked(scenes[0])
+    _check_what(trained, method, asked, widen)
     operation = _operation(amounts, meet or [], samples, confidence)
     posterior = None if trained is None else TrainedPosterior.load(trained, scenes)
     answering = posterior or QuickFit.of(scenes, method=str(method), **asked)

@@ -56,10 +56,10 @@ def fit(
     """
     check_suffix(output, [".json"], "estimates are JSON")
     check_outputs(output, checkpoint, json)
-    asked: dict[str, Any] = {"method": method, "objective": objective, **knee.asked(), "loss": loss}
-    asked |= {"checkpoint": checkpoint, "resume": resume, "seed": seed} | ({} if starts is None else {"starts": starts})
     limits, spans = knee.limits(), time_spans(during)
     trials = knee.load()
+    asked: dict[str, Any] = {"method": method, "objective": objective, **knee.asked(trials[0].scene), "loss": loss}
+    asked |= {"checkpoint": checkpoint, "resume": resume, "seed": seed} | ({} if starts is None else {"starts": starts})
     for path, trial in zip(knee.scene or [], trials, strict=False):
         if trial.scene.measured is None:
             raise InputError("nothing to compare with", where=path, expected="a table [measured] in the scene file")
@@ -98,8 +98,8 @@ def plan_experiment(
     `pftwin plan-experiment walk.toml stairs.toml`
     """
     check_outputs(json)
-    asked = knee.asked()
     chosen, *further = knee.load()
+    asked = knee.asked(chosen.scene)
     from fitting.identifiability import plan_experiment as plan
     from fitting.programs import channels_of
 
@@ -133,7 +133,8 @@ def train_posterior(
     """
     check_suffix(output, [".npz"], "trained posteriors are files of NumPy's")
     check_outputs(output, json)
-    asked, limits, scenes = knee.asked(), knee.limits(), [trial.scene for trial in knee.load()]
+    limits, scenes = knee.limits(), [trial.scene for trial in knee.load()]
+    asked = knee.asked(scenes[0])
     from fitting.training import train_posterior as train
 
     with progress("compiling") as shown:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -23,6 +24,7 @@ DuringOption = Annotated[
     ),
 ]
 _SHARE = 0.3  # of bounds, by default
+_BOUNDS = 'a share, such as 0.3; or "L1=0.03:0.05", "L1=30:50 mm"'
 _AS_TRAINED: dict[str, Any] = {  # defaults of what is settled by training
     "method": "least_squares",
     "objective": "likelihood",
@@ -44,7 +46,8 @@ class ExperimentOptions(TrialsOptions):
         str, Option(metavar="CHANNELS", help="What is compared: position, orientation, effects' forces; or all.")
     ] = "position"
     noise: Annotated[
-        list[str] | None, Option(metavar="CHANNEL=SD", help="Standard deviation in m, rad or N; may be repeated.")
+        list[str] | None,
+        Option(metavar="CHANNEL=SD", help='Standard deviation in m, rad or N, or "0.2 mm"; may be repeated.'),
     ] = None
     nuisance: Annotated[
         str | None,
@@ -58,19 +61,19 @@ class ExperimentOptions(TrialsOptions):
         list[str] | None,
         Option(
             metavar="NAME=SD",
-            help="Of several trials: by how much a parameter differs from trial to trial, in its unit; may be"
-            " repeated.",
+            help="Of several trials: by how much a parameter differs from trial to trial, in its unit or as in"
+            " L1=0.5 mm; may be repeated.",
         ),
     ] = None
 
-    def asked(self) -> dict[str, Any]:
-        """Arguments of what fits, by name; InputError for what cannot be read."""
+    def asked(self, scene: Scene) -> dict[str, Any]:
+        """Arguments of what fits, by name; InputError for what cannot be read. The scene knows units."""
         return {
             "free": names_in(self.free),
             "use": "all" if self.use.strip() == "all" else names_in(self.use),
-            "noise": deviations(self.noise, "--noise", "position=2e-4"),
+            "noise": deviations(self.noise, "--noise", "position=0.2 mm", _unit_of_channel),
             "nuisance": self.nuisance,
-            "varies": deviations(self.varies, "--varies", "L1=5e-4"),
+            "varies": deviations(self.varies, "--varies", "L1=0.5 mm", units_of(scene)),
         }
 
 
@@ -83,7 +86,7 @@ class FitOptions(ExperimentOptions):
         Option(
             metavar="BOUNDS",
             help="To either side, as a share of the nominal value (0.3 if left out); or NAME=LOW:HIGH of one parameter,"
-            " in its unit, as in K1=100:200: may be repeated.",
+            " in its unit or as in L1=30:50 mm: may be repeated.",
         ),
     ] = None
     limit: Annotated[
@@ -95,16 +98,16 @@ class FitOptions(ExperimentOptions):
         ),
     ] = None
 
-    def asked(self) -> dict[str, Any]:
-        """Arguments of what fits, by name; InputError for what cannot be read."""
+    def asked(self, scene: Scene) -> dict[str, Any]:
+        """Arguments of what fits, by name; InputError for what cannot be read. The scene knows units."""
         given = self.bounds or []
         share = numbers_between_colons(given[0]) if len(given) == 1 else ()
         bounds: Any = _SHARE
         if len(share) == 1:
             (bounds,) = share
         elif given:
-            bounds = numbers_by_name(given, "--bounds", 'a share, such as 0.3; or "L1=0.03:0.05"', (2,))
-        return super().asked() | {"bounds": bounds}
+            bounds = numbers_by_name(given, "--bounds", _BOUNDS, (2,), units_of(scene))
+        return super().asked(scene) | {"bounds": bounds}
 
     def limits(self) -> dict[str, Any] | None:
         """From where each check names and refuses; InputError for anything else."""
@@ -116,9 +119,23 @@ def names_in(text: str) -> tuple[str, ...]:
     return tuple(name.strip() for name in text.split(",") if name.strip())
 
 
-def deviations(given: list[str] | None, option: str, example: str) -> dict[str, float] | None:
-    """Standard deviations from "name=sd"; InputError for anything else."""
-    return {name: sd for name, (sd,) in numbers_by_name(given, option, f'such as "{example}"').items()} or None
+def deviations(
+    given: list[str] | None, option: str, example: str, unit: Callable[[str], str] = lambda name: ""
+) -> dict[str, float] | None:
+    """Standard deviations [SI] from "name=sd", with a unit where the name has one; InputError for anything else."""
+    found = numbers_by_name(given, option, f'such as "{example}"', unit=unit)
+    return {name: sd for name, (sd,) in found.items()} or None
+
+
+def units_of(scene: Scene) -> Callable[[str], str]:
+    """The unit of a number of the scene by its name; InputError for no such number."""
+    from pftwin.model.scene_parameters import find
+
+    return lambda name: find(scene, name)[0].unit(scene)
+
+
+def _unit_of_channel(name: str) -> str:
+    return {"position": "m", "orientation": "rad"}.get(name, "N")
 
 
 def refuse_settled(asked: dict[str, Any]) -> None:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from typer import Option
 
-from fitting.cli.fit_options import DuringOption, time_spans, within
+from fitting.cli.fit_options import DuringOption, time_spans, units_of, within
 from fitting.cli.treat import SeedOption, StepOption
 from pftwin.base.errors import InputError
 from pftwin.base.sheet import Sheet
@@ -15,6 +15,9 @@ from pftwin.base.written_amounts import numbers_by_name
 from pftwin.cli import terminal
 from pftwin.cli.exit_codes import exit_flagged
 from pftwin.cli.scenes import RecordingOptions, on_scene
+
+if TYPE_CHECKING:
+    from pftwin.model.scene import Scene
 
 
 @on_scene
@@ -28,7 +31,7 @@ def predict(
         Option(
             "--set",
             metavar="NAME=VALUE",
-            help="A number that is other in this recording, or its range LOW:HIGH (SI units); may be repeated.",
+            help="A number that is other here, or its range LOW:HIGH (in SI, or with a unit); may be repeated.",
         ),
     ] = None,
     during: DuringOption = None,
@@ -45,12 +48,13 @@ def predict(
     terminal.check_suffix(output, [".nc"], "results are NetCDF")
     pictures = [output.with_suffix(s) for s in (".png", ".svg")] if figure else []
     terminal.check_outputs(output, *pictures, json)
-    spans, values = time_spans(during), _values(given)
+    spans = time_spans(during)
     terminal.start_computing(batches=True)
     from fitting.estimate import Estimate
 
     found = Estimate.load(estimate)
     scene = within(knee.load().scene, spans)
+    values = _values(given, scene)
     if spans and scene.measured is None:
         raise InputError("nothing to compare with", where="--during", expected="a recording of the patella")
     from fitting.prediction.motion import predict_motion
@@ -77,8 +81,8 @@ def predict(
         exit_flagged(found.sentence())
 
 
-def _values(given: list[str] | None) -> dict[str, float | tuple[float, float]]:
-    """Numbers and ranges by name, from "name=value" and "name=low:high"."""
-    expected = 'such as "quadriceps.tension[:]=40", or "=20:60"'
-    found = numbers_by_name(given, "--set", expected, (1, 2))
+def _values(given: list[str] | None, scene: Scene) -> dict[str, float | tuple[float, float]]:
+    """Numbers and ranges [SI] by name of the scene, from "name=value" and "name=low:high", with units or without."""
+    expected = 'such as "quadriceps.tension[:]=40 N", or "=20:60"'
+    found = numbers_by_name(given, "--set", expected, (1, 2), units_of(scene))
     return {name: own[0] if len(own) == 1 else (own[0], own[1]) for name, own in found.items()}

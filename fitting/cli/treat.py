@@ -14,7 +14,7 @@ from pftwin.base.sheet import Sheet
 from pftwin.base.written_amounts import several_amounts
 from pftwin.cli import terminal
 from pftwin.cli.exit_codes import Interrupted, exit_flagged
-from pftwin.cli.scenes import SceneOptions, on_scene
+from pftwin.cli.scenes import SceneOptions, on_scene, seconds
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -35,7 +35,8 @@ StepOption = Annotated[
     Option(
         "--dt",
         metavar="SECONDS",
-        help="Longest time step [s]. If left out: 0.0005, shorter where errors ask for it.",
+        parser=seconds,
+        help='Longest time step [s], or "0.5 ms". If left out: 0.0005, shorter where errors ask for it.',
     ),
 ]
 SeedOption = Annotated[int, Option("--seed", metavar="N", min=0, help="Of the draws.")]

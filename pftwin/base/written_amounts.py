@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from pftwin.base.errors import InputError
 
@@ -24,6 +24,7 @@ UNITS = {  # by SI unit: the units that an amount may have, with their sizes
     "m": {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "um": 1e-6},
     "rad": {"deg": math.pi / 180, "rad": 1.0},
     "N": {"N": 1.0, "mN": 1e-3},
+    "s": {"s": 1.0, "ms": 1e-3},
     "1": {"": 1.0, "%": 0.01},
 }
 _WRITTEN = re.compile(r"\s*([-+.\deE]+)\s*([^\W\d_]*|%)\s*")
@@ -123,19 +124,26 @@ def several_amounts(text: str, where: str, unit: str = "") -> list[float]:
 
 def units_in_words(unit: str) -> str:
     """For messages: the units that amounts in this one may have, behind what else is expected."""
-    return f", in {unit} or with a unit: {', '.join(units_beside(unit))}" if unit else ""
+    others = units_beside(unit)
+    more = f" or with a unit: {', '.join(others)}" if others else ""
+    return f", in {unit}{more}" if unit else ""
 
 
 def numbers_by_name(
-    given: Sequence[str] | None, option: str, expected: str, counts: Sequence[int] = (1,)
+    given: Sequence[str] | None,
+    option: str,
+    expected: str,
+    counts: Sequence[int] = (1,),
+    unit: Callable[[str], str] = lambda name: "",
 ) -> dict[str, tuple[float, ...]]:
-    """Numbers by name, from "name=number" or "name=number:number".
+    """Numbers by name, from "name=number" or "name=number:number", with units where the name has one: "name=0.2 mm".
 
     Args:
         given: what the user wrote, each time that the option is there.
         option: its name, for messages.
         expected: what is, for messages, such as 'such as "position=2e-4"'.
         counts: how many numbers a name may have.
+        unit: of a name's numbers; empty for one whose numbers may have none.
 
     Raises:
         InputError: anything else; the same name twice.
@@ -143,9 +151,10 @@ def numbers_by_name(
     found: dict[str, tuple[float, ...]] = {}
     for text in given or []:
         name, _, value = (part.strip() for part in text.rpartition("="))
-        numbers = numbers_between_colons(value)
+        own = unit(name) if name else ""
+        numbers = numbers_between_colons(value) or tuple(amounts_in(value.split(":"), own))
         if not name or len(numbers) not in counts:
-            raise InputError(f"found {text!r}", where=option, expected=f"{expected}, each once")
+            raise InputError(f"found {text!r}", where=option, expected=f"{expected}, each once{units_in_words(own)}")
         if name in found:
             raise InputError(f"{name!r} is given twice", where=option, expected=f"{expected}, each once")
         found[name] = numbers

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any, get_type_hints
 from typer import Argument, Option
 
 from pftwin.base.errors import InputError
+from pftwin.base.written_amounts import amount
 from pftwin.cli.plugins import with_options
 from pftwin.cli.terminal import spinner, start_computing, tell
 
@@ -75,10 +76,20 @@ IntegratorOption = Annotated[
         " or diffrax:SOLVER.",
     ),
 ]
+
+
+def seconds(text: str) -> float:
+    """A time step from "0.0005" [s] or "0.5 ms"; InputError for anything else."""
+    return amount(text, "s", "--dt")
+
+
 StepOption = Annotated[
     float | None,
     Option(
-        "--dt", metavar="SECONDS", help="Longest time step [s]. If left out: 0.001, or shorter where errors ask for it."
+        "--dt",
+        metavar="SECONDS",
+        parser=seconds,
+        help='Longest time step [s], or "0.5 ms". If left out: 0.001, or shorter where errors ask for it.',
     ),
 ]
 ToleranceOption = Annotated[

@@ -7,7 +7,7 @@ import math
 import pytest
 
 from pftwin.base.errors import InputError
-from pftwin.base.written_amounts import amount, amounts_in, listed, number_and_unit, units_beside
+from pftwin.base.written_amounts import amount, amounts_in, listed, number_and_unit, numbers_by_name, units_beside
 
 
 @pytest.mark.parametrize(
@@ -25,6 +25,7 @@ from pftwin.base.written_amounts import amount, amounts_in, listed, number_and_u
         ("0.5", "%", 0.5),
         ("50 %", "%", 50.0),
         ("20 mN", "N", 0.02),
+        ("0.5 ms", "s", 5e-4),
     ],
 )
 def test_a_number_has_its_own_unit_or_that_of_the_option(text, unit, value):
@@ -84,3 +85,26 @@ def test_parts_of_an_amount():
     assert number_and_unit("3e-1mm") == (0.3, "mm")
     assert number_and_unit("3 mm 4") is None
     assert units_beside("deg") == pytest.approx({"deg": 1.0, "rad": 180 / math.pi})
+
+
+def unit_of(name: str) -> str:
+    return {"L1": "m", "K1": "N/m"}.get(name, "")
+
+
+def test_numbers_by_name_have_the_units_of_their_names():
+    given = ["L1=30:50 mm", "K1=100:200", "share=0.1:inf"]
+    found = numbers_by_name(given, "--bounds", "such", (2,), unit_of)
+    assert found == {"L1": pytest.approx((0.03, 0.05)), "K1": (100.0, 200.0), "share": (0.1, math.inf)}
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("L1=3:4 N", "each once, in m or with a unit: mm, cm, m, um"),
+        ("K1=1:2 mm", "each once, in N/m$"),
+        ("share=1:2 mm", "each once$"),
+    ],
+)
+def test_units_of_another_kind_are_refused_by_name(text, words):
+    with pytest.raises(InputError, match=words):
+        numbers_by_name([text], "--bounds", "such", (2,), unit_of)

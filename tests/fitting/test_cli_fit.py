@@ -101,7 +101,7 @@ def test_mistakes_at_the_command_line(toy, tmp_path):
     assert "estimates are JSON" in refused("fit", toy, "-o", tmp_path / "fit.nc")
     assert "such as" in refused("fit", toy, "-o", tmp_path / "fit.json", "--free", "quadricep.stifness")
     assert "no method" in refused("fit", toy, "-o", tmp_path / "fit.json", "--method", "simplex")
-    assert 'such as "position=2e-4"' in refused("fit", toy, "-o", tmp_path / "fit.json", "--noise", "small")
+    assert 'such as "position=0.2 mm"' in refused("fit", toy, "-o", tmp_path / "fit.json", "--noise", "small")
     paper = refused("fit", toy, "-o", tmp_path / "fit.json", "--posterior", 10, "--objective", "paper")
     assert "no likelihood" in paper
     assert "nothing to resume" in refused("fit", toy, "-o", tmp_path / "fit.json", "--resume")

@@ -43,7 +43,7 @@ explains one. This page is made from the models that read the file, so it has ev
 """
 _PARTS = (
     ("## The file itself", "What stands at the top, before any table.", ("",)),
-    ("## Bodies and motion", "", ("patella", "motion", "femur", "tibia", "axes", "measured")),
+    ("## Bodies and motion", "", ("patella", "motion", "femur", "tibia", "axes", "measured", "bones")),
     ("## Effects", "What acts on the patella. A scene needs at least one of them.", tuple(e.kind for e in EFFECTS)),
 )
 

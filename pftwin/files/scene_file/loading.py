@@ -16,6 +16,7 @@ from pftwin.base.errors import InputError
 from pftwin.base.program_cache import cached
 from pftwin.files.scene_file.bones import Bones
 from pftwin.files.scene_file.document import Document
+from pftwin.files.scene_file.drawn_bones_table import DrawnBonesSection
 from pftwin.files.scene_file.effect_tables import EffectSection, Setting
 from pftwin.files.scene_file.measured_table import MeasuredSection
 from pftwin.files.scene_file.problems import validated
@@ -56,6 +57,9 @@ class SceneSection(Section):
     )
     measured: MeasuredSection | None = Field(
         default=None, description="table: what the simulation is to be compared with"
+    )
+    bones: DrawnBonesSection | None = Field(
+        default=None, description="table: surfaces of bones to draw the scene with; schematic ones by default"
     )
 
 
@@ -163,7 +167,8 @@ def _loaded(
         )
     name = file.name or document.path.stem
     scene = Scene(file.patella.body(side), effects, bones.motion, start.pose(), name, file.motion.synthetic)
-    scene = replace(scene, limits=limits)
+    drawn = None if file.bones is None else file.bones.build(setting.at("bones"))
+    scene = replace(scene, limits=limits, bones=drawn)
     with document.naming():
         check(scene)
     measured = None if file.measured is None else file.measured.build(scene, bones)

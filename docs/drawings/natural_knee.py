@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from pftwin import rig
 from pftwin.geometry.mesh.mesh import SurfaceMesh
-from pftwin.rig.natural.femur import FLEXION_AXIS
+from pftwin.geometry.bones.femur import FLEXION_AXIS
 from pftwin.rig.natural.motion import tibia_turn
 from pftwin.rig.natural.placing import rest_pose
 

@@ -11,23 +11,23 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from pftwin.geometry.bones.anatomy import Anatomy
+    from pftwin.geometry.bones.surfaces import bones
     from pftwin.rig.cases import case, measured, write_files
-    from pftwin.rig.natural.anatomy import Anatomy
     from pftwin.rig.natural.scene import knee
-    from pftwin.rig.natural.surfaces import bones
     from pftwin.rig.retinacula import with_retinacula
 
 __all__ = ["Anatomy", "bones", "case", "knee", "measured", "with_retinacula", "write_files"]
 
 _PLACES = {
-    "Anatomy": "natural.anatomy",
-    "bones": "natural.surfaces",
-    "knee": "natural.scene",
-    "with_retinacula": "retinacula",
+    "Anatomy": "geometry.bones.anatomy",
+    "bones": "geometry.bones.surfaces",
+    "knee": "rig.natural.scene",
+    "with_retinacula": "rig.retinacula",
 }
 
 
 def __getattr__(name: str) -> Any:
     if name not in __all__:
         raise AttributeError(f"module 'pftwin.rig' has no attribute {name!r}")
-    return getattr(import_module(f"pftwin.rig.{_PLACES.get(name, 'cases')}"), name)
+    return getattr(import_module(f"pftwin.{_PLACES.get(name, 'rig.cases')}"), name)

@@ -10,7 +10,7 @@ from fitting.treatments import Treatment, femoral_derotation, trochleoplasty
 from pftwin import rig
 from pftwin.base.errors import InputError
 from pftwin.dynamics.simulate import equilibrium
-from pftwin.rig.natural.surfaces import bones
+from pftwin.geometry.bones.surfaces import bones
 
 NORMAL = rig.Anatomy()
 

@@ -13,8 +13,8 @@ from pftwin.dynamics.simulate import equilibrium, simulate
 from pftwin.dynamics.status import Status
 from pftwin.model.motion_on_host import tibia_orientation
 from pftwin.rig.natural import motion, placing
-from pftwin.rig.natural.anatomy import Anatomy
-from pftwin.rig.natural.femur import FemurShape
+from pftwin.geometry.bones.anatomy import Anatomy
+from pftwin.geometry.bones.femur import FemurShape
 
 NORMAL = Anatomy()
 

@@ -12,11 +12,11 @@ from scipy.optimize import brentq
 from pftwin.base.errors import InputError
 from pftwin.geometry.mesh.doctor import examine
 from pftwin.geometry.mesh.mesh import SurfaceMesh
-from pftwin.rig.natural.anatomy import Anatomy
-from pftwin.rig.natural.femur import FemurShape
-from pftwin.rig.natural.implicit import mesh_of
-from pftwin.rig.natural.patella import PatellaShape
-from pftwin.rig.natural.surfaces import bones
+from pftwin.geometry.bones.anatomy import Anatomy
+from pftwin.geometry.bones.femur import FemurShape
+from pftwin.geometry.bones.implicit import mesh_of
+from pftwin.geometry.bones.patella import PatellaShape
+from pftwin.geometry.bones.surfaces import bones
 
 KNEES = {
     "normal": Anatomy(),

@@ -1,5 +1,5 @@
 """The solid parts of a knee as every drawing shows them: bones, component, button. Bones that a scene has no surfaces
-of are simple solids, called schematic."""
+of are those of a normal knee, set below what touches, and called schematic: nothing of them acts."""
 
 from __future__ import annotations
 
@@ -8,30 +8,34 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from pftwin.base.arrays import Floats
+from pftwin.geometry.bones.anatomy import Anatomy
+from pftwin.geometry.bones.implicit import smooth_step
+from pftwin.geometry.bones.surfaces import bones
+from pftwin.geometry.bones.tibia import TibiaShape
 from pftwin.results.viewer.recorded import Mesh, Recorded
 from pftwin.results.viewer.shapes import (
+    CAP,
     MM,
     MOST_TRIANGLES,
     Shape,
     behind_plane,
     button_cap,
-    ellipsoid,
     shell,
-    solid_of_revolution,
     surface,
 )
 
 METAL, BONE, PLASTIC = "#A9B4C0", "#E9DFC9", "#F4F1E6"
-# Half width and height along the bone [mm]: the femur's from behind its component upwards, the tibia's down from its
-# plateau. Between them the outline is smooth.
-FEMUR = ((0, -20), (12, -19.5), (21, -16), (26, -8), (26, 3), (21, 16), (15, 34), (12.5, 60), (12.5, 150), (0, 150))
-TIBIA = ((0, -150), (11, -150), (12, -80), (15, -58), (20, -40), (28, -22), (35, -9), (36, -4), (33, -0.5), (0, 0))
-DEPTH = 0.72  # of a bone, front to back, as a share of its width
+NORMAL = Anatomy(tt_tg_mm=0.0)  # of schematic bones
 PLATEAU_AT = 0.45  # of the way from the tibia's origin down to the tuberosity
-PROUD = 2.0  # of the tuberosity before the plateau's front [mm]
+PROUD = 2.0  # of the tuberosity, a tendon's origin [mm]
+BUMP = 26.0, 13.0  # a tuberosity's reach along and across [mm]
+MOST_FORWARD = 12.0  # that a schematic tibia is moved forwards or back towards its tendon [mm]
+COARSE = 2.5  # triangles of schematic bones [mm]
+UNDER = 3.0  # of a femoral component, the schematic bone [mm]
+FADING = 20.0, 60.0  # above and below its ends, over which the bone is not held below it any more [deg]
 RIM = 4.0  # of the patella's body beyond its tendons [mm]
 SAME = 1e-6  # vertices of files that are nearer are one [m]
-BEHIND = 30.0  # the femur's axis behind the front of its component [mm]
 
 
 class Solid(NamedTuple):
@@ -51,14 +55,34 @@ def bone(result: Recorded, body: str, most: int = MOST_TRIANGLES) -> Solid | Non
 
 
 def femur(result: Recorded, most: int = MOST_TRIANGLES) -> Solid:
-    """The bone, or a schematic shaft that goes up from behind the femoral component."""
+    """The bone, or a normal knee's, schematic, under the femoral component."""
     if (own := bone(result, "femur", most)) is not None:
         return own
     component = result.mesh("femur") or result.mesh("surface")
-    points = np.zeros((1, 3)) if component is None else MM * component[0]
-    low, high = points.min(axis=0), points.max(axis=0)
-    place = [0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), high[2] - BEHIND]
-    return Solid("femur (schematic)", "femur", solid_of_revolution(_smooth(FEMUR), place, "x", DEPTH), BONE, 0.35)
+    vertices, triangles = _normal("femur")
+    if component is not None:
+        points = MM * component[0]
+        low, high = points.min(axis=0), points.max(axis=0)
+        axis = np.array([0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]), high[2] - NORMAL.trochlear_radius_mm - 4])
+        vertices = axis + _below(vertices, points - axis)
+    return Solid("femur (schematic)", "femur", Shape(vertices.astype(np.float32), triangles), BONE)
+
+
+def _below(vertices: Floats, component: Floats) -> Floats:
+    """A femur's vertices (n, 3), brought under a component's (m, 3) along rays from the trochlear axis, y."""
+    from scipy.interpolate import NearestNDInterpolator
+
+    def seen(points: Floats) -> tuple[Floats, Floats, Floats]:
+        return np.degrees(np.arctan2(points[:, 0], points[:, 2])), np.hypot(points[:, 0], points[:, 2]), points[:, 1]
+
+    around, out, across = seen(component)
+    low, high = around.min(), around.max()
+    angle, radius, y = seen(vertices)
+    within = np.clip(angle, low, high)
+    limit = NearestNDInterpolator(np.stack([0.4 * around, across], axis=1), out)(0.4 * within, y) - UNDER
+    share = 1 - smooth_step(np.abs(angle - within) / np.where(angle > high, *FADING))
+    factor = 1 - share * np.maximum(1 - limit / radius, 0.0)
+    return vertices * np.stack([factor, np.ones_like(factor), factor], axis=1)
 
 
 def femoral_component(result: Recorded, most: int = MOST_TRIANGLES) -> list[Solid]:
@@ -77,20 +101,26 @@ def femoral_component(result: Recorded, most: int = MOST_TRIANGLES) -> list[Soli
 
 
 def tibia(result: Recorded, most: int = MOST_TRIANGLES) -> Solid:
-    """The bone, or a schematic plateau and shaft, just behind the patellar tendon's origin."""
+    """The bone, or a normal knee's, schematic, whose tuberosity is behind the patellar tendon's origin."""
     if (own := bone(result, "tibia", most)) is not None:
         return own
     ends = [MM * lines.origin.reshape(-1, 3) for lines in result.lines.values() if lines.body == "tibia"]
     tuberosity = np.concatenate(ends).mean(axis=0) if ends else np.array([-75.0, 0.0, 40.0])
     top = PLATEAU_AT * tuberosity[0] if tuberosity[0] < 0 else tuberosity[0] + 40.0
-    front = DEPTH * max(half for half, _ in TIBIA)
-    place = [top, 0.0, tuberosity[2] - front - PROUD]
-    return Solid("tibia (schematic)", "tibia", solid_of_revolution(_smooth(TIBIA), place, "x", DEPTH), BONE, 0.5)
+    vertices, triangles = _normal("tibia")
+    shape = TibiaShape(NORMAL)
+    at = np.array(shape.tuberosity)
+    stretch = (tuberosity[0] - top) / (at[0] - shape.plateau)
+    forward = np.clip(tuberosity[2] - PROUD - at[2], -MOST_FORWARD, MOST_FORWARD)
+    placed = (vertices - [shape.plateau, 0, 0]) * [stretch, 1, 1] + [top, 0.0, forward]
+    near = np.exp(-(((placed[:, :2] - tuberosity[:2]) / BUMP) ** 2)).prod(axis=1) * np.clip(placed[:, 2] / at[2], 0, 1)
+    placed[:, 2] += max(tuberosity[2] - PROUD - at[2] - forward, 0.0) * near
+    return Solid("tibia (schematic)", "tibia", Shape(placed.astype(np.float32), triangles), BONE)
 
 
 def patella_parts(result: Recorded, most: int = MOST_TRIANGLES) -> list[Solid]:
     """The patella, schematic where the scene has no surface of it, and its button where there is one besides."""
-    schematic = Solid("patella (schematic)", "patella", _patella_body(result), BONE, 0.4)
+    schematic = Solid("patella (schematic)", "patella", _patella_body(result), BONE)
     body = bone(result, "patella", most) or schematic
     mesh = result.mesh("button")
     if mesh is not None and _part_of(mesh, result.mesh("patella_bone")):
@@ -112,22 +142,31 @@ def _part_of(mesh: Mesh, whole: Mesh | None) -> bool:
 
 
 def _patella_body(result: Recorded) -> Shape:
-    """A rounded disc that holds all insertions."""
+    """One that holds all insertions, flat where a button is on it."""
+    vertices, triangles = _normal("patella")
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
     ends = [MM * lines.insertion for lines in result.lines.values()]
-    if not ends:
-        center = MM * result.geometry["button_center"].values if "button_center" in result.geometry else np.zeros(3)
-        return ellipsoid(center - [0.0, 0.0, 8.0], [22.0, 21.0, 8.0])
-    points = np.concatenate(ends)
-    low, high = points.min(axis=0), points.max(axis=0)
-    long = max(0.5 * (high[0] - low[0]) + RIM, 15.0)
-    wide = max(0.5 * (high[1] - low[1]) + RIM, 0.95 * long)
-    return ellipsoid(0.5 * (low + high), [long, wide, max(0.5 * (high[2] - low[2]), 8.0)])
+    points = np.concatenate(ends) if ends else np.array([[20.0, 0, -8], [-20.0, 0, -8]])
+    first, last = points.min(axis=0), points.max(axis=0)
+    scale = np.clip((last[0] - first[0] + 2 * RIM) / (high[0] - low[0]), 0.8, 1.3)
+    middle = 0.5 * (first + last)
+    vertices = scale * (vertices - 0.5 * (low + high)) + middle
+    back = _back_of_bone(result)
+    if back is not None:
+        depth = vertices[:, 2].max() - back
+        vertices[:, 2] = np.maximum(vertices[:, 2] + max(0.0, 10.0 - depth), back)
+    return Shape(vertices.astype(np.float32), triangles)
 
 
-def _smooth(outline: tuple[tuple[float, float], ...]) -> NDArray[np.float64]:
-    """An outline's points with more between them."""
-    from scipy.interpolate import PchipInterpolator
+def _back_of_bone(result: Recorded) -> float | None:
+    """Where a button's sphere meets the bone, in the patella's frame [mm]; None of other patellae."""
+    if "button_radius" not in result.geometry:
+        return None
+    radius = MM * float(result.geometry["button_radius"])
+    return float(MM * result.geometry["button_center"].values[2]) - radius * np.cos(CAP)
 
-    points = np.asarray(outline, dtype=np.float64)
-    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-    return PchipInterpolator(way, points)(np.unique(np.concatenate([way, np.linspace(0.0, way[-1], 60)])))
+
+def _normal(body: str) -> tuple[Floats, NDArray[np.uint32]]:
+    """A normal knee's bone in its frame: vertices [mm] and triangles."""
+    mesh = getattr(bones(NORMAL, COARSE), body)
+    return MM * mesh.vertices, mesh.faces.astype(np.uint32)

@@ -20,7 +20,7 @@ from pftwin.results.viewer.recorded import Recorded
 if TYPE_CHECKING:
     from k3d.plot import Plot
 
-_BOX = "font:13px/1.45 system-ui,'Segoe UI',Helvetica,Arial,sans-serif;color:#222"
+_BOX = "font:min(13px,3vw)/1.45 system-ui,'Segoe UI',Helvetica,Arial,sans-serif;color:#222"
 CONTINUED = "Pale: the fitted surface continued beyond its edge."
 _RIGHT = "text-align:right;padding-right:8px;white-space:nowrap"
 _TITLE = re.compile(r"<title>.*?</title>", re.DOTALL)

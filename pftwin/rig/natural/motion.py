@@ -19,9 +19,9 @@ from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.base.rotations import tibiofemoral_orientation
 from pftwin.files.mocap.poses import PoseSeries
+from pftwin.geometry.bones.femur import FLEXION_AXIS
+from pftwin.geometry.bones.implicit import smooth_step
 from pftwin.model.motion import KneeMotion
-from pftwin.rig.natural.femur import FLEXION_AXIS
-from pftwin.rig.natural.implicit import smooth_step
 
 STRAIGHT, BENT = 15.0, 90.0  # flexion between which it goes [deg]
 SCREW_HOME, SCREWED = 8.0, 30.0  # inward turn of the tibia, and the flexion at which it is complete [deg]

@@ -13,11 +13,11 @@ from scipy.spatial.transform import Rotation
 
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
-from pftwin.rig.natural.anatomy import EPICONDYLE, Anatomy
-from pftwin.rig.natural.femur import FLEXION_AXIS, FemurShape
+from pftwin.geometry.bones.anatomy import EPICONDYLE, Anatomy
+from pftwin.geometry.bones.femur import FLEXION_AXIS, FemurShape
+from pftwin.geometry.bones.patella import PatellaShape
+from pftwin.geometry.bones.tibia import TibiaShape
 from pftwin.rig.natural.motion import tibia_turn
-from pftwin.rig.natural.patella import PatellaShape
-from pftwin.rig.natural.tibia import TibiaShape
 
 STRANDS = {"patellar_tendon": 5, "mpfl": 3, "lpfl": 3}
 TENDON_WIDTH = 24.0  # of the patellar tendon at the patella; at the tuberosity two thirds of it

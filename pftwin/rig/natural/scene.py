@@ -11,6 +11,8 @@ from scipy.spatial.transform import Rotation
 from pftwin.base.errors import InputError
 from pftwin.base.leaves import number, vector
 from pftwin.base.spatial import Pose, Quaternion, Vec3
+from pftwin.geometry.bones.anatomy import Anatomy
+from pftwin.geometry.bones.surfaces import articular, bones
 from pftwin.geometry.contact.depth_sides import pressing_surface
 from pftwin.geometry.contact.distance_grid import distance_grid
 from pftwin.geometry.mesh.mesh import SurfaceMesh
@@ -26,9 +28,7 @@ from pftwin.model.effects.gravity import Gravity
 from pftwin.model.effects.tension import PrescribedTension
 from pftwin.model.scene import PatellaBody, Scene
 from pftwin.rig.natural import placing
-from pftwin.rig.natural.anatomy import Anatomy
 from pftwin.rig.natural.motion import ACTIVITIES, GRAVITY, RATE, Activity
-from pftwin.rig.natural.surfaces import articular, bones
 from pftwin.rig.retinacula import LIGAMENTS, TOE_STRAIN, strand_group
 
 MODULUS, POISSON = 5e6, 0.45  # of cartilage [Pa], [-]: the model of Lenhart et al. 2015, Ann Biomed Eng 43:2675

@@ -11,7 +11,7 @@ from small_scene import small_result
 from pftwin.geometry.mesh.mesh import SurfaceMesh
 from pftwin.model.drawn_bones import DrawnBones
 from pftwin.results.viewer import view
-from pftwin.results.viewer.bones import femoral_component, patella_parts
+from pftwin.results.viewer.bones import femoral_component, femur, patella_parts, tibia
 from pftwin.results.viewer.recorded import Recorded
 
 pytest.importorskip("k3d", reason="the viewer needs the extra `viewer`")
@@ -100,3 +100,23 @@ def test_scenes_with_the_same_bones_have_one_structure():
     assert one.bones is not two.bones
     assert jax.tree.structure(one) == jax.tree.structure(two)
     assert jax.tree.structure(one) != jax.tree.structure(result_with("femur").scene)
+
+
+def test_schematic_bones_hide_nothing_that_touches_and_reach_their_tendon():
+    """The patch and the cap of the button lie outside the bones, the patellar tendon ends on the tibia."""
+    from scipy.spatial import KDTree
+    from trimesh import Trimesh
+
+    recorded = Recorded.of(small_result())
+    shaft = femur(recorded).shape
+    bone, tree = Trimesh(*shaft, process=False), KDTree(shaft.vertices)
+    assert bone.is_watertight
+    patch = 1e3 * recorded.mesh("surface")[0]
+    distance, nearest = tree.query(patch)
+    outward = np.einsum("ij,ij->i", patch - shaft.vertices[nearest], bone.vertex_normals[nearest])
+    assert outward.min() > 0.5
+    assert np.median(distance) < 5.0  # and it lies on the bone
+    patella, cap = (part.shape.vertices for part in patella_parts(recorded))
+    assert patella[:, 2].min() > cap[:, 2].max() - 1e-3
+    origin = 1e3 * recorded.lines["patellar_tendon"].origin
+    assert KDTree(tibia(recorded).shape.vertices).query(origin)[0].max() < 6.0

@@ -10,12 +10,12 @@ import numpy as np
 
 from pftwin.base.errors import InputError
 from pftwin.base.program_cache import cached
+from pftwin.geometry.bones.anatomy import Anatomy
+from pftwin.geometry.bones.femur import FemurShape
+from pftwin.geometry.bones.implicit import mesh_of
+from pftwin.geometry.bones.patella import PatellaShape
+from pftwin.geometry.bones.tibia import TibiaShape
 from pftwin.geometry.mesh.mesh import SurfaceMesh, compacted
-from pftwin.rig.natural.anatomy import Anatomy
-from pftwin.rig.natural.femur import FemurShape
-from pftwin.rig.natural.implicit import mesh_of
-from pftwin.rig.natural.patella import PatellaShape
-from pftwin.rig.natural.tibia import TibiaShape
 
 _SHAPES: dict[str, type[FemurShape | PatellaShape | TibiaShape]] = {
     "femur": FemurShape,

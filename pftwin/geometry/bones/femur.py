@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pftwin.base.arrays import Floats
-from pftwin.rig.natural.anatomy import EPICONDYLE, RIDGE_TO_SIDE, Anatomy
-from pftwin.rig.natural.implicit import largest, smallest, smooth_step
+from pftwin.geometry.bones.anatomy import EPICONDYLE, RIDGE_TO_SIDE, Anatomy
+from pftwin.geometry.bones.implicit import largest, smallest, smooth_step
 
 SHAFT_LENGTH = 110.0  # above the trochlear axis [mm]
 SHAFT_WIDTH, SHAFT_DEPTH = 28.0, 27.0  # of the shaft [mm]

@@ -12,8 +12,8 @@ import numpy as np
 
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
-from pftwin.rig.natural.anatomy import Anatomy
-from pftwin.rig.natural.implicit import smallest
+from pftwin.geometry.bones.anatomy import Anatomy
+from pftwin.geometry.bones.implicit import smallest
 
 ARTICULAR = 0.76  # share of the height that is articular (32.7 of 43 mm)
 RIDGE_RADIUS = 6.0  # of the ridge's rounding, across [mm]

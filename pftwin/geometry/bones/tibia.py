@@ -8,9 +8,9 @@ from __future__ import annotations
 import numpy as np
 
 from pftwin.base.arrays import Floats
-from pftwin.rig.natural.anatomy import Anatomy
-from pftwin.rig.natural.femur import FLEXION_AXIS
-from pftwin.rig.natural.implicit import largest, smallest, smooth_step
+from pftwin.geometry.bones.anatomy import Anatomy
+from pftwin.geometry.bones.femur import FLEXION_AXIS
+from pftwin.geometry.bones.implicit import largest, smallest, smooth_step
 
 GAP = 5.0  # between condyles and plateau: cartilage and menisci [mm]
 TUBEROSITY_BELOW = 22.0  # the plateau [mm]

@@ -1,0 +1,1 @@
+"""Femur, patella and tibia as smooth bodies made from anatomical numbers."""

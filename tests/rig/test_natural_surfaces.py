@@ -10,13 +10,13 @@ import pytest
 from scipy.optimize import brentq
 
 from pftwin.base.errors import InputError
-from pftwin.geometry.mesh.doctor import examine
-from pftwin.geometry.mesh.mesh import SurfaceMesh
 from pftwin.geometry.bones.anatomy import Anatomy
 from pftwin.geometry.bones.femur import FemurShape
 from pftwin.geometry.bones.implicit import mesh_of
 from pftwin.geometry.bones.patella import PatellaShape
 from pftwin.geometry.bones.surfaces import bones
+from pftwin.geometry.mesh.doctor import examine
+from pftwin.geometry.mesh.mesh import SurfaceMesh
 
 KNEES = {
     "normal": Anatomy(),

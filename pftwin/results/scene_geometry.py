@@ -7,6 +7,7 @@
 | continuation_vertices, ..._triangles | femur | that surface beyond its rectangle, where it was touched |
 | button_vertices, button_triangles | patella | the button's mesh, where it has one |
 | button_center, button_radius | patella | the button's sphere, where it is one |
+| pressure | - | over the depths `pressed_depth` by which surfaces overlap, where the contact tells it [Pa] |
 | BODY_bone_vertices, BODY_bone_triangles | BODY | surface of femur, patella or tibia, where the scene has it |
 | NAME_insertion | patella | where a tendon's, ligament's or muscle's lines end on the patella |
 | NAME_origin | its attribute `body` | where they come from; with the frames' axis where that moves |
@@ -26,6 +27,7 @@ from numpy.typing import ArrayLike, NDArray
 from pftwin.base.leaves import host_array
 from pftwin.base.quantities import about
 from pftwin.base.spatial import Vec3
+from pftwin.geometry.contact.depths import DEEPEST
 from pftwin.geometry.patch.closest import Surface
 from pftwin.model.effects.base import Effect
 from pftwin.model.motion import KneeMotion
@@ -122,6 +124,14 @@ def geometry(scene: Scene, effects: Effects | None = None) -> Dataset:
             radius = np.asarray(contact.button_radius(), dtype=np.float64)
             variables["button_center"] = (("axis",), center, _about("m", "centre of the button's sphere", "patella"))
             variables["button_radius"] = ((), radius, _about("m", "radius of the button's sphere", "patella"))
+        depths = np.linspace(0.0, DEEPEST, 101)
+        if (pressure := contact.pressure(jnp.asarray(depths))) is not None:
+            variables["pressed_depth"] = (("pressed_depth",), depths, about("m", "overlap of the surfaces"))
+            variables["pressure"] = (
+                ("pressed_depth",),
+                np.asarray(pressure, dtype=float),
+                about("Pa", "pressure at that overlap"),
+            )
     for body, mesh in {} if scene.bones is None else scene.bones.surfaces.items():
         variables |= _mesh(f"{body}_bone", (mesh.vertices, mesh.faces), body, f"the {body}'s bone")
     for effect in scene.effects:

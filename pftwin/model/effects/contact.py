@@ -92,6 +92,10 @@ class Contact(Effect):
         """Corners (n, 9) of the femur's triangles, femur frame [m]; None where it is no mesh. Some may be copies."""
         return None
 
+    def pressure(self, depth: Scalar) -> Scalar | None:
+        """Pressure [Pa] where surfaces at rest overlap by a depth [m] of any shape; None of a law of whole contacts."""
+        return None
+
     def button_triangles(self) -> Array | None:
         """Corners (n, 9) of the button's triangles from `tracked_point`, patella axes [m]; None of a sphere."""
         return None

@@ -126,6 +126,10 @@ class ElasticFoundation(ButtonMesh):
         """Half the largest extent of the button's mesh."""
         return half_extent(self.button.mesh)
 
+    def pressure(self, depth: Scalar) -> Scalar:
+        """See `Contact`."""
+        return self.law.press(depth).pressure
+
     def femur_triangles(self) -> Array:
         """See `Contact`."""
         return self.femur.exact.corners

@@ -9,6 +9,7 @@ import numpy as np
 
 from pftwin.results.plots import COLOURS
 from pftwin.results.viewer import bones, knee, page
+from pftwin.results.viewer.contact_colours import tells_pressure
 from pftwin.results.viewer.knee import k3d, paler, time_series
 from pftwin.results.viewer.recorded import Mesh, Recorded
 from pftwin.results.viewer.shapes import MM
@@ -62,8 +63,8 @@ def plot(results: Sequence[Recorded], *, side_by_side: bool = False) -> tuple[Pl
     newtons = per_centimetre(results)
     apart = side_by_side or len(results) == 1
     shared, own = _apart(results, codes, newtons) if apart else _overlaid(results, codes, newtons)
-    deepest = max((float(p.color_range[1]) for p in _coloured(own)), default=None)
-    said = page.notes(results, newtons, deepest)
+    most = max((float(p.color_range[1]) for p in _coloured(own)), default=None)
+    said = page.notes(results, newtons, most)
     times = np.unique(np.round(np.concatenate([r.times for r in results]), 4))
     aside = GAP * (len(results) - 1) if apart else 0.0
     shown = views(results[0], aside)
@@ -132,8 +133,13 @@ def _apart(
 ) -> tuple[list[Drawable], list[list[Drawable]]]:
     """Nothing shared; each knee with its own bones, and with colours where the patella presses on the femur."""
     own = []
+    pressure = tells_pressure(results)
     for k, (result, code) in enumerate(zip(results, codes, strict=True)):
-        parts = [*_moving(result, code, newtons), knee.solid(result, bones.tibia(result)), *knee.femur(result)]
+        parts = [
+            *_moving(result, code, newtons),
+            knee.solid(result, bones.tibia(result)),
+            *knee.femur(result, pressure=pressure),
+        ]
         own.append([knee.moved(part, _place(k, len(results))) for part in parts])
     deepest = max((float(p.color_range[1]) for p in _coloured(own)), default=0.0)
     for part in _coloured(own):

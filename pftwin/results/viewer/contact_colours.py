@@ -1,10 +1,13 @@
-"""Where the patella presses on the femur, as colours on the femur's surface: how deep the two surfaces overlap.
+"""Where the patella presses on the femur, as colours on the femur's surface: how deep the two surfaces overlap, or,
+where the contact tells it (elastic layers), the pressure at that depth.
 
 Depths are those of the drawing: of the femur's vertices below the patella's, by the plane of the nearest vertex, or
 below the button's sphere. They show where contact is and how it moves; forces and pressures are the simulation's.
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -34,6 +37,17 @@ def depths_on_femur(result: Recorded, vertices: Floats) -> Floats | None:
         return None
     depth = np.where(depth > SMALLEST, depth, 0.0)
     return depth if depth.any() else None
+
+
+def tells_pressure(results: Sequence[Recorded]) -> bool:
+    """Whether the contacts of all results tell pressures, which their colours then show."""
+    return all("pressure" in r.geometry for r in results)
+
+
+def pressures(result: Recorded, depths: Floats) -> Floats:
+    """Pressures at rest [MPa] at depths [mm] of any shape."""
+    table = result.geometry["pressure"]
+    return np.interp(1e-3 * depths, table["pressed_depth"].values, 1e-6 * table.values)
 
 
 def _below_mesh(points: Floats, vertices: Floats, triangles: np.ndarray) -> Floats:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import MissingExtraError
 from pftwin.results.viewer import bones
-from pftwin.results.viewer.contact_colours import HOT, depths_on_femur
+from pftwin.results.viewer.contact_colours import HOT, depths_on_femur, pressures
 from pftwin.results.viewer.line_shapes import line_shape
 from pftwin.results.viewer.recorded import ContactArrow, Recorded
 from pftwin.results.viewer.shapes import (
@@ -120,16 +120,18 @@ def solid(result: Recorded, part: bones.Solid, code: str | None = None, group: s
     return moving_shape(part.shape, code or part.colour, result.times, matrices, **look)
 
 
-def femur(result: Recorded) -> list[Any]:
-    """Bone and component; what the patella presses on, the bone where there is no component, has colours there."""
+def femur(result: Recorded, *, pressure: bool) -> list[Any]:
+    """Bone and component; what the patella presses on, the bone where there is no component, has colours there: by
+    pressure [MPa], else by depth [mm]."""
     parts = [bones.femur(result), *bones.femoral_component(result)]
     drawn: list[Any] = [solid(result, part) for part in parts]
     for part, seen in zip(parts[1:] or parts, drawn[1:] or drawn, strict=True):
         depths = depths_on_femur(result, part.shape.vertices.astype(np.float64))
         if depths is not None:
-            seen.attribute = time_series(result.times, depths.astype(np.float32))
+            values = pressures(result, depths) if pressure else depths
+            seen.attribute = time_series(result.times, values.astype(np.float32))
             seen.color_map = [0.0, *_rgb(part.colour), *(v for at, code in HOT for v in (at, *_rgb(code)))]
-            seen.color_range = [0.0, float(depths.max())]
+            seen.color_range = [0.0, float(values.max())]
     return drawn
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from pftwin.base.output import check_place
 from pftwin.base.text_files import write_text
 from pftwin.results.verdict import INVALID
+from pftwin.results.viewer.contact_colours import tells_pressure
 from pftwin.results.viewer.recorded import Recorded
 
 if TYPE_CHECKING:
@@ -33,8 +34,8 @@ def title(results: Sequence[Recorded]) -> str:
     return names if all(r.verdict.valid for r in results) else f"{INVALID}: {names}"
 
 
-def notes(results: Sequence[Recorded], newtons: float, deepest: float | None = None) -> list[str]:
-    """Why a motion may not be spoken of, notes on the data, then on the drawing, whose colours go to a depth [mm]."""
+def notes(results: Sequence[Recorded], newtons: float, most: float | None = None) -> list[str]:
+    """Why a motion may not be spoken of, notes on the data, then on the drawing, whose colours go up to so much."""
     said = [f"{r.verdict.describe()} ({r.name})." for r in results if not r.verdict.valid]
     said += list(dict.fromkeys(f"{r.note[0].upper()}{r.note[1:]}." for r in results if r.note))
     missing = [body for body in ("femur", "tibia", "patella") if any(r.mesh(f"{body}_bone") is None for r in results)]
@@ -44,8 +45,9 @@ def notes(results: Sequence[Recorded], newtons: float, deepest: float | None = N
         said.append(CONTINUED)
     if any(arrow.present.any() for r in results for arrow in r.contact_arrows):
         said.append(f"Arrows: contact force on the patella, 10 mm for {newtons:g}\u00a0N.")
-    if deepest is not None:
-        said.append(f"Colours on the femur: overlap with the patella, up to {deepest:.2g}\u00a0mm.")
+    if most is not None:
+        what, unit = ("pressure of", "MPa") if tells_pressure(results) else ("overlap with", "mm")
+        said.append(f"Colours on the femur: {what} the patella, up to {most:.2g}\u00a0{unit}.")
     return said
 
 

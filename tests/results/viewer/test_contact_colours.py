@@ -6,9 +6,12 @@ import dataclasses
 
 import numpy as np
 import pytest
+from pressed_button import DOME, disc, pressed
 from small_scene import small_result
 
+from pftwin.results.scene_geometry import geometry
 from pftwin.results.viewer import view
+from pftwin.results.viewer.assembly import plot
 from pftwin.results.viewer.contact_colours import depths_on_femur
 from pftwin.results.viewer.recorded import Recorded
 
@@ -82,3 +85,29 @@ def test_knees_side_by_side_have_one_scale_and_their_own_bones():
     for o, motion, way in zip(patellae, (deep, deeper), aside, strict=True):
         np.testing.assert_allclose(o.model_matrix["0.1000"][:3, 3], 1e3 * motion.position[10] + [0, way, 0], atol=1e-3)
     assert [o.name for o in drawn.objects].count("femur (schematic)") == 2
+
+
+def test_layers_tell_their_pressure_at_a_depth():
+    """Two layers of 3 mm, E 20 MPa, nu 0.4: confined moduli in series."""
+    told = geometry(pressed(disc(1 / DOME)))["pressure"]
+    stiffness = 20e6 * 0.6 / (1.4 * 0.2) / 6e-3
+    np.testing.assert_allclose(told, stiffness * told["pressed_depth"], rtol=1e-6)
+    assert "pressure" not in small_result().geometry()
+
+
+def test_where_the_contact_tells_pressure_colours_are_of_it():
+    """A law of 3 MPa/mm in the place of the small knee's; beside a knee without one, both are coloured by depth."""
+    result = small_result()
+    deep = dataclasses.replace(result, position=result.position - [0, 0, 0.0005])
+    by_depth, told = Recorded.of(deep), deep.geometry()
+    told["pressure"] = ("pressed_depth", 3e9 * np.array([0.0, 5e-3]))
+    told["pressed_depth"] = [0.0, 5e-3]
+    by_pressure = dataclasses.replace(by_depth, geometry=told)
+    for results, unit, factor in (([by_pressure], "MPa", 3.0), ([by_pressure, by_depth], "mm", 1.0)):
+        drawn, _ = plot(results, side_by_side=True)
+        plain, _ = plot([by_depth])
+        one, other = (next(o for o in d.objects if o.name == "femoral surface") for d in (drawn, plain))
+        np.testing.assert_allclose(one.attribute["0.1000"], factor * other.attribute["0.1000"], rtol=1e-5)
+        assert f"up to {one.color_range[1]:.2g}\u00a0{unit}." in next(
+            o.text for o in drawn.objects if o.name == "legend"
+        )

@@ -96,7 +96,7 @@ class ReportedRun:
             return self.source
         data = self.data
         angles = {n: np.radians(data[f"patella_{n}"].values) for n in _ANGLES}
-        contact, known = self.contact, self.verdict.valid and "dislocated" in data
+        contact = self.contact
         forces = {} if contact is None else {contact: {"force": data[f"{contact}_force"].values}}
         return SimpleNamespace(
             scene_name=self.name,
@@ -107,7 +107,8 @@ class ReportedRun:
             contact=contact,
             effects=forces,
             scene=SimpleNamespace(synthetic="synthetic" in self.note),
-            dislocations=lambda: SimpleNamespace(dislocated=data["dislocated"].values > 0) if known else None,
+            verdict=self.verdict,
+            groove=(None, data["groove_offset"].values) if "groove_offset" in data else None,
         )
 
 

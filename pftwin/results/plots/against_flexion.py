@@ -119,10 +119,10 @@ def _dislocated(result: Result, measured: Measured | None) -> NDArray[np.bool_]:
 
     Of a motion that is INVALID too: what is drawn apart is no statement about it.
     """
-    if result.surface is None:
-        return np.zeros(result.times.size, dtype=bool)
-    times, center = (result.times, result.center) if measured is None else (measured.times, measured.center)
-    return find_dislocations(times, groove_offset(result.surface, center)[1]).dislocated
+    times, groove = result.times, result.groove
+    if measured is not None and groove is not None and result.surface is not None:
+        times, groove = measured.times, groove_offset(result.surface, measured.center)
+    return np.zeros(times.size, dtype=bool) if groove is None else find_dislocations(times, groove[1]).dislocated
 
 
 def _draw(ax: Axes, courses: list[Course], grid: Floats, way: Strokes, name: str, colour: str) -> bool:

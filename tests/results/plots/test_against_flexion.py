@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import sys
 
 import equinox as eqx
 import numpy as np
@@ -12,9 +13,11 @@ from small_scene import small_result, small_scene
 
 import pftwin
 from pftwin.base.errors import InputError
+from pftwin.dynamics.status import Status
 from pftwin.model.measured import SYNTHETIC, Measured
 from pftwin.results.plots import COLOURS, against_flexion
 from pftwin.results.plots.quantities import QUANTITIES
+from pftwin.results.tracking import find_dislocations
 
 
 @pytest.fixture(scope="module")
@@ -177,10 +180,28 @@ def test_a_stroke_that_dislocates_stands_alone_dotted_from_a_cross_on(variants):
 
 
 def test_dislocations_are_looked_for_once_in_each_result(variants, monkeypatch):
-    asked = []
-    monkeypatch.setattr(type(variants[0]), "dislocations", lambda result: asked.append(result))
+    asked, module = [], sys.modules[against_flexion.__module__]
+
+    def seen(times, offset):
+        asked.append(offset)
+        return find_dislocations(times, offset)
+
+    monkeypatch.setattr(module, "find_dislocations", seen)
     against_flexion(variants)
-    assert [id(result) for result in asked] == [id(result) for result in variants]
+    assert [id(offset) for offset in asked] == [id(result.groove[1]) for result in variants]
+
+
+def test_strokes_of_an_invalid_motion_are_apart_too_and_the_footer_says_so(variants):
+    """An untrustworthy motion that leaves the groove is averaged with nothing either."""
+    left = displaced(variants[0], slice(5, None), 0.030)
+    invalid = dataclasses.replace(left, flags=np.full_like(left.flags, int(Status.NOT_FINITE)))
+    assert invalid.dislocations() is None
+    figures = [against_flexion([result, variants[1]], show=("shift",)) for result in (left, invalid)]
+    labels = [[line.get_label() for line in f.axes[0].get_lines()] for f in figures]
+    assert labels[0] == labels[1]
+    assert any("dislocates" in str(label) for label in labels[1])
+    assert "INVALID: not finite" in footer_of(figures[1])
+    assert "INVALID" not in footer_of(figures[0])
 
 
 def test_measured_strokes_are_apart_by_their_own_outcome(variants):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from fitting.cli import calibrate, cohort, demo, fit, predict, treat
 from fitting.cli.live import command as live
 from fitting.cli.report import command as report
+from fitting.cli.twin import command as twin
 from pftwin.cli.plugins import Command, Job
 
 FIT = Job("Fit its tendons to the recording", "pftwin fit knee/scene.toml -o fit.json")
@@ -23,5 +24,6 @@ COMMANDS = (
     Command("optimise", treat.optimise, "The smallest treatment that meets stated limits", "Treat", 20),
     Command("cohort", cohort.cohort, "Many patients: fits, treatments, one summary", "Treat", 30),
     Command("app", live.app, "Treatments by sliders, live in the browser", "Treat", 40),
+    Command("twin", twin.twin, "The twin in one page that needs no Python", "Treat", 50),
     Command("report", report.report, "One offline page that a clinician can read", "Look", 20),
 )

@@ -28,7 +28,7 @@ ALLOWED = {
 REMARKS = Status.LEFT_PATCH  # what is said of a sound motion in one line at the end
 # In the order in which they are told: what comes first is why the others follow.
 _TOLD = (Status.START_NOT_IN_EQUILIBRIUM, Status.NOT_FINITE, Status.NO_CONTACT)
-_IN_ORDER = (*_TOLD, *(flag for flag in FLAGS if flag not in _TOLD))
+IN_ORDER = (*_TOLD, *(flag for flag in FLAGS if flag not in _TOLD))
 
 
 class Verdict(NamedTuple):
@@ -73,7 +73,7 @@ def verdict_of_counts(counts: ArrayLike, frames: int) -> Verdict:
     """The verdict on a motion of so many frames, from how many have each of `FLAGS`, (flags,)."""
     found = {flag: int(count) for flag, count in zip(FLAGS, np.asarray(counts), strict=True)}
     reasons = []
-    for flag in _IN_ORDER:
+    for flag in IN_ORDER:
         if found[flag] > most_frames(flag, frames):
             everywhere = flag is Status.START_NOT_IN_EQUILIBRIUM
             reasons.append(flag.describe() if everywhere else f"{flag.describe()} ({found[flag]} of {frames} frames)")

@@ -1,0 +1,154 @@
+"""The programs of a twin in a file: what `pftwin.simulate` computes of a treated scene, as functions of the sliders."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from fitting.cli.live.knobs import Knob, neutral, scene_with_knobs
+from fitting.cli.twin.emitter import Emitter
+from pftwin.base.errors import InputError
+from pftwin.base.rotations import patellar_angles
+from pftwin.base.spatial import Pose, Quaternion, Vec3
+from pftwin.dynamics.error_estimate import Course, ErrorEstimate, after_halving, error_of
+from pftwin.dynamics.frame_states import relaxed_start, start_before_search, starting_equilibrium, substeps_for
+from pftwin.dynamics.integrators import BDF2
+from pftwin.dynamics.observe import Observation, observe_on_the_way
+from pftwin.dynamics.relaxation import THROWN
+from pftwin.dynamics.tolerance import HALVINGS, UNCONFIRMED
+from pftwin.dynamics.trajectory import DEFAULT_STEP
+from pftwin.model.scene import Scene
+
+_CLOSE = 1e-12  # relative: rounding of a leaf's straight line
+_INTEGRATOR = BDF2()
+
+
+class Programs(NamedTuple):
+    """A module of WebAssembly, and what a page has to know to run it."""
+
+    binary: bytes
+    facts: dict[str, Any]
+
+
+def programs(scene: Scene, knobs: tuple[Knob, ...]) -> Programs:
+    """Writes the programs of a scene with these sliders.
+
+    Raises:
+        InputError: the scene's programs cannot be written, as those of contacts on meshes.
+    """
+    changed, emitter = _changed(scene, knobs), Emitter()
+    values = jnp.asarray(list(neutral(knobs).values()), float)
+    pose = scene.start
+    start = jax.eval_shape(start_before_search, scene.unnamed())
+    empty = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), start)
+    n, contact = scene.motion.n_frames, scene.contact
+    name = None if contact is None else contact.name
+    surface: Any = None if contact is None else contact.groove_surface()
+
+    def settle(values: Array, position: Array, quaternion: Array) -> dict[str, Any]:
+        found = starting_equilibrium(changed(values), Pose(Vec3(*position), Quaternion(*quaternion)))
+        known = found.rounding <= found.tolerance() if isinstance(found.rounding, float) else found.rounding < 1e-6
+        return {"start": jax.tree.leaves(found), "converged": found.converged(), "known": known}
+
+    def relaxed(values: Array) -> dict[str, Array]:
+        treated = changed(values)
+        found = relaxed_start(treated)
+        near = (found.position - treated.start.position).norm() < THROWN
+        return {"position": found.position.array(), "quaternion": found.orientation.array(), "near": near}
+
+    def motion(values: Array, leaves: list[Array], substeps: Array) -> dict[str, Array]:
+        treated, found = changed(values), jax.tree.unflatten(jax.tree.structure(start), leaves)
+
+        def kept(seen: Observation) -> dict[str, Array]:
+            report: Mapping[str, Array] = {} if name is None else seen.effects[name]
+            none = jnp.zeros(())
+            along = (none, none) if surface is None else surface.chart.foot(surface.chart.to_frame(seen.center))
+            turn, angles = seen.patella.orientation, patellar_angles(seen.patella.orientation)
+            return {
+                "center": seen.center.array(),
+                "position": seen.patella.position.array(),
+                "quaternion": turn.array(),
+                "push": jnp.stack([report.get(f"force_{axis}", none) for axis in "xyz"]),
+                "medial": report.get("force_medial", none),
+                "lateral": report.get("force_lateral", none),
+                "force": report.get("force", none),
+                "tilt": angles.tilt,
+                "along": jnp.asarray(along[0], float),
+                "across": jnp.asarray(along[1], float),
+            }
+
+        options: Any = {"integrator": _INTEGRATOR, "substeps": substeps, "start": found, "ledger": True}
+        seen, status, _ = observe_on_the_way(treated, kept, **options)
+        return {**seen, "status": status}
+
+    def estimate(here: Course, coarse: Course, before: list[Array], factor: Array, sound: Array) -> dict[str, Any]:
+        pair = error_of(here, coarse, _INTEGRATOR.order, 2.0, jnp)
+        pair = ErrorEstimate(*(jnp.where(sound, x, jnp.inf) for x in _parts(pair)), most_force=pair.most_force)
+        larger = [jnp.maximum(factor * x, y) for x, y in zip(_parts(pair), before, strict=True)]
+        error = ErrorEstimate(*larger, most_force=pair.most_force)
+        return {"flags": error.flags, "halved": list(_parts(after_halving(pair, _INTEGRATOR.order)))}
+
+    three, each = jnp.zeros((n, 3)), jnp.zeros(n)
+    course = Course(three, jnp.zeros((n, 4)), three, each, each)
+    place = pose.position.array(), pose.orientation.array()
+    substeps = substeps_for(scene.motion.frame_interval, DEFAULT_STEP)
+    told = {
+        "settle": emitter.program("settle", settle, values, *place),
+        "relaxed": emitter.program("relaxed", relaxed, values),
+        "motion": emitter.program("motion", motion, values, jax.tree.leaves(empty), jnp.asarray(1)),
+        "estimate": emitter.program(
+            "estimate", estimate, course, course, [jnp.zeros(n)] * 4, jnp.zeros(()), jnp.asarray(True)
+        ),
+    }
+    start_pose = [np.asarray(a, float).tolist() for a in place]
+    rules = {"substeps": substeps + substeps % 2, "halvings": HALVINGS, "unconfirmed": UNCONFIRMED}
+    return Programs(emitter.module.binary(), {"programs": told, "start": start_pose, "rules": rules})
+
+
+def _parts(error: ErrorEstimate) -> tuple[Array, Array, Array, Array]:
+    return error.path, error.contact_force, error.medial_facet, error.lateral_facet
+
+
+def _changed(scene: Scene, knobs: tuple[Knob, ...]) -> Any:
+    """The treated scene as a traceable function of the sliders' values (knobs,).
+
+    Every slider moves some numbers of the scene along straight lines, which is made sure of.
+    """
+    rest = neutral(knobs)
+
+    def leaves(values: Mapping[str, float]) -> tuple[list[Any], Any]:
+        return jax.tree.flatten(scene_with_knobs(scene, knobs, values).unnamed())
+
+    base, structure = leaves(rest)
+    arrays = [jnp.asarray(a) for a in base]  # a traced number takes entries of JAX's arrays alone
+    slopes = []
+    for k in knobs:
+        ends = [leaves({**rest, k.name: end})[0] for end in (k.least, k.most)]
+        slopes.append([_slope(b, a, k.most - k.least) for a, b in zip(*ends, strict=True)])
+    moved = [i for i in range(len(base)) if any(np.any(s[i]) for s in slopes)]
+    lines = {i: np.stack([np.asarray(s[i], float) for s in slopes]) for i in moved}
+    neutrals = np.asarray(list(rest.values()), float)
+
+    def at(values: Any, i: int, xp: Any) -> Any:
+        steps = [(values[k] - neutrals[k]) * lines[i][k] for k in range(len(knobs)) if np.any(lines[i][k])]
+        return sum(steps, start=xp.asarray(base[i], float))
+
+    trial = {k.name: 0.7 * k.least + 0.3 * k.most for k in knobs}
+    for i, a in enumerate(leaves(trial)[0]):
+        line = at(list(trial.values()), i, np) if i in lines else base[i]
+        if not np.allclose(a, line, rtol=_CLOSE, atol=_CLOSE):
+            raise InputError("sliders that do not act along straight lines", where="twin", expected="linear changes")
+
+    def changed(values: Array) -> Scene:
+        return jax.tree.unflatten(structure, [at(values, i, jnp) if i in lines else a for i, a in enumerate(arrays)])
+
+    return changed
+
+
+def _slope(b: Any, a: Any, span: float) -> Any:
+    return (np.asarray(b) - np.asarray(a)) / span if not np.array_equal(a, b) else np.zeros(np.shape(a))

@@ -45,7 +45,8 @@ class Emitter(Arrays):
         held |= {v: np.asarray(c) for v, c in zip(jaxpr.constvars, consts, strict=True)}
 
         def read(atom: Any) -> Value:
-            return np.asarray(atom.val, atom.aval.dtype) if isinstance(atom, Literal) else held[atom]
+            aval: Any = atom.aval
+            return np.asarray(atom.val, aval.dtype) if isinstance(atom, Literal) else held[atom]
 
         for eqn in _used(jaxpr):
             found = self._equation(code, eqn, [read(a) for a in eqn.invars])

@@ -55,23 +55,23 @@ def twin(
 
 
 def twin_page(scene: Scene) -> str:
-    """The page of a scene with the sliders of the live page.
+    """The page of a scene, with sliders for the tibial tuberosity and both tendons.
 
     Raises:
         InputError: the scene cannot be simulated in a page (contacts on meshes), or the page would be too large.
     """
-    from fitting.cli.live.knobs import usable_knobs
+    from fitting.cli.live.knobs import Knobs
     from fitting.cli.live.words import AFTER, BEFORE, NOT_FOR_PATIENTS
     from fitting.cli.pages import template
     from fitting.cli.twin.facts import facts
-    from fitting.cli.twin.programs import programs
+    from fitting.cli.twin.programs import programs, sliders
     from pftwin.model.scene import check
 
     check(scene)
-    knobs, missing = usable_knobs(scene)
-    made = programs(scene, knobs)
+    knobs = Knobs.of(scene)
+    made = programs(knobs)
     page = template("twin.html").render(
-        facts={**made.facts, **facts(scene, knobs, missing)},
+        facts={**made.facts, **facts(scene, sliders(knobs), knobs.missing)},
         wasm=base64.b64encode(gzip.compress(made.binary, 9, mtime=0)).decode("ascii"),
         before=BEFORE,
         after=AFTER,

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from fitting.cli.live.knobs import Knob, neutral, scene_with_knobs
+from fitting.cli.live.knobs import Knob, Knobs, neutral
 from fitting.cli.twin.emitter import Emitter
 from pftwin.base.errors import InputError
 from pftwin.base.rotations import patellar_angles
@@ -24,6 +24,8 @@ from pftwin.dynamics.tolerance import HALVINGS, UNCONFIRMED
 from pftwin.dynamics.trajectory import DEFAULT_STEP
 from pftwin.model.scene import Scene
 
+# Treatments that move numbers of a scene along straight lines, beside the tendons' stiffness: turns do not.
+_KINDS = ("tibial_tuberosity_transfer", "quadriceps_lengthening", "patellar_tendon_length_change")
 _CLOSE = 1e-12  # relative: rounding of a leaf's straight line
 _INTEGRATOR = BDF2()
 
@@ -35,14 +37,19 @@ class Programs(NamedTuple):
     facts: dict[str, Any]
 
 
-def programs(scene: Scene, knobs: tuple[Knob, ...]) -> Programs:
-    """Writes the programs of a scene with these sliders.
+def sliders(knobs: Knobs) -> tuple[Knob, ...]:
+    """Those of the live page's that a page has: tuberosity and tendons."""
+    return tuple(k for k in knobs.usable if k.name.endswith(".stiffness") or k.name.partition(".")[0] in _KINDS)
+
+
+def programs(knobs: Knobs) -> Programs:
+    """Writes the programs of a scene with its sliders.
 
     Raises:
         InputError: the scene's programs cannot be written, as those of contacts on meshes.
     """
-    changed, emitter = _changed(scene, knobs), Emitter()
-    values = jnp.asarray(list(neutral(knobs).values()), float)
+    scene, emitter, changed = knobs.scene, Emitter(), _changed(knobs)
+    values = jnp.asarray([k.neutral for k in sliders(knobs)], float)
     pose = scene.start
     start = jax.eval_shape(start_before_search, scene.unnamed())
     empty = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), start)
@@ -114,32 +121,33 @@ def _parts(error: ErrorEstimate) -> tuple[Array, Array, Array, Array]:
     return error.path, error.contact_force, error.medial_facet, error.lateral_facet
 
 
-def _changed(scene: Scene, knobs: tuple[Knob, ...]) -> Any:
+def _changed(knobs: Knobs) -> Any:
     """The treated scene as a traceable function of the sliders' values (knobs,).
 
     Every slider moves some numbers of the scene along straight lines, which is made sure of.
     """
-    rest = neutral(knobs)
+    own = sliders(knobs)
+    rest = neutral()
 
     def leaves(values: Mapping[str, float]) -> tuple[list[Any], Any]:
-        return jax.tree.flatten(scene_with_knobs(scene, knobs, values).unnamed())
+        return jax.tree.flatten(knobs.scene_with(values).unnamed())
 
     base, structure = leaves(rest)
     arrays = [jnp.asarray(a) for a in base]  # a traced number takes entries of JAX's arrays alone
     slopes = []
-    for k in knobs:
+    for k in own:
         ends = [leaves({**rest, k.name: end})[0] for end in (k.least, k.most)]
         slopes.append([_slope(b, a, k.most - k.least) for a, b in zip(*ends, strict=True)])
     moved = [i for i in range(len(base)) if any(np.any(s[i]) for s in slopes)]
     lines = {i: np.stack([np.asarray(s[i], float) for s in slopes]) for i in moved}
-    neutrals = np.asarray(list(rest.values()), float)
+    neutrals = [k.neutral for k in own]
 
     def at(values: Any, i: int, xp: Any) -> Any:
-        steps = [(values[k] - neutrals[k]) * lines[i][k] for k in range(len(knobs)) if np.any(lines[i][k])]
+        steps = [(values[k] - neutrals[k]) * lines[i][k] for k in range(len(own)) if np.any(lines[i][k])]
         return sum(steps, start=xp.asarray(base[i], float))
 
-    trial = {k.name: 0.7 * k.least + 0.3 * k.most for k in knobs}
-    for i, a in enumerate(leaves(trial)[0]):
+    trial = {k.name: 0.7 * k.least + 0.3 * k.most for k in own}
+    for i, a in enumerate(leaves({**rest, **trial})[0]):
         line = at(list(trial.values()), i, np) if i in lines else base[i]
         if not np.allclose(a, line, rtol=_CLOSE, atol=_CLOSE):
             raise InputError("sliders that do not act along straight lines", where="twin", expected="linear changes")

@@ -9,22 +9,24 @@ from small_scene import number, small_scene, vec
 from twin_in_node import simulated
 
 import pftwin
-from fitting.cli.live.knobs import neutral, scene_with_knobs, usable_knobs
+from fitting.cli.live.knobs import Knobs, neutral
 from fitting.cli.twin.facts import facts
-from fitting.cli.twin.programs import programs
+from fitting.cli.twin.programs import programs, sliders
 from pftwin.model.effects.gravity import Gravity
 
 CLOSE = 1e-9  # [m]: a millionth of a millimetre
 
 
 def check_twin(folder, scene, changes) -> list[dict]:
-    knobs, missing = usable_knobs(scene)
-    made = programs(scene, knobs)
-    values = [{**neutral(knobs), **change} for change in changes]
-    told = {**made.facts, **facts(scene, knobs, missing)}
+    knobs = Knobs.of(scene)
+    made = programs(knobs)
+    rest = {k.name: k.neutral for k in sliders(knobs)}
+    assert all(change.keys() <= rest.keys() for change in changes)
+    values = [rest | change for change in changes]
+    told = {**made.facts, **facts(scene, sliders(knobs), knobs.missing)}
     motions = simulated(folder, made, told, [list(v.values()) for v in values])
     for v, motion in zip(values, motions, strict=True):
-        result = pftwin.simulate(scene_with_knobs(scene, knobs, v))
+        result = pftwin.simulate(knobs.scene_with(neutral() | v))
         outcome = result.dislocations()
         assert motion["substeps"] == result.settings["substeps"]
         np.testing.assert_allclose(motion["center"], result.center.reshape(-1), rtol=0, atol=CLOSE)
@@ -39,7 +41,11 @@ def check_twin(folder, scene, changes) -> list[dict]:
 
 
 def test_a_small_knee(tmp_path):
-    changes = [{}, {"quadriceps_stiffness": 40.0, "medialisation": -6.0}, {"patellar_tendon_length": 60.0}]
+    changes = [
+        {},
+        {"quadriceps.stiffness": 40.0, "tibial_tuberosity_transfer.medialisation": -6.0},
+        {"patellar_tendon_length_change.lengthening": 60.0},
+    ]
     motions = check_twin(tmp_path, small_scene(), changes)
     assert motions[0]["verdict"] == "valid"
 
@@ -48,7 +54,11 @@ def test_a_patella_that_falls_out_of_the_groove(tmp_path):
     scene = small_scene()
     k = scene.index("gravity")
     upward = eqx.tree_at(lambda s: s.effects[k], scene, Gravity(number(0.12), vec(0, 0, 9.81)))
-    motions = check_twin(tmp_path, upward, [{"quadriceps_length": 60.0, "patellar_tendon_length": 60.0}])
+    motions = check_twin(
+        tmp_path,
+        upward,
+        [{"quadriceps_lengthening.lengthening": 60.0, "patellar_tendon_length_change.lengthening": 60.0}],
+    )
     assert motions[0]["verdict"].startswith("INVALID: ")
     assert "touches nothing" in motions[0]["verdict"]
 
@@ -56,11 +66,13 @@ def test_a_patella_that_falls_out_of_the_groove(tmp_path):
 @pytest.mark.slow
 def test_case_2_of_the_rig(tmp_path):
     moved = {
-        "medialisation": 12.5,
-        "anteriorisation": 5.0,
-        "quadriceps_stiffness": 150.0,
-        "patellar_tendon_length": 4.0,
+        "tibial_tuberosity_transfer.medialisation": 12.5,
+        "tibial_tuberosity_transfer.anteriorisation": 5.0,
+        "quadriceps.stiffness": 150.0,
+        "patellar_tendon_length_change.lengthening": 4.0,
     }
-    motions = check_twin(tmp_path, pftwin.rig.case(2, contact="P5"), [{}, moved, {"quadriceps_length": 30.0}])
+    motions = check_twin(
+        tmp_path, pftwin.rig.case(2, contact="P5"), [{}, moved, {"quadriceps_lengthening.lengthening": 30.0}]
+    )
     assert "lateral dislocation" in motions[0]["tracking"]
     assert motions[1]["tracking"] == "normal tracking"

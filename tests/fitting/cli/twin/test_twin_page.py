@@ -14,7 +14,7 @@ sys.path.insert(0, str(Path(__file__).parents[3] / "results" / "viewer"))
 from viewer_pages import chromium
 
 import pftwin
-from fitting.cli.live.knobs import neutral, scene_with_knobs, usable_knobs
+from fitting.cli.live.knobs import Knobs, neutral
 from fitting.cli.twin.command import MOST_BYTES
 from pftwin.cli import app
 
@@ -46,7 +46,7 @@ def test_the_page_is_small_and_complete(file):
 @pytest.mark.slow
 def test_the_page_says_what_python_says(file):
     scene = pftwin.rig.case(2, contact="P5")
-    knobs, _ = usable_knobs(scene)
+    knobs = Knobs.of(scene)
     asked, messages = [], []
     with chromium() as browser:
         page = browser.new_context(viewport={"width": 390, "height": 844}, offline=True).new_page()
@@ -58,11 +58,11 @@ def test_the_page_says_what_python_says(file):
         assert page.locator("#state b").inner_text() == "Dislocation: yes"
         assert "Synthetic" in page.locator("body").inner_text()
         page.evaluate(
-            "() => { const s = document.querySelector('input[name=medialisation]');"
+            "() => { const s = document.querySelector('input[name$=medialisation]');"
             " s.value = 12.5; s.dispatchEvent(new Event('input')); }"
         )
         until(page, "window.twin.after.finished && window.twin.after !== window.twin.before")
-        treated = pftwin.simulate(scene_with_knobs(scene, knobs, {**neutral(knobs), "medialisation": 12.5}))
+        treated = pftwin.simulate(knobs.scene_with(neutral() | {"tibial_tuberosity_transfer.medialisation": 12.5}))
         center = np.reshape(page.evaluate("() => Array.from(window.twin.after.center)"), (-1, 3))
         np.testing.assert_allclose(center, treated.center, rtol=0, atol=1e-9)
         assert page.locator("#state").inner_text().startswith("Dislocation: no")

@@ -248,6 +248,7 @@ class Estimate:
             self.channels,
             self.coordinates,
             self.readings,
+            self.units[:asked],
         )
         return f"{said}. {'But ' if self.draws is None else ''}{self.coverage.intervals}"
 
@@ -292,8 +293,8 @@ class Estimate:
         out += self.untold()
         if self.serial_correlation > SERIAL:
             out.append(
-                f"neighbouring residuals are correlated ({self.serial_correlation:.2f}): the model or the filter "
-                "leaves a trace; intervals allow for the correlation, not for a wrong model"
+                f"residuals are autocorrelated ({self.serial_correlation:.2f} from frame to frame), by errors of the "
+                "model or by the filter; intervals allow for the correlation, not for a wrong model"
             )
         if self.share < 1:
             out.append(

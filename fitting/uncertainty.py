@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -12,11 +12,13 @@ from fitting.objective import Objective
 from fitting.parameters import Parameters
 from fitting.programs import POSITION, unit_of
 from pftwin.base.arrays import Floats
+from pftwin.base.quantities import as_read
 
 NORMAL_95 = 1.959963984540054  # quantile of the normal distribution for 95 % intervals
 SERIAL = 0.2  # correlation of neighbouring residuals above which they do not count as independent
 POORLY = 0.02  # relative standard deviation worth a remark
 _OPEN = 0.87  # of the deviation that was known before: above it measurements tell hardly anything
+_USELESS = 10  # times a value: a deviation that tells nothing of it
 _MINOR = 0.1  # share of a parameter's square that lies in open combinations, below which it is not named
 _HUGE = 1e6  # times what was known before: in the place of infinite deviations
 
@@ -129,13 +131,15 @@ def in_words(
     channels: tuple[str, ...],
     coordinates: tuple[str, ...] = (),
     readings: Mapping[str, str] | None = None,
+    units: Sequence[str] | None = None,
 ) -> str:
-    """A sentence on which parameters the data determine and which they do not; `readings` are channels that are no
-    poses and forces, with their units."""
+    """A sentence on which parameters the data determine and which they do not: with the values where there are units,
+    else how well; `readings` are channels that are no poses and forces, with their units."""
     rel = relative(sizes(names, span, values, coordinates), covariance)
     sd = np.sqrt(np.maximum(np.diagonal(rel), 0))
     subject = "positions" if channels == (POSITION,) else ", ".join(channels)
-    verb = "fix" if channels == (POSITION,) or len(channels) > 1 else "fixes"
+    verb = "fix" if units is None else "give"
+    verb += "" if channels == (POSITION,) or len(channels) > 1 else "es" if verb == "fix" else "s"
     plain = [n.partition("[")[0] for n in names]
     stiff = [i for i, n in enumerate(plain) if n.endswith(".stiffness") or (n[:1] == "K" and n[1:].isdigit())]
     parts, rest, weak = [], list(range(len(sd))), ""
@@ -151,8 +155,11 @@ def in_words(
             if common > POORLY and not forces:
                 weak += ": measure one force to fix both"
     width = np.sqrt(np.maximum(np.diagonal(covariance), 0))
-    parts += [f"{names[i]} to {_length(width[i]) if names[i] in coordinates else percent(sd[i])}" for i in rest]
-    text = f"{subject} {verb} {_listed(parts)}{weak}"
+    if units is None:
+        parts += [f"{names[i]} to {_length(width[i]) if names[i] in coordinates else percent(sd[i])}" for i in rest]
+    else:
+        parts += [f"{names[i]} {_with_deviation(values[i], width[i], sd[i], units[i])}" for i in rest]
+    text = f"{subject} {verb} {_listed(parts)}{'' if units is None or not rest else ' (SD)'}{weak}"
     if not weak and len(sd) > 1:
         values_, vectors = np.linalg.eigh(rel)
         if np.sqrt(values_[-1]) > POORLY and np.sqrt(values_[-1]) > 1.3 * sd.max():
@@ -163,9 +170,18 @@ def in_words(
 
 def percent(share: float) -> str:
     """A share in words."""
-    if not np.isfinite(share) or share > 10:
+    if not np.isfinite(share) or share > _USELESS:
         return "no useful accuracy"
     return f"{100 * share:.2g} %" if share < 0.995 else f"{100 * share:.0f} %"
+
+
+def _with_deviation(value: float, deviation: float, share: float, unit: str) -> str:
+    """A value and its standard deviation to two digits; of a share of it that tells nothing, so."""
+    scale, read = as_read(unit)
+    if not np.isfinite(deviation) or share > _USELESS:
+        return "with no useful accuracy"
+    digits = max(0, 1 - int(np.floor(np.log10(scale * deviation)))) if deviation > 0 else 6
+    return f"= {scale * value:.{digits}f} +- {scale * deviation:.{digits}f} {read}".removesuffix(" 1")
 
 
 def _length(deviation: float) -> str:

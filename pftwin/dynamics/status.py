@@ -57,7 +57,7 @@ class Status(enum.IntFlag):
 _FORCE = f"{MOST_FORCE_ERROR:g} N or {MOST_ERROR_SHARE:.0%} of the largest"
 _WORDS = {
     Status.NO_CONTACT: "the button touches nothing",
-    Status.LEFT_PATCH: "a loaded contact lies beyond the edge of the fitted patch, on its tangential continuation, or"
+    Status.LEFT_PATCH: "a loaded contact lies outside the fitted surface (extrapolated), or"
     " reaches over the rim of the mesh",
     Status.DEEP_INDENTATION: f"indentation above {DEEPEST:.0%} of the button's radius, or deeper than is looked for:"
     " step too large or law too soft",

@@ -121,7 +121,8 @@ class Dislocation:
         back = "did not re-engage within the recording"
         if self.re_engaged_at is not None:
             back = f"re-engaged at {self.re_engaged_at:.2f} s"
-        return f"{self.side} dislocation at {self.time:.2f} s{flexion}, {1e3 * self.farthest:.1f} mm off; {back}"
+        far = f"up to {1e3 * self.farthest:.1f} mm {self.side} of the groove"
+        return f"{self.side} dislocation at {self.time:.2f} s{flexion}, {far}; {back}"
 
 
 @dataclass(frozen=True, eq=False)

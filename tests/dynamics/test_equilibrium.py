@@ -113,7 +113,7 @@ def test_beyond_the_patch_is_said():
     small = eqx.tree_at(lambda s: s.effects[3].surface.half_size, scene, (J(0.024), J(0.001)))
     status = flags(small)
     assert Status.LEFT_PATCH in status
-    assert "edge of the fitted patch" in status.describe()
+    assert "outside the fitted surface" in status.describe()
 
 
 def test_a_soft_contact_sinks_in():

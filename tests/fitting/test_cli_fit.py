@@ -47,7 +47,7 @@ def test_fit_writes_an_estimate_with_figures(toy, tmp_path):
     printed, written = json.loads(result.stdout), json.loads(output.read_text())
     assert {k: printed[k] for k in written} == written
     assert written["names"] == ["K1", "L1"]
-    assert "positions fix" in written["sentence"]
+    assert "positions give" in written["sentence"]
     assert {Path(p).name for p in printed["files"]} == {"fit.json"} | {
         f"fit_{what}.{kind}" for what in ("fit", "correlation", "history") for kind in ("png", "svg")
     }

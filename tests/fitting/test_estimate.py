@@ -63,7 +63,7 @@ def test_the_table_has_estimate_deviation_interval_and_nominal():
 
 def test_remarks_say_what_weakens_the_numbers():
     assert correlated(synthetic=False).remarks() == []
-    assert "neighbouring residuals are correlated (0.35)" in correlated(serial_correlation=0.35).remarks()[-1]
+    assert "residuals are autocorrelated (0.35 " in correlated(serial_correlation=0.35).remarks()[-1]
     assert not any("correlated" in r for r in correlated(serial_correlation=0.1).remarks())
     assert "3 of 8 starts found no equilibrium" in correlated(dropped=3, starts=8).remarks()[-1]
 
@@ -96,11 +96,11 @@ def test_the_sentence_splits_two_stiffnesses_into_ratio_and_scale(correlation):
     assert common > 2 * ratio
     if common > 3 * ratio:
         assert words == (
-            f"positions fix K1/K2 to {ratio:.2g} %, the common scale of K1 and K2 only to {common:.2g} %: "
+            f"positions give K1/K2 to {ratio:.2g} %, the common scale of K1 and K2 only to {common:.2g} %: "
             f"measure one force to fix both. But {QUICK.intervals}"
         )
     else:
-        assert words.startswith("positions fix K1 to 5 % and K2 to 5 %; the weakest combination is of ")
+        assert words.startswith("positions give K1 = 160.0 +- 8.0 N/m and K2 = 600 +- 30 N/m (SD); the weakest ")
 
 
 def test_no_force_is_asked_for_where_one_was_measured_or_all_is_well_known():
@@ -110,7 +110,7 @@ def test_no_force_is_asked_for_where_one_was_measured_or_all_is_well_known():
     assert "measure one force" not in two_stiffnesses(0.05, 0.999, readings={"m1.x": "m"}, **asked)
     places = {"m1.x": "m", "contact.force_medial": "m"}  # as if both were places
     assert "measure one force" in two_stiffnesses(0.05, 0.999, readings=places, **asked)
-    assert two_stiffnesses(0.05, -0.999).startswith("positions fix K1 to 5 % and K2 to 5 %")
+    assert two_stiffnesses(0.05, -0.999).startswith("positions give K1 = 160.0 +- 8.0 N/m and K2 = 600 +- 30 N/m (SD)")
 
 
 def test_relative_covariances_are_those_of_logarithms():
@@ -158,6 +158,12 @@ def test_coordinates_of_points_are_told_in_millimetres():
     names, values, sd = ("K1", "insertion.y", "insertion.x"), np.array([160.0, 1e-3, -0.02]), [4.0, 4e-4, 6e-4]
     said = in_words(names, np.array([90.0, 0.01, 0.01]), values, np.diag(sd) ** 2, ("position",), names[1:])
     assert said.startswith("positions fix K1 to 2.5 %, insertion.y to 0.4 mm and insertion.x to 0.6 mm")
+    told = in_words(names, np.ones(3), values, np.diag(sd) ** 2, ("contact",), names[1:], units=("N/m", "m", "m"))
+    numbers = "K1 = 160.0 +- 4.0 N/m, insertion.y = 1.00 +- 0.40 mm and insertion.x = -20.00 +- 0.60 mm (SD)"
+    assert told.startswith(f"contact gives {numbers}")
+    both = np.array([0.07, 9.0]), np.diag([1.4, 0.9]) ** 2
+    lost = in_words(("L2", "K1"), np.ones(2), *both, ("contact",), units=("m", "N/m"))
+    assert lost.startswith("contact gives L2 with no useful accuracy and K1 = 9.00 +- 0.90 N/m (SD)")
 
 
 def test_a_coordinate_is_carried_to_another_knee_as_an_offset(tmp_path):

@@ -30,7 +30,7 @@ def test_samples_have_the_covariance():
     np.testing.assert_allclose(
         np.cov(samples.T), estimate().covariance, rtol=0.1, atol=0.05 * estimate().covariance.max()
     )
-    assert "positions fix" in estimate().sentence()
+    assert "positions give" in estimate().sentence()
     assert "K1" in estimate().summary()
 
 

@@ -60,7 +60,7 @@ def test_what_is_right_is_fitted_without_a_doubt():
     found = fit(truth())
     assert found.doubts == []
     np.testing.assert_allclose(found.values, TRUTH, rtol=0.02)
-    assert found.sentence().startswith("position, contact, quadriceps, patellar_tendon fix K1")
+    assert found.sentence().startswith("position, contact, quadriceps, patellar_tendon give K1")
     assert abs(found.time_shifts["position"][0]) < 1e-3
 
 

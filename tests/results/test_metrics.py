@@ -225,9 +225,8 @@ def test_dislocation_and_re_engagement():
     assert first.knee_flexion == pytest.approx(np.radians(20))
     assert (last.side, last.re_engaged_at) == ("medial", None)
     assert out.re_engaged is False
-    assert (
-        "lateral dislocation at 0.20 s at 20.0 deg of knee flexion, 12.0 mm off; re-engaged at 0.60 s" in out.describe()
-    )
+    said = "lateral dislocation at 0.20 s at 20.0 deg of knee flexion, up to 12.0 mm lateral of the groove"
+    assert f"{said}; re-engaged at 0.60 s" in out.describe()
     assert "did not re-engage within the recording" in out.describe()
 
 

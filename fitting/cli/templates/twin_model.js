@@ -100,7 +100,7 @@ function makeTwin(module, facts) {
     }
 
     const describe = (e) => `${e.side} dislocation at ${e.time.toFixed(2)} s at ${e.flexion.toFixed(1)} deg of knee flexion, `
-        + `${(1e3 * e.far).toFixed(1)} mm off; ${e.back === null ? 'did not re-engage within the recording'
+        + `up to ${(1e3 * e.far).toFixed(1)} mm ${e.side} of the groove; ${e.back === null ? 'did not re-engage within the recording'
             : `re-engaged at ${e.back.toFixed(2)} s`}`;
 
     return { simulate };

@@ -210,7 +210,7 @@ def estimate_of(
         varies=parameters.varies,
         differences=parameters.differences,
         doubts=[*doubts, *late, *left, *found.doubts, *unresolved(found.steps, rmse, target.readings)],
-        time_shifts={channel: (s.seconds, s.deviation) for channel, s in shifts.items()},
+        time_shifts={channel: (s.seconds, s.deviation) for channel, s in shifts.items() if not s.at_least},
         coordinates=parameters.coordinates,
         substeps=found.substeps,
         readings=target.readings,

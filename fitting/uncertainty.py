@@ -159,7 +159,7 @@ def in_words(
         parts += [f"{names[i]} to {_length(width[i]) if names[i] in coordinates else percent(sd[i])}" for i in rest]
     else:
         parts += [f"{names[i]} {_with_deviation(values[i], width[i], sd[i], units[i])}" for i in rest]
-    text = f"{subject} {verb} {_listed(parts)}{'' if units is None or not rest else ' (SD)'}{weak}"
+    text = f"{subject} {verb} {_listed(parts)}{' (SD)' if any(' +- ' in part for part in parts) else ''}{weak}"
     if not weak and len(sd) > 1:
         values_, vectors = np.linalg.eigh(rel)
         if np.sqrt(values_[-1]) > POORLY and np.sqrt(values_[-1]) > 1.3 * sd.max():
@@ -176,7 +176,7 @@ def percent(share: float) -> str:
 
 
 def _with_deviation(value: float, deviation: float, share: float, unit: str) -> str:
-    """A value and its standard deviation to two digits; of a share of it that tells nothing, so."""
+    """A value and its standard deviation to two digits, or to whole units; of a share of it that tells nothing, so."""
     scale, read = as_read(unit)
     if not np.isfinite(deviation) or share > _USELESS:
         return "with no useful accuracy"

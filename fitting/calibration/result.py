@@ -122,7 +122,9 @@ class Answers(NamedTuple):
         if len(self.ranks):
             held, half = self.coverage[self.level], scales * self.half_widths.mean(axis=0)
             cells = [f"{100 * share:.0f} %, {width:.2g}" for share, width in zip(held, half, strict=True)]
-            words = [word for word in (_NARROW, _WIDE) if word in self._words()] or [_FEW if self._few else "hold"]
+            found = self._words()
+            words = [word for word in (_NARROW, _WIDE) if word in found] or ["hold"]
+            words = [_FEW] if self._few and _NARROW not in found else words
         return f"{len(self.ranks)} of {of}", *cells, "; ".join(words)
 
     def to_dict(self, names: tuple[str, ...]) -> dict[str, Any]:

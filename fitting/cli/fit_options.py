@@ -135,7 +135,7 @@ def units_of(scene: Scene) -> Callable[[str], str]:
 
 
 def _unit_of_channel(name: str) -> str:
-    return {"position": "m", "orientation": "rad"}.get(name, "N")
+    return {"position": "m", "orientation": "rad"}.get(name, "" if "." in name else "N")  # a reading is in its own unit
 
 
 def refuse_settled(asked: dict[str, Any]) -> None:

@@ -102,7 +102,7 @@ class Curves:
             series.append({**look, "dash": piece.dash})
 
         lines = pieces(self._after, against_flexion=self._against_flexion)
-        ends = () if self._band is None else self._band.ends[name]
+        ends = () if self._band is None else self._band.ends.get(name, ())
         for piece in lines if ends else ():
             for end in ends:
                 add(piece, end, {"label": "band", "stroke": _FAINT, "width": 1, "points": {"show": False}})

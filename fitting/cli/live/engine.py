@@ -112,7 +112,9 @@ class Engine:
             with contextlib.suppress(InputError):  # of a draw that makes the scene impossible: counted as lost
                 found.append(simulate(self._models[contact].knobs.scene_with(values, theta)))
         good = [result for result in found if result.verdict.valid]
-        return Band.of(good, answer, len(self._draws)) if good else None
+        if not good:
+            return Band({}, f"No bands: none of {len(self._draws)} draws from the estimate has a motion.")
+        return Band.of(good, answer, len(self._draws))
 
 
 def _simulated(scene: Scene, name: str, still: Still) -> ShownMotion:

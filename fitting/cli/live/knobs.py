@@ -62,7 +62,8 @@ def _stiffness(tendon: str) -> Knob:
 
 def _amount(kind: str, name: str) -> Knob:
     part, way = KINDS[kind].part, KINDS[kind].amounts[name]
-    label, hint = f"{name.replace('_', ' ')} [{way.shown_unit}]", f"Positive: {way.more}; negative: {way.less}."
+    label = f"{name.replace('_', ' ')} [{way.shown_unit}]"
+    hint = f"Positive: {way.more}{f'; negative: {way.less}' if way.usual[0] < 0 else ''}."
     size = float(way.from_shown(1.0))
     return Knob(f"{kind}.{name}", label, _group(part), way.shown_unit, *way.usual, 0.0, hint, size)
 

@@ -121,7 +121,8 @@ def outcomes(data: Dataset) -> list[Picture]:
     what = names[0].replace("_", " ")
     alternative = (
         "Four outcomes (largest offset from the groove, peak contact force, mean tilt, share of force on the "
-        f"medial facet) against {what}. {sentence(main_finding(data))} The numbers are in the table above."
+        f"medial facet) against {what}. {sentence(main_finding(data))} "
+        "The numbers are in the appendix, under Treatment prediction."
     )
     figure = outcome_figure(data)
     figure.set_size_inches(figure.get_figwidth(), 4.8)  # the first sheet of the printed report holds more than it

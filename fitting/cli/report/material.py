@@ -65,11 +65,11 @@ class Material:
 
     def invalid(self) -> list[str]:
         """What may not be spoken of and why: motions, fits, variants of the prediction."""
-        from fitting.prediction.plots import invalid_variants
+        from fitting.prediction.plots import invalid_variants, narrow_bands
 
         said = [f"{run.verdict.describe()} ({run.name})" for run in self.runs if not run.verdict.valid]
         said += [f"{e.sentence()} ({name})" for name, e in self.estimates.items() if e.invalid]
-        variants = "" if self.treatment is None else invalid_variants(self.treatment)
+        variants = "" if self.treatment is None else invalid_variants(self.treatment) or narrow_bands(self.treatment)
         return [*said, *([f"{variants} (treatment)"] if variants else [])]
 
     def without_basis(self) -> str:

@@ -215,10 +215,13 @@ def _widest_source(data: Dataset) -> list[str]:
     if not told:
         return []
     name, shares = max(told, key=lambda row: row[1].mean())
+    if shares.mean() <= 0:
+        return []
     names = data["parameter"].values[data["parameter_kind"].values == name]
     which = f" ({', '.join(map(str, names))})" if len(names) <= _MOST_NAMES else ""
     low, high = (f"{100 * share:.0f}" for share in (shares.min(), shares.max()))
-    return [f"Widest source of the bands: {name}{which}. If it were known, they would be {low} to {high} % narrower."]
+    span = low if low == high else f"{low} to {high}"
+    return [f"Widest source of the bands: {name}{which}. If it were known, they would be {span} % narrower."]
 
 
 def reservations(data: Dataset) -> list[str]:
@@ -228,7 +231,7 @@ def reservations(data: Dataset) -> list[str]:
     said = [f"Parameters: {data.attrs.get('parameters', 'not in the file')}."]
     if "sample" in data.dims:
         draws = data.sizes["sample"] - 1
-        said.append(f"In brackets: 95 % of {draws} draws from the fit's uncertainty. {coverage_in(data)}.")
+        said.append(f"In brackets: 95 % of those of {draws} draws that ran. {coverage_in(data)}.")
     if doubt := invalid_variants(data):
         said.append(f"{doubt}: their rows are empty.")
     return said

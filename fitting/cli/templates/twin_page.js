@@ -93,7 +93,6 @@
     window.addEventListener('resize', draw);
 
     let asked = 0, worker = null;
-    const answers = [];
     function ask(first) { worker.postMessage({ ...first, values: [...values], number: ++asked }); }
     function answered({ data }) {
         if (data.number !== asked) { return; }
@@ -102,8 +101,8 @@
             return;
         }
         after = data.motion;
+        if (after.finished && !before && values.every((v, i) => v === facts.knobs[i].neutral)) { before = after; }
         draw();
-        if (after.finished) { before = before || (asked === 1 ? after : null); }
         const span = facts.times[facts.frames - 1] - facts.times[0];
         const step = 1e3 * span / (facts.frames - 1) / after.substeps;
         document.getElementById('pace').textContent = `${span.toFixed(1)} s of motion, steps of ${step.toFixed(2)} ms: `
@@ -112,8 +111,7 @@
         else if (after.verdict !== 'valid') { tell('bad', sentence(after.verdict), 'Nothing can be said of this motion.'); }
         else if (after.events === null) { tell('doubt', `Dislocation: ${after.tracking}`, after.remarks.join('; ')); }
         else { tell(after.events.length ? 'bad' : 'good', `Dislocation: ${after.events.length ? 'yes' : 'no'}`, [sentence(after.tracking), ...after.remarks.map((r) => sentence(r))].join(' ')); }
-        answers.push(after);
-        window.twin = { after, before, answers };
+        window.twin = { after, before };
     }
     try {
         const packed = Uint8Array.from(atob(text('wasm')), (c) => c.charCodeAt(0));

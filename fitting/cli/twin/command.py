@@ -64,14 +64,14 @@ def twin_page(scene: Scene) -> str:
     from fitting.cli.live.words import AFTER, BEFORE, NOT_FOR_PATIENTS
     from fitting.cli.pages import template
     from fitting.cli.twin.facts import facts
-    from fitting.cli.twin.programs import programs, sliders
+    from fitting.cli.twin.programs import missing, programs, sliders
     from pftwin.model.scene import check
 
     check(scene)
     knobs = Knobs.of(scene)
     made = programs(knobs)
     page = template("twin.html").render(
-        facts={**made.facts, **facts(scene, sliders(knobs), knobs.missing)},
+        facts={**made.facts, **facts(scene, sliders(knobs), missing(knobs))},
         wasm=base64.b64encode(gzip.compress(made.binary, 9, mtime=0)).decode("ascii"),
         before=BEFORE,
         after=AFTER,

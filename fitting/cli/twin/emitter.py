@@ -89,7 +89,7 @@ class Emitter(Arrays):
             f"the scene's program has the operation {name!r}",
             where="twin",
             expected="operations on numbers, loops and slices, as contacts on polynomial surfaces have",
-            remedy="--contact P5, or pftwin app, which takes every scene",
+            remedy="--contact P5 with a scene file or --case; pftwin app takes other contacts, too",
         )
 
     def _typed(self, name: str, eqn: Any) -> dict[str, Any]:
@@ -141,6 +141,8 @@ class Emitter(Arrays):
 
     def _row(self, code: Code, table: Table, i: Operand) -> Value:
         size = int(np.prod(table.shape[1:]))
+        if size > SMALL:
+            raise InputError(f"rows of {size} numbers", where="twin", expected=f"at most {SMALL}")
         at = code.op(b"\x6c", I32, i, size * SLOT)
         loads = [code.load(kind_of_table(table), table.address + SLOT * k, at) for k in range(size)]
         return array(loads, table.shape[1:])

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from fitting.cli.live.knobs import Knob, Knobs, neutral
+from fitting.cli.live.knobs import KNOBS, Knob, Knobs, neutral
 from fitting.cli.twin.emitter import Emitter
 from pftwin.base.errors import InputError
 from pftwin.base.rotations import patellar_angles
@@ -39,7 +39,17 @@ class Programs(NamedTuple):
 
 def sliders(knobs: Knobs) -> tuple[Knob, ...]:
     """Those of the live page's that a page has: tuberosity and tendons."""
-    return tuple(k for k in knobs.usable if k.name.endswith(".stiffness") or k.name.partition(".")[0] in _KINDS)
+    return tuple(k for k in knobs.usable if _offered(k))
+
+
+def missing(knobs: Knobs) -> dict[str, str]:
+    """By group why it has no sliders, of the groups that a page could have."""
+    groups = {k.group for k in KNOBS if _offered(k)}
+    return {group: why for group, why in knobs.missing.items() if group in groups}
+
+
+def _offered(knob: Knob) -> bool:
+    return knob.name.endswith(".stiffness") or knob.name.partition(".")[0] in _KINDS
 
 
 def programs(knobs: Knobs) -> Programs:

@@ -47,12 +47,16 @@ def test_nothing_is_said_of_a_treatment_whose_untreated_knee_is_invalid(tmp_path
     material = fitted(tmp_path)
     material.treatment = prediction()
     finding = "Without dislocation from 10 mm"
+    table = "In brackets: 95 % of those of"
     assert finding in words_of(material).text
+    assert table in words_of(material).text
     result = small_result()
     lost = dataclasses.replace(result, flags=np.full_like(result.flags, int(Status.NO_CONTACT)))
     material.runs[:] = [ReportedRun.of_result(lost, "fitted")]
     text = words_of(material).text
     assert finding not in text
+    assert table not in text
+    assert "Left out, since fitted is INVALID." in text
     assert "Nothing is said of a treatment, since fitted is INVALID." in text
 
 
@@ -77,4 +81,4 @@ def test_what_widens_the_bands_most_is_told(tmp_path):
     kinds = {"parameter": ["K1", "mu"], "parameter_kind": ("parameter", ["springs", "friction"])}
     said = how_sure(Dataset({**outcomes, **numbers}, kinds, {"variants_missing": 2}))
     assert said[0] == "The prediction was interrupted: 2 variants are missing."
-    assert said[1] == "Widest source of the bands: springs (K1). If it were known, they would be 100 to 100 % narrower."
+    assert said[1] == "Widest source of the bands: springs (K1). If it were known, they would be 100 % narrower."

@@ -11,7 +11,7 @@ from twin_in_node import simulated
 import pftwin
 from fitting.cli.live.knobs import Knobs, neutral
 from fitting.cli.twin.facts import facts
-from fitting.cli.twin.programs import programs, sliders
+from fitting.cli.twin.programs import missing, programs, sliders
 from pftwin.model.effects.gravity import Gravity
 
 CLOSE = 1e-9  # [m]: a millionth of a millimetre
@@ -23,7 +23,7 @@ def check_twin(folder, scene, changes) -> list[dict]:
     rest = {k.name: k.neutral for k in sliders(knobs)}
     assert all(change.keys() <= rest.keys() for change in changes)
     values = [rest | change for change in changes]
-    told = {**made.facts, **facts(scene, sliders(knobs), knobs.missing)}
+    told = {**made.facts, **facts(scene, sliders(knobs), missing(knobs))}
     motions = simulated(folder, made, told, [list(v.values()) for v in values])
     for v, motion in zip(values, motions, strict=True):
         result = pftwin.simulate(knobs.scene_with(neutral() | v))

@@ -126,6 +126,8 @@ def plan_experiment(
     (scene, *others), (first, *theirs) = prepared, free_in_each
     parameters, asked, between = first.shared, first.asked, first.varies
     channels, more, units = _channels(scene, use, candidates)
+    if stray := [name for name in noise or {} if name not in with_readings(scene)]:
+        raise InputError(f"no channel {stray[0]!r}", where="noise", expected=f"one of: {', '.join(channels)}")
     sigma = _noise(channels, units, noise or {})
     measured = tuple(c for c in channels if c in use)
     check_channels(others, measured)
@@ -183,8 +185,6 @@ def _channels(
 
 def _noise(channels: Sequence[str], units: Mapping[str, str], stated: Mapping[str, float]) -> dict[str, float]:
     """Standard deviations by channel. Raises InputError: one that is none, or that has to be stated."""
-    if stray := [c for c in stated if c not in channels]:
-        raise InputError(f"{stray[0]!r} is not measured", where="noise", expected=f"one of: {', '.join(channels)}")
     sigma = {c: NOISE.get(c, FORCE_NOISE) for c in channels} | dict(stated)
     if unknown := [c for c in channels if units.get(c, "N") != "N" and c not in stated]:
         expected = f"its standard deviation [{units[unknown[0]]}]"

@@ -15,6 +15,7 @@ from fitting.evaluation import Prediction
 from fitting.identifiability import _crossings as crossings
 from fitting.methods.problem import Problem
 from fitting.programs import channel_widths
+from pftwin.base.errors import InputError
 from pftwin.model.measured import Measured
 
 FRAMES, FREE = 41, ("K1", "L1", "K2")
@@ -174,3 +175,9 @@ def test_a_profile_finds_the_others_best_values_from_a_wrong_covariance(fitted):
     found = fitting.profile_likelihood(estimate, "K1", points=5, iterations=2)
     np.testing.assert_allclose((found.theta - exact.theta) / estimate.standard_deviations, 0, atol=5e-4)
     np.testing.assert_allclose(found.deviance, exact.deviance, rtol=1e-4, atol=1e-4)
+
+
+def test_noise_of_a_channel_that_the_scene_has_not_is_refused():
+    """Misspelt, its default would count."""
+    with pytest.raises(InputError, match=r"noise: no channel 'positions'; expected: one of: position"):
+        fitting.plan_experiment(small_scene(), noise={"positions": 2e-3}, candidates=())

@@ -50,7 +50,7 @@ def test_table_says_from_where_on_nothing_dislocates(treated):
     assert "bands would be narrower by [%]" in outcome.stdout
     assert SYNTHETIC in outcome.stdout
     assert "estimated from synthetic measurements" in outcome.stdout
-    assert f"in brackets: 95 % of the draws; {QUICK.bands}" in outcome.stdout
+    assert f"in brackets: 95 % of the draws that ran; {QUICK.bands}" in outcome.stdout
 
 
 def test_the_table_is_whole_at_80_columns(treated, capsys, monkeypatch):
@@ -90,7 +90,7 @@ def test_files_hold_the_outcomes(treated):
     for i, variant in enumerate(plain["variants"]):  # the estimate's own, not a draw's
         assert list(variant["status_frames"].values()) == data["status_frames"].values[i, 0].tolist()
         assert variant["status_frames"]["left_patch"] == int(data["status_frames"].sel(flag="left_patch")[i, 0])
-        assert ("beyond the edge" in variant["status"]) == (variant["status_frames"]["left_patch"] > 0)
+        assert ("outside the fitted surface" in variant["status"]) == (variant["status_frames"]["left_patch"] > 0)
     low, high = plain["bands_95"]["largest_offset"]
     assert low[1] <= plain["variants"][1]["largest_offset"] <= high[1]
     assert (folder / "v.png").stat().st_size > 10_000

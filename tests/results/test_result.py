@@ -190,7 +190,7 @@ def test_status_flags_are_readable(result, data):
     marked = dataclasses.replace(result, flags=flags)
     assert marked.status == Status.LEFT_PATCH | Status.NO_CONTACT | Status.NOT_FINITE
     assert f"2 of {flags.size} frames" in marked.summary()
-    assert "beyond the edge" in marked.to_dataset().attrs["status"]
+    assert "outside the fitted surface" in marked.to_dataset().attrs["status"]
     assert "all frames clean" not in marked.summary()
     assert result.status == Status.OK
     assert "all frames clean" in result.summary()

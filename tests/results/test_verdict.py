@@ -90,8 +90,8 @@ def test_one_rule_for_one_motion_and_for_many():
 
 def test_a_harmless_remark_is_the_last_line():
     lines = flagged({Status.LEFT_PATCH: 3}).summary().splitlines()
-    assert lines[-1].startswith("remark: 3 of 41 frames: a loaded contact lies beyond the edge")
-    assert not any("beyond the edge" in line for line in lines[:-1])
+    assert lines[-1].startswith("remark: 3 of 41 frames: a loaded contact lies outside the fitted surface")
+    assert not any("outside the fitted surface" in line for line in lines[:-1])
     assert "tracking: normal tracking" in lines
     assert "status: all frames clean" not in lines
 

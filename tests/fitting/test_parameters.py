@@ -119,6 +119,7 @@ def test_spread_points_fill_every_stratum():
         (["K1"], {"K1": (200.0, 100.0)}, "empty"),
         (["K1"], {"K1": (200.0, 300.0)}, "exclude"),
         (["K1"], {"K2": 0.1}, "'K2' is not free"),
+        (["K1"], {"K1[3]": (1.0, 2.0)}, "'K1[3]' is not free"),
         (["K1"], -0.3, "positive share"),
         (["K1"], {"K1": "wide"}, "a share or"),
         (["contact.center.x"], 0.3, "is nothing"),

@@ -191,6 +191,10 @@ def test_the_command_reports_repairs_and_refuses(tmp_path):
     mixed = f.copy()
     mixed[:7] = mixed[:7, ::-1]
     save_mesh(SurfaceMesh(p, mixed), tmp_path / "cup.obj")
+    before = (tmp_path / "cup.obj").read_bytes()
+    refused = command(tmp_path / "cup.obj", "--repair", tmp_path / "sub" / ".." / "cup.obj")
+    assert refused.exit_code == 2
+    assert (tmp_path / "cup.obj").read_bytes() == before
     told = command(tmp_path / "cup.obj", "--repair", tmp_path / "healed.ply", "--json", tmp_path / "o.json")
     assert told.exit_code == 0, told.output
     assert "7 triangles face the other side than their neighbours" in told.stdout

@@ -199,6 +199,12 @@ def test_verdicts_go_by_the_tolerance_and_by_dislocation(own, kind, yes, no):
     assert _verdict(kind, moved, "dislocates", 3e-4) == yes
 
 
+def test_an_effect_with_which_nothing_runs_cannot_be_judged():
+    broken = "does not stay finite"
+    said = [_verdict(kind, None, broken, 1e-4) for kind in ("left out", "put in", "changed", "yardstick")]
+    assert said == ["indispensable", *["cannot be judged"] * 3]
+
+
 @pytest.mark.slow
 def test_side_by_side_is_as_alone():
     base = knee(FRAMES)

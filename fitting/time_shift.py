@@ -25,6 +25,7 @@ from pftwin.base.errors import InputError
 EXPLAINED = (1 / 6, 1 / 3)  # share of the whitened squares of a pose and of a force that a shift must explain
 _REACH = 0.2  # largest shift looked for [s], and at most this share of the recording:
 _SHARE = 1 / 8
+_TELLING = 0.1  # reach [s] below which its end tells of no shift: slow errors of the model lie there as well
 _STEPS = 40  # of the search, to either side, at most
 _ROUNDS = 3  # of shift, and correlation of what it leaves
 
@@ -139,7 +140,7 @@ class _Whitened(NamedTuple):
 
 
 def _shift(seen: _Fitted, columns: slice, rows: slice, reach: float) -> TimeShift | None:
-    """The shift of one channel; at the end of the reach it is `at_least` that. None where too little was measured."""
+    """The shift of one channel; at the end of a long reach it is `at_least` that. None where too little is known."""
     frame = float(np.median(np.diff(seen.times)))  # whole frames: between them interpolation would smooth the motion
     h = frame * max(1, int(reach / frame) // _STEPS)
     grid = h * np.arange(-int(reach / h), int(reach / h) + 1)
@@ -166,7 +167,7 @@ def _shift(seen: _Fitted, columns: slice, rows: slice, reach: float) -> TimeShif
         deviation = float(np.sqrt(2 * least / freedom / curvature))
     one, other = used.residuals(plain), used.residuals(r)
     before, after = (float(np.sum(used.left(z)[:, rows] ** 2)) for z in (one, other))
-    enough = EXPLAINED[rows.stop - rows.start == 1]
-    return TimeShift(
-        seconds, deviation, 1 - after / max(before, 1e-300), enough, used.change(other) - used.change(one), at_end
-    )
+    explained, enough = 1 - after / max(before, 1e-300), EXPLAINED[rows.stop - rows.start == 1]
+    if at_end and (reach < _TELLING or explained < enough):
+        return None
+    return TimeShift(seconds, deviation, explained, enough, used.change(other) - used.change(one), at_end)

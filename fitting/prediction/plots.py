@@ -264,10 +264,11 @@ def invalid_variants(data: Dataset) -> str:
 
 def draws_failed(data: Dataset) -> NDArray[np.int64]:
     """How many draws of each variant have no motion that may be spoken of, (variants,); bands are of the others."""
-    known = np.isfinite(data["dislocations"])
-    if "sample" not in known.dims:
+    found = data["dislocations"]
+    if "sample" not in found.dims:
         return np.zeros(data.sizes["variant"], dtype=np.int64)
-    return (~known).isel(sample=slice(1, None)).transpose("variant", "sample").values.sum(axis=1)
+    drawn = found.isel(sample=slice(1, None)).transpose("variant", "sample").values
+    return np.count_nonzero(~np.isfinite(drawn), axis=1)
 
 
 def narrow_bands(data: Dataset) -> str:

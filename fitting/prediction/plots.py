@@ -264,11 +264,10 @@ def invalid_variants(data: Dataset) -> str:
 
 def draws_failed(data: Dataset) -> NDArray[np.int64]:
     """How many draws of each variant have no motion that may be spoken of, (variants,); bands are of the others."""
-    found = data["dislocations"]
-    if "sample" not in found.dims:
+    failed = data["failed"]
+    if "sample" not in failed.dims:
         return np.zeros(data.sizes["variant"], dtype=np.int64)
-    drawn = found.isel(sample=slice(1, None)).transpose("variant", "sample").values
-    return np.count_nonzero(~np.isfinite(drawn), axis=1)
+    return np.count_nonzero(failed.isel(sample=slice(1, None)).transpose("variant", "sample").values, axis=1)
 
 
 def narrow_bands(data: Dataset) -> str:

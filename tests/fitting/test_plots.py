@@ -138,6 +138,7 @@ def prediction():
     variables = {n: (axes, rng.uniform(0.1, 1, (4, 41)), {"units": u}) for n, u in about.items()}
     variables["dislocations"] = (axes, np.repeat([[1.0], [0.0], [0.0], [0.0]], 41, axis=1))
     variables["peak_contact_force"][1][2, 5:9] = np.nan  # draws that failed
+    variables["failed"] = (axes, np.isnan(variables["peak_contact_force"][1]))
     coordinates = {
         AMOUNT: ("variant", amounts, {"units": "m"}),
         "scene": ("variant", ["rig case 2"] * 4),

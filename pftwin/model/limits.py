@@ -47,7 +47,7 @@ class Limits:
     most_line_mm: float = 1000.0  # distance from insertion to origin at the start
     least_slack_share: float = 0.05  # slack length by that distance
     most_slack_share: float = 1.5
-    most_depth_in_wrap_mm: float = 0.0  # of a line's end within what it wraps over: any, and it runs straight through
+    most_depth_in_wrap_mm: float = 0.0  # of a line's end in what it wraps over at the start; frames stay INVALID
     most_force_N: float = 20_000.0  # of a line at the start, and of any force that is given  # noqa: N815
     most_acceleration_m_per_s2: float = 100.0  # of gravity
     least_flexion_deg: float = -40.0  # of the knee, in any frame

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -46,6 +48,28 @@ def test_a_trochleoplasty_makes_the_trochlea_anew_and_leaves_soft_tissues():
     new = rig.Anatomy(145.0, 18.0, flat.facet_ratio, 4.0, prominence_mm=0.0)
     assert after.bones is not None
     np.testing.assert_array_equal(after.bones.surfaces["femur"].vertices, bones(new, 2.0).femur.vertices)
+
+
+def test_depth_with_less_radius_and_prominence_sets_the_floor_back_and_leaves_the_shaft():
+    """Floor at the axis 23 to 19.6 mm from it; the shaft's front, radius less prominence, stays at 19."""
+    flat = rig.Anatomy.dejour("B")
+    lower = dataclasses.replace(
+        flat,
+        sulcus_angle_deg=140.0,
+        lateral_inclination_deg=21.0,
+        trochlear_depth_mm=5.0,
+        trochlear_radius_mm=19.6,
+        prominence_mm=0.6,
+    )
+    fronts = []
+    for anatomy in (flat, lower):
+        x, y, z = 1e3 * bones(anatomy, 1.0).femur.vertices.T
+        at_axis, above = ((np.abs(x - place) < 2) & (z > 0) for place in (0.0, 70.0))
+        fronts.append((z[at_axis & (np.abs(y) < 1)].max(), z[above].max()))
+    (floor, shaft), (new_floor, new_shaft) = fronts
+    assert floor == pytest.approx(23.0, abs=0.5)
+    assert new_floor == pytest.approx(19.6, abs=0.5)
+    assert new_shaft == pytest.approx(shaft, abs=0.5)
 
 
 def test_what_a_trochleoplasty_cannot_change_is_refused(knee):

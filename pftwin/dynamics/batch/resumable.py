@@ -65,11 +65,11 @@ class InParts:
             PftwinError: what another process failed in.
         """
         self._agree()
-        if self.share is not None and self.share[1] > len(self.units):
+        if self.share is not None and self.share[0] >= len(self.units):
             raise InputError(
-                f"{self.share[1]} shares of {len(self.units)} parts",
+                f"share {self.share[0]} of {len(self.units)} parts, counted from 0",
                 where="share",
-                expected=f"at most as many shares as parts: (k, {len(self.units)})",
+                expected=f"a number below {len(self.units)}: the others have nothing left to do",
             )
         asked = [u for u in range(len(self.units)) if self.share is None or u % self.share[1] == self.share[0]]
         missing = self._missing(asked)

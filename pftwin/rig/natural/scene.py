@@ -41,8 +41,11 @@ TENDON_TOE_STRAIN = 0.03
 TOGETHER = 4  # triangles of the patella that are taken for one
 GROOVE_ANGLES, GROOVE_HALF_WIDTH = (-75.0, 45.0), 22e-3  # of the smooth stand-in [deg], [m]
 GROOVE_TOLERANCE = 0.05e-3  # [m]
-# What a trochleoplasty changes.
-TROCHLEA = ("sulcus_angle_deg", "lateral_inclination_deg", "facet_ratio", "trochlear_depth_mm", "prominence_mm")
+# What a trochleoplasty changes. The groove's floor is where the radius says: depth alone raises the ridges.
+TROCHLEA = (
+    *("sulcus_angle_deg", "lateral_inclination_deg", "facet_ratio"),
+    *("trochlear_depth_mm", "trochlear_radius_mm", "prominence_mm"),
+)
 TABLE = 1e-3  # cubes of the femur's table of depths [m]
 
 

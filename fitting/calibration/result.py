@@ -93,9 +93,9 @@ class Answers(NamedTuple):
         """Whether intervals of its level hold as often as they say, as far as so many plants can tell."""
         if not len(self.ranks):
             return _NONE
-        if self._few and _NARROW not in self._words():
-            return _FEW
         words = self._words()
+        if _FEW in words:
+            return _FEW
         listed = {
             word: [name for name, own in zip(names, words, strict=True) if own == word] for word in (_NARROW, _WIDE)
         }
@@ -113,7 +113,7 @@ class Answers(NamedTuple):
         for held in self.held(self.level).T:
             share = binomtest(int(held.sum()), len(held)).proportion_ci(sure)
             found.append(_NARROW if share.high < self.level else _WIDE if share.low > self.level else "hold")
-        return found
+        return [_FEW] * len(found) if self._few and _NARROW not in found else found
 
     def column(self, names: tuple[str, ...], scales: Floats) -> tuple[str, ...]:
         """Of a table: answered of all; of each number the share of intervals that hold and the half width; verdict."""
@@ -122,9 +122,7 @@ class Answers(NamedTuple):
         if len(self.ranks):
             held, half = self.coverage[self.level], scales * self.half_widths.mean(axis=0)
             cells = [f"{100 * share:.0f} %, {width:.2g}" for share, width in zip(held, half, strict=True)]
-            found = self._words()
-            words = [word for word in (_NARROW, _WIDE) if word in found] or ["hold"]
-            words = [_FEW] if self._few and _NARROW not in found else words
+            words = [word for word in (_NARROW, _WIDE, _FEW) if word in self._words()] or ["hold"]
         return f"{len(self.ranks)} of {of}", *cells, "; ".join(words)
 
     def to_dict(self, names: tuple[str, ...]) -> dict[str, Any]:

@@ -60,11 +60,14 @@ def fitted_surface(scene: Scene, treatment: str) -> Surface:
     contact = contact_of(scene, treatment)
     surface = contact.fitted_surface()
     if surface is None:
+        remedy = ""
+        if treatment == "trochleoplasty":
+            remedy = "another trochlea of a natural knee: pftwin.rig.knee(anatomy, trochleoplasty={...})"
         raise InputError(
             f"{contact.name!r} is a contact with the femur's mesh, and this treatment changes a fitted surface",
             where=_where(scene, treatment),
             expected='a contact with a surface fitted to the mesh, such as "P5" or "spline"',
-            remedy="another trochlea of a natural knee: pftwin.rig.knee(anatomy, trochleoplasty={...})",
+            remedy=remedy,
         )
     return surface
 

@@ -138,6 +138,15 @@ def upward_lines(scene: Scene) -> int:
     return count
 
 
+def not_pulled(scene: Scene) -> tuple[str, ...]:
+    """That nothing pulls the patella upward, in a scene that has limits: tracking is what a quadriceps makes it."""
+    limits = scene.limits
+    if limits is None or (found := upward_lines(scene)) >= limits.least_upward_lines:
+        return ()
+    least = f"at least {limits.least_upward_lines:g}: least_upward_lines"
+    return (f"lines of force that pull the patella upward: {found} ({least})",)
+
+
 def _unit(name: str) -> str:
     """The unit at the end of a limit's name, as it is written."""
     return next((unit for ending, unit in _UNITS.items() if name.endswith(ending)), name.rpartition("_")[2])

@@ -30,7 +30,7 @@ from pftwin.dynamics.observe import Observation
 from pftwin.dynamics.rebound import Impact
 from pftwin.dynamics.status import FLAGS, Status
 from pftwin.model.effects.base import Observable
-from pftwin.model.limits import upward_lines
+from pftwin.model.limits import not_pulled
 from pftwin.model.motion import KneeMotion
 from pftwin.model.motion_on_host import tibia_orientation, tibia_position
 from pftwin.model.scene import Scene
@@ -211,15 +211,7 @@ class Result:
     @cached_property
     def verdict(self) -> Verdict:
         """Whether the motion may be spoken of, and if not, why."""
-        return verdict_of(self.flags, (*self._not_pulled(), *self._far_from_start()))
-
-    def _not_pulled(self) -> tuple[str, ...]:
-        """That nothing pulls the patella upward, in a scene that has limits: tracking is what a quadriceps makes it."""
-        limits = self.scene.limits
-        if limits is None or (found := upward_lines(self.scene)) >= limits.least_upward_lines:
-            return ()
-        least = f"at least {limits.least_upward_lines:g}: least_upward_lines"
-        return (f"lines of force that pull the patella upward: {found} ({least})",)
+        return verdict_of(self.flags, (*not_pulled(self.scene), *self._far_from_start()))
 
     def _far_from_start(self) -> tuple[str, ...]:
         """That the equilibrium is not that of the recorded start, in a scene that has limits."""

@@ -27,7 +27,6 @@ from numpy.typing import ArrayLike, NDArray
 from pftwin.base.leaves import host_array
 from pftwin.base.quantities import about
 from pftwin.base.spatial import Vec3
-from pftwin.geometry.contact.depths import DEEPEST
 from pftwin.geometry.patch.closest import Surface
 from pftwin.model.effects.base import Effect
 from pftwin.model.motion import KneeMotion
@@ -36,6 +35,8 @@ from pftwin.model.scene import Scene
 
 if TYPE_CHECKING:
     from xarray import Dataset
+
+    from pftwin.model.effects.contact import Contact
 
 ALONG = 49  # samples of a fitted rectangle, either way: a chord of a trochlea is then within 0.02 mm of it
 STEP = 1.5e-3  # of a continuation, which is all but flat [m]
@@ -124,14 +125,7 @@ def geometry(scene: Scene, effects: Effects | None = None) -> Dataset:
             radius = np.asarray(contact.button_radius(), dtype=np.float64)
             variables["button_center"] = (("axis",), center, _about("m", "centre of the button's sphere", "patella"))
             variables["button_radius"] = ((), radius, _about("m", "radius of the button's sphere", "patella"))
-        depths = np.linspace(0.0, DEEPEST, 101)
-        if (pressure := contact.pressure(jnp.asarray(depths))) is not None:
-            variables["pressed_depth"] = (("pressed_depth",), depths, about("m", "overlap of the surfaces"))
-            variables["pressure"] = (
-                ("pressed_depth",),
-                np.asarray(pressure, dtype=float),
-                about("Pa", "pressure at that overlap"),
-            )
+        variables |= _pressures(contact)
     for body, mesh in {} if scene.bones is None else scene.bones.surfaces.items():
         variables |= _mesh(f"{body}_bone", (mesh.vertices, mesh.faces), body, f"the {body}'s bone")
     for effect in scene.effects:
@@ -167,6 +161,21 @@ def _points(report: dict[str, NDArray[Any]]) -> NDArray[np.float64]:
     found = [np.asarray(v, dtype=np.float64).reshape(-1, 3) for k, v in report.items() if k.startswith("point_")]
     points = np.concatenate([*found, np.empty((0, 3))])
     return points[np.isfinite(points).all(axis=1)]
+
+
+def _pressures(contact: Contact) -> Variables:
+    """The law of a contact that tells pressures, as a table."""
+    if contact.pressure(jnp.zeros(())) is None:
+        return {}
+    from pftwin.geometry.contact.depths import DEEPEST
+
+    depths = np.linspace(0.0, DEEPEST, 101)
+    pressure = np.asarray(contact.pressure(jnp.asarray(depths)), dtype=float)
+    along = ("pressed_depth",)
+    return {
+        "pressed_depth": (along, depths, about("m", "overlap of the surfaces")),
+        "pressure": (along, pressure, about("Pa", "pressure at that overlap")),
+    }
 
 
 def _mesh(name: str, mesh: tuple[NDArray[Any], NDArray[Any]], frame: str, words: str) -> Variables:

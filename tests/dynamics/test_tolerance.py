@@ -209,3 +209,10 @@ def test_what_is_neither_length_nor_force(given):
 def test_a_step_or_a_tolerance(small):
     with pytest.raises(InputError, match="both dt and tolerance"):
         simulate(small, dt=1e-3, tolerance="1 mm")
+
+
+def test_newtons_without_any_contact_force_are_refused(small):
+    with pytest.raises(
+        InputError, match="tolerance: there is no contact force in the whole motion; expected: a length"
+    ):
+        simulate(small.without("contact"), tolerance="0.001 N")

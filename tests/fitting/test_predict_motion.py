@@ -138,3 +138,18 @@ def test_figure_and_files_name_what_they_hold(predicted):
     np.testing.assert_allclose(data["high"].sel(coordinate="tilt"), predicted.high[:, 5])
     assert data.attrs["verdict"] == "valid"
     assert "bands of 90 % held 100 %" in predicted.to_dict()["sentence"]
+
+
+def test_a_coordinate_that_is_other_here_is_what_was_said_in_this_knee(knee):
+    """Coordinates are fitted as offsets: in another knee the number itself is set, not the offset from the fit's."""
+    name = "quadriceps.origin.y"
+    estimate = made_estimate(
+        {"K1": (160.0, 4.0), name: (0.014, 1e-4)},
+        coordinates=(name,),
+        rmse={**LEFT, "position": 1e-3, "orientation": 0.03},
+        channels=("position", "orientation"),
+    )
+    other = knee.set(name, 0.020)
+    told = predict_motion(other, estimate, samples=1, dt=2e-3, values={name: 0.016})
+    own = simulate(other.set("K1", 160.0).set(name, 0.016), dt=2e-3)
+    np.testing.assert_allclose(told.value[:, :3], 1e3 * own.center, atol=1e-6)

@@ -12,12 +12,14 @@ from small_scene import small_result, small_scene, vec
 
 from pftwin import rig
 from pftwin.base.errors import InputError
-from pftwin.base.leaves import number, vector
+from pftwin.base.leaves import host_array, number, vector
 from pftwin.base.rotations import tibiofemoral_orientation
 from pftwin.files.mocap.poses import PoseSeries
+from pftwin.model.effects.tendon import StrandGroup
 from pftwin.model.effects.tension import PrescribedTension
 from pftwin.model.limits import Limits, upward_lines
 from pftwin.model.motion import KneeMotion
+from pftwin.model.number_place import start_length
 from pftwin.model.scene import check
 
 
@@ -172,3 +174,16 @@ def test_an_equilibrium_far_from_the_recorded_start_makes_the_motion_invalid():
     assert dataclasses.replace(result, scene=result.scene.with_limits(most_start_turn_deg=20)).verdict.valid
     treated = dataclasses.replace(result.scene, limits=Limits().of_treated())
     assert dataclasses.replace(result, scene=treated).verdict.valid
+
+
+def test_the_pull_of_strands_is_by_strain():
+    """2 kN per unit strain, 60 mm slack, stretched to twice that and more: over 2 kN, and not 2 kN times metres."""
+    scene = knee(most_force_N=1500.0, least_slack_share=0.0)
+    line = scene.effect("quadriceps")
+    two = np.ones(2)
+    ends = (vector(np.tile(host_array(p), (2, 1))) for p in (line.insertion, line.origin))
+    strands = StrandGroup(*(number(v * two) for v in (2e3, 0.06, 0.01, 0.0)), *ends, "femur", name="quadriceps")
+    length = float(start_length(scene, line))
+    assert length > 0.12
+    with pytest.raises(InputError, match=rf"pull of quadriceps at the start is {2e3 * (length / 0.06 - 1):.4g} N"):
+        check(scene.with_effect(strands))

@@ -122,3 +122,14 @@ def test_pages_of_such_a_motion_begin_with_it():
     assert page.title(shown) == "INVALID: small knee"
     assert page.notes(shown, 1.0)[0].startswith("INVALID: the patella moves or turns too far")
     assert page.title(recorded([small_result()])) == "small knee"
+
+
+def test_one_contact_of_several_that_bears_is_contact():
+    """A second button that never reaches the trochlea changes nothing of the first."""
+    scene = small_scene(11)
+    far = eqx.tree_at(lambda c: c.surface.chart.origin.z, scene.contact, scene.contact.surface.chart.origin.z - 0.1)
+    both = dataclasses.replace(scene, effects=(*scene.effects, dataclasses.replace(far, name="second")))
+    result = pftwin.simulate(both)
+    assert result.verdict.valid, result.verdict.describe()
+    assert result.effects["second"]["force"].max() == 0
+    assert result.effects["contact"]["force"].min() > 0

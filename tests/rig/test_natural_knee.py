@@ -44,7 +44,7 @@ def test_the_squat_leans_thigh_and_shank_alike_and_pulls_with_the_sine():
 
 
 def test_in_an_extension_the_thigh_is_horizontal_and_the_pull_follows_the_weights_lever():
-    """The shank's proximal axis is x up, z backward less so as it is raised: its horizontal part is the lever."""
+    """The shank's proximal axis leans backward as it is raised: its horizontal part is the lever."""
     done = motion.extension(1.0)
     femur, tibia = done.motion.frames(done.motion.times)
     assert femur is not None

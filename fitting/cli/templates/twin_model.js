@@ -67,6 +67,7 @@ function makeTwin(module, facts) {
             if (count > most) { reasons.push(everywhere ? words : `${words} (${count} of ${n} frames)`); }
             if (count) { remarks.push(`${words}: ${count} of ${n} frames`); }
         });
+        reasons.push(...facts.reasons);
         if (reasons.length) { return { verdict: `INVALID: ${reasons.join('; ')}`, tracking: '', events: null, remarks: [] }; }
         const events = facts.groove ? dislocations(motion) : null;
         const tracking = events === null ? 'not assessed: no contact surface'

@@ -37,7 +37,10 @@ class Emitter(Arrays):
         outputs = [self.reserve(leaf) for leaf in jax.tree.leaves(shape)]
         self.store_all(code, outputs, found)
         self.module.function(code, name)
-        return {"inputs": list(map(_told, inputs)), "outputs": _named(shape, list(map(_told, outputs)))}
+        return {
+            "inputs": list(map(_told, inputs)),
+            "outputs": jax.tree.unflatten(jax.tree.structure(shape), list(map(_told, outputs))),
+        }
 
     def run(self, code: Code, jaxpr: Any, consts: Sequence[Any], args: Sequence[Value]) -> list[Value]:
         """Writes a program for these arguments; gives its results."""
@@ -123,9 +126,7 @@ class Emitter(Arrays):
         after = [jax.ShapeDtypeStruct((length, *v.aval.shape), v.aval.dtype) for v in closed.jaxpr.outvars[m - n :]]
         made = [self.reserve(a) for a in after]
         inner = Code(counted=True)
-        i = code_of = inner.count
-        if params["reverse"]:
-            i = inner.op(b"\x6b", I32, length - 1, code_of)
+        i = inner.op(b"\x6b", I32, length - 1, inner.count) if params["reverse"] else inner.count
         values = [self.fetched(inner, t) for t in (*consts, *carry)]
         values += [self._row(inner, t, i) for t in rows]
         found = self.run(inner, closed.jaxpr, closed.consts, values)
@@ -180,7 +181,3 @@ def _used(jaxpr: Any) -> list[Any]:
 
 def _told(table: Table) -> list[Any]:
     return [table.address, int(np.prod(table.shape)), int(kind_of_table(table) == F64)]
-
-
-def _named(shape: Any, outputs: list[Any]) -> Any:
-    return jax.tree.unflatten(jax.tree.structure(shape), outputs)

@@ -9,6 +9,7 @@ import numpy as np
 from fitting.cli.live.knobs import Knob
 from pftwin.base.rotations import tibiofemoral_angles
 from pftwin.dynamics.status import Status
+from pftwin.model.limits import not_pulled
 from pftwin.model.motion_on_host import tibia_orientation
 from pftwin.model.scene import Scene
 from pftwin.results.tracking import DISLOCATED, RE_ENGAGED, groove_line
@@ -28,6 +29,7 @@ def facts(scene: Scene, knobs: tuple[Knob, ...], missing: dict[str, str]) -> dic
         "flexion": np.degrees(np.asarray(tibiofemoral_angles(tibia_orientation(motion)).flexion)).tolist(),
         "knobs": [{name: getattr(k, name) for name in shown} for k in knobs],
         "missing": missing,
+        "reasons": list(not_pulled(scene)),
         "hasContact": contact is not None,
         "groove": None if surface is None else _groove(surface),
         "dislocated": DISLOCATED,

@@ -151,7 +151,7 @@ MATH = {
 class Module:
     """Functions, memory and data."""
 
-    functions: list[Code | None] = field(default_factory=list)
+    functions: list[Code] = field(default_factory=list)
     exported: dict[str, int] = field(default_factory=dict)
     data: list[tuple[int, bytes]] = field(default_factory=list)
     size: int = SLOT  # of the memory that is in use [bytes]; an address is never 0
@@ -174,15 +174,14 @@ class Module:
         pages = -(-self.size // _PAGE)
         types = [b"\x60" + _list([bytes([a]) for a in of]) + _list([bytes([a]) for a in to]) for of, to in _TYPES]
         imports = [_name("Math") + _name(name) + b"\x00" + unsigned(1 + count) for name, count in MATH.items()]
-        codes = [c for c in self.functions if c is not None]
         exports = [_name(name) + b"\x00" + unsigned(number) for name, number in self.exported.items()]
         sections = {
             1: _list(types),
             2: _list(imports),
-            3: _list([unsigned(int(c.counted)) for c in codes]),
+            3: _list([unsigned(int(c.counted)) for c in self.functions]),
             5: _list([b"\x00" + unsigned(pages)]),
             7: _list([*exports, _name("memory") + b"\x02\x00"]),
-            10: _list([c.binary() for c in codes]),
+            10: _list([c.binary() for c in self.functions]),
             11: _list([b"\x00" + _pushed(at) + _END + unsigned(len(b)) + b for at, b in self.data]),
         }
         return b"\0asm\1\0\0\0" + b"".join(bytes([i]) + unsigned(len(s)) + s for i, s in sections.items())

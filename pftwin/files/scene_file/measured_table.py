@@ -154,7 +154,7 @@ class MeasuredSection(Section):
                 values = _column(table, column, "N")
                 if self.smoothing_window is not None:
                     # Cables and contacts do not push and pull both ways; smoothing overshoots where they let go. A
-                    # column of the other sign stays as it is: `fit` and `validate` name it.
+                    # column of the other sign stays as it is: `fit` names it.
                     smooth = singular_spectrum_filter(values, self.smoothing_window)
                     values = np.maximum(smooth, 0.0) if values.mean() >= 0 else smooth
                 out[name] = frame_means(motion.times, table.times, values)

@@ -141,9 +141,9 @@ def _apart(
             *knee.femur(result, pressure=pressure),
         ]
         own.append([knee.moved(part, _place(k, len(results))) for part in parts])
-    deepest = max((float(p.color_range[1]) for p in _coloured(own)), default=0.0)
+    most = max((float(p.color_range[1]) for p in _coloured(own)), default=0.0)
     for part in _coloured(own):
-        part.color_range = [0.0, deepest]  # one scale for all
+        part.color_range = [0.0, most]  # one scale for all
     return [], own
 
 

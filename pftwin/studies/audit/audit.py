@@ -219,9 +219,9 @@ def _outcome(result: Result, own: Result) -> str:
 
 def _verdict(kind: Kind, found: Changes | None, outcome: str, tolerance: float) -> str:
     """In two or three words."""
-    matters = found is not None and (found.center_max > tolerance or "dislocate" in outcome)
     if found is None:
         return "indispensable" if kind == "left out" else "cannot be judged"
+    matters = found.center_max > tolerance or "dislocate" in outcome
     return {
         "left out": ("worth keeping", "could go"),
         "put in": ("worth putting in", "not needed"),

@@ -226,3 +226,10 @@ def test_the_index_says_what_the_batch_is(filled):
     said = json.loads((filled / "batch.json").read_text())
     assert said["units"] == [UNIT] * 5
     assert set(said["features"]) == {"scenes", "program", "members", "settings", "platform", "versions"}
+
+
+def test_a_share_for_which_no_part_is_left_is_refused(cheap, tmp_path):
+    """Five parts: the sixth of eight jobs, counted from 0, has nothing to do; the fifth has."""
+    with pytest.raises(InputError, match="share: share 5 of 5 parts, counted from 0; expected: a number below 5"):
+        batch(parts=tmp_path, share=(5, 8))
+    assert batch(parts=tmp_path, share=(4, 8))["variant"].values.tolist() == [*range(480, 600)]

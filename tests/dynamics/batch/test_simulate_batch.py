@@ -151,7 +151,9 @@ def test_a_member_that_makes_no_sense_is_marked():
     rows[1, 0] = -5.0
     found = batch(rows)
     assert found["failed"].values.tolist() == [False, True, False, False, False]
-    assert np.isnan(found["mean_tilt"].values[1])
+    for name in ("mean_tilt", "sphere_center", "patella_position"):  # summary and courses
+        assert np.isnan(found[name].values[1]).all()
+        assert np.isfinite(found[name].values[0]).all()
     assert found["recomputed"].values[1] == 0
     others = [0, 2, 3, 4]
     assert bits(found, others) == bits(five(), others)

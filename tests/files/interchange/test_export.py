@@ -18,6 +18,7 @@ from typer.testing import CliRunner
 
 from pftwin.base.errors import InputError, OutputError, PftwinWarning
 from pftwin.cli import app
+from pftwin.dynamics.status import Status
 from pftwin.files.interchange import export
 from pftwin.files.result_files import load_dataset
 
@@ -154,3 +155,17 @@ def test_the_command_refuses(file, tmp_path):
     assert not list(tmp_path.iterdir())
     with pytest.raises(OutputError):
         export(file, tmp_path / "a.txt")
+
+
+def test_an_invalid_motion_is_exported_and_flagged(result, tmp_path):
+    lost = dataclasses.replace(result, flags=np.full_like(result.flags, int(Status.NO_CONTACT)))
+    lost.save(tmp_path / "lost.nc")
+    names = [tmp_path / f"lost{ending}" for ending in (".mot", ".sto", ".csv")]
+    done = CliRunner().invoke(app, ["export", str(tmp_path / "lost.nc"), *(a for n in names for a in ("-o", str(n)))])
+    assert done.exit_code == 3
+    assert "INVALID: the button touches nothing" in done.output
+    assert all(name.is_file() for name in names)
+    for name in names[:2]:
+        head = name.read_text().partition("endheader")[0]
+        assert "Verdict: INVALID: the button touches nothing" in head
+    assert CliRunner().invoke(app, ["export", str(tmp_path / "sound.nc"), "-o", str(names[0])]).exit_code == 2

@@ -251,3 +251,18 @@ def test_another_recording_takes_the_markers_on_the_skin_with_it(toy: Path) -> N
     assert other is not None
     assert other.times.size == 41
     assert other.skin_markers == ("skin",)
+
+
+def test_smoothing_takes_no_overshoot_and_no_sign(toy: Path) -> None:
+    """A cable that lets go, and a load cell that counts compression as negative."""
+    t = np.arange(201) * 0.002
+    pull = np.where(t < 0.2, 5.0, 0.0)
+    rows = [f"{x:.4f},{-20 - 50 * x},{1e-3 * p}" for x, p in zip(t, pull, strict=True)]
+    (toy / "forces.csv").write_text("\n".join(["time_s,contact_N,tendon_kN", *rows]) + "\n")
+    (toy / "smooth.toml").write_text(LIGHT + MEASURED + "smoothing_window = 30\n")
+    measured = load_scene_file(toy / "smooth.toml").measured
+    assert measured is not None
+    assert measured.contact_force is not None
+    assert measured.tibial_spring_force is not None
+    np.testing.assert_allclose(measured.contact_force[5:-5], -20 - 50 * measured.times[5:-5], rtol=0.03)
+    assert measured.tibial_spring_force.min() == 0

@@ -35,10 +35,17 @@ def of_one_device(rows: np.ndarray, counts: np.ndarray, devices: int) -> np.ndar
 
 @pytest.mark.parametrize(
     ("n", "platform", "members"),
-    [(1, "gpu", 16), (17, "gpu", 32), (1000, "gpu", 1024), (10**6, "gpu", 32_768), (32, "cpu", 16), (33, "cpu", PIECE)],
+    [
+        (1, "gpu", 16),
+        (17, "gpu", 32),
+        (1000, "gpu", 1024),
+        (10**6, "gpu", 131_072),
+        (32, "cpu", 16),
+        (33, "cpu", PIECE),
+    ],
 )
 def test_pieces_come_in_few_sizes(n, platform, members):
-    """On an accelerator powers of two from 16 to 32,768, so that few programs are compiled; on a CPU two sizes."""
+    """On an accelerator powers of two from 16 to 131,072, so that few programs are compiled; on a CPU two sizes."""
     assert piece_for(n, platform) == members
 
 

@@ -238,4 +238,4 @@ def test_a_function_is_traced_once():
 
 def test_pieces_are_of_few_sizes():
     assert {piece_for(n, "cpu") for n in range(1, 2000)} == {FEW, PIECE}
-    assert {piece_for(n, "gpu") for n in (1, 100, 10**6)} == {16, 128, 32_768}
+    assert {piece_for(n, "gpu") for n in (1, 100, 10**6)} == {16, 128, 131_072}

@@ -195,7 +195,7 @@ compared(foretold, seen)
 
 # %% [markdown]
 # Michaud et al. (2024) came to 2.61 mm on their real rig. Here the measurements are synthetic, and both models share
-# what [the README lists](../README.md#run-it).
+# what [the README lists](../README.md#the-rigs-measurements-are-synthetic).
 #
 # Bands of the prediction come from draws of the posterior, nuisance included:
 

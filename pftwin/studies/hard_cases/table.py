@@ -82,6 +82,10 @@ def markdown(cells: Sequence[Cell], cases: Sequence[HardCase], pieces: Sequence[
     found, m = counts(cells), pieces[-1].machine
     why = {c.name: c.unmended or c.limit for c in cases}
     failing = dict.fromkeys(c.case for c in cells if c.outcome == "fail")
+    known: dict[str, list[str]] = {}
+    for name in failing:
+        if text := why.get(name):
+            known.setdefault(text, []).append(name)
     topics: dict[str, list[str]] = {}
     for c in cases:
         topics.setdefault(c.topic, []).append(f"- **{c.name}**: {c.about}")
@@ -91,7 +95,7 @@ def markdown(cells: Sequence[Cell], cases: Sequence[HardCase], pieces: Sequence[
         minutes=sum(p.seconds for p in pieces) / 60,
         machine=f"{m['cpu']}, {m['cores']} cores, jax {m['jax']}",
         failing=reasons(cells, "fail").grid() if found["fail"] else "Nothing.",
-        known="\n".join(f"- **{name}**: {why[name]}" for name in failing if why.get(name)),
+        known="\n".join(f"- **{', '.join(names)}**: {text}" for text, names in known.items()),
         summary=summary(cells).grid(),
         by_case=by_case(cells).grid(),
         refused=reasons(cells, "refused").grid(),
@@ -171,7 +175,7 @@ def runs(pieces: Sequence[KeptPiece]) -> Sheet:
         looked = _LOOKED[piece.quick, piece.truths]
         when, minutes = str(piece.machine["date"])[:16], f"{piece.seconds / 60:.1f}"
         rows.append((when, minutes, *map(", ".join, names), str(len(cases)), looked))
-    headings = ("date", "minutes", "contacts", "integrators", "float types", "cases", "looked at")
+    headings = ("date", "minutes", "contacts", "integrators", "float types", "cases", "checked")
     return Sheet("what was run", headings, tuple(rows))
 
 

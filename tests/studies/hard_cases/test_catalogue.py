@@ -62,7 +62,7 @@ def test_the_table_of_cases_has_no_word_that_is_not_read():
 def test_what_several_cases_share_is_said_of_each():
     hard, plain = case_named("contact_hard"), case_named("plain_knee")
     assert hard.limit.startswith("by contours, in float32, the search for the equilibrium ends before its balance")
-    assert plain.unmended.startswith("By contours, in float32. Neighbouring motions part")
+    assert plain.unmended.startswith("By contours, in float32. Neighbouring motions diverge")
 
 
 def test_changes_reach_the_numbers_that_they_name():

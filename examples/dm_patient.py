@@ -3,7 +3,7 @@
     python examples/dm_patient.py FOLDER_OF_DM_KNEE [-o dm_patient] [--starts 32]
 
 prints tables and writes figures and estimates into the folder after -o. The folder of data may be left out where
-PFTWIN_DATA names the folder that holds dm_knee. docs/fitting.md explains the steps and what came out. The
+PFTWIN_DATA names the folder that holds dm_knee. docs/worked_patient.md explains the steps and what came out. The
 recording is itself a simulation, by OpenSim JAM (see `examples/dm_knee.py`): tables and figures say so.
 """
 

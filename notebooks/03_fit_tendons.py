@@ -172,7 +172,7 @@ assert left["by simulations"] < 0.4 * left["quick"]
 # These intervals are wider than the quick fit's, and say what one recording can tell of a knee that is not quite its
 # twin. One knee proves little. `pftwin calibrate` repeats this on many simulated knees that differ from the twin in
 # other ways than the priors say, and counts:
-# [how often intervals hold the truth](../docs/fitting.md#how-often-intervals-hold-the-truth).
+# [how often intervals hold the truth](../docs/fitting.md#how-sure-intervals-and-their-measured-coverage).
 
 # %% [markdown]
 # ## Predict the treated knee
@@ -213,5 +213,5 @@ assert low < force < high
 # [Predict and optimise a treatment](04_treatment.ipynb) carries these uncertainties into a decision.
 # [Fit parameters](../docs/fitting.md) has the theory, and the paper's way, a genetic algorithm
 # (`method="matlab_ga", objective="paper"`); `pftwin demo` does this beside the paper's Table 2. The
-# [worked patient](../docs/fitting.md#a-worked-patient) does all of this on the recording of an implant and compares
+# [worked patient](../docs/worked_patient.md) does all of this on the recording of an implant and compares
 # with forces that the fit did not see.

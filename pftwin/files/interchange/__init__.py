@@ -1,4 +1,4 @@
-"""To and from other programs: results as .mot, .sto, .glb and .csv; OpenSim's models as scene folders.
+"""Import and export: results as .mot, .sto, .glb and .csv; OpenSim's models as scene folders.
 
 pftwin.interchange.export("case2.nc", "case2.glb")  # or a `Result`
 pftwin.interchange.import_osim("knee.osim", "knee")  # writes knee/scene.toml and says what was left out

@@ -36,7 +36,11 @@ def flagged(counts: dict[Status, int]):
     [
         (in_the_air(), "the button touches nothing (11 of 11 frames)"),
         (small_scene(11).set("quadriceps.slack_length", 143.0), "did not start from a converged equilibrium"),
-        (small_scene(11).without("quadriceps"), "did not start from a converged equilibrium"),
+        pytest.param(
+            small_scene(11).without("quadriceps"),
+            "did not start from a converged equilibrium",
+            marks=pytest.mark.slow,
+        ),
     ],
     ids=["nothing is touched", "a slack length of 143 m", "no quadriceps"],
 )

@@ -220,17 +220,26 @@ def test_a_measured_patella_gives_the_lengths_and_one_that_jumps_does_not(tmp_pa
     np.testing.assert_allclose(table[:, 1], force.tensions(lengths, np.full(n, 0.2)), rtol=1e-6)
 
 
-def test_the_command_takes_a_number_or_a_file(tmp_path):
-    """In a process of its own, for what a wrapped length is computed with has to be set up first."""
-    path = knee_file(tmp_path, VASTUS.replace("</GeometryPath>", f"{OVER}</GeometryPath>") + RECTUS, meshes=True)
+def command_for(folder) -> list[str]:
+    path = knee_file(folder, VASTUS.replace("</GeometryPath>", f"{OVER}</GeometryPath>") + RECTUS, meshes=True)
     path.write_text(path.read_text().replace('<Body name="femur_r">', f'<Body name="femur_r">{ROLL}', 1))
-    command = ["import", str(path), "--motion", str(tmp_path / "walk.mot"), "-o", str(tmp_path / "out")]
+    return ["import", str(path), "--motion", str(folder / "walk.mot"), "-o", str(folder / "out")]
+
+
+@pytest.mark.slow
+def test_the_command_takes_a_number(tmp_path):
+    """In a process of its own, for what a wrapped length is computed with has to be set up first."""
+    command = command_for(tmp_path)
     alone = [sys.executable, "-m", "pftwin", *command, "--activation", "0.2"]
     done = subprocess.run(alone, capture_output=True, text=True, check=False, timeout=300)
     assert done.returncode == 0, done.stderr
     said = " ".join(f"{done.stdout} {done.stderr}".split())
     assert "tensions by activations of 0.2" in said
     assert "wrapping is in the lengths of vas int" in said
+
+
+def test_the_command_refuses_what_is_no_activation(tmp_path):
+    command = command_for(tmp_path)
     done = CliRunner().invoke(app, [*command, "--activation", "strong"])
     assert done.exit_code == 2
     assert "strong" in done.output

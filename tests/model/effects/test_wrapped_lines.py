@@ -170,6 +170,7 @@ def test_a_weight_on_a_tendon_over_a_pulley_swings_as_on_a_spring():
     np.testing.assert_allclose(total, total[0], atol=2e-3 * 0.5 * k * x0**2)
 
 
+@pytest.mark.slow
 def test_the_energy_budget_of_a_knee_with_a_wrapped_tendon_closes():
     """Kinetic and stored energy, heat and numerical dissipation are the work, up to an error of the step's order."""
     scene = knee(16)

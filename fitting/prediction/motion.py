@@ -16,7 +16,7 @@ from fitting.estimate import Estimate
 from fitting.measured_channels import check_times
 from fitting.prediction.plots import MOST_FAILED
 from fitting.prediction.predicted_motion import COORDINATES, LEVEL, PredictedMotion
-from fitting.prediction.predicting import check_draws, estimate_and_draws, reservations
+from fitting.prediction.predicting import check_draws, estimate_and_draws, reservations, untrusted_start
 from fitting.programs import ORIENTATION, POSITION, TURNS
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
@@ -28,7 +28,7 @@ from pftwin.dynamics.batch.variants import Variants
 from pftwin.model.measured import Measured
 from pftwin.model.scene import Scene, check
 from pftwin.model.scene_parameters import find
-from pftwin.results.verdict import INVALID, is_invalid, verdict_of_counts
+from pftwin.results.verdict import INVALID, Verdict, is_invalid, verdict_of_counts
 
 _QUANTILES = 401  # of the normal error that widens each draw
 
@@ -78,7 +78,8 @@ def predict_motion(
     counts = found["status_frames"].values
     good = ~(found["failed"].values | is_invalid(counts, frames))
     paths = _coordinates(found["sphere_center"].values, found["patella_quaternion"].values)
-    verdict = verdict_of_counts(counts[0], frames).describe()
+    start = untrusted_start(estimate.apply(scene, thetas[0]))
+    verdict = Verdict((*verdict_of_counts(counts[0], frames).reasons, *start)).describe()
     if verdict == "valid" and not good[0]:
         verdict = "INVALID: the estimate has no motion"
     lost = int((~good[1:]).sum())

@@ -17,7 +17,9 @@ from fitting.treatments import Treatment
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.dynamics.batch.devices import Devices, chosen_devices
+from pftwin.dynamics.equilibrium_report import invalid_start
 from pftwin.dynamics.frame_states import substeps_for
+from pftwin.dynamics.simulate import equilibrium
 from pftwin.dynamics.status import FLAGS
 from pftwin.model.measured import SYNTHETIC
 from pftwin.model.scene import Scene, check
@@ -111,6 +113,7 @@ def predict(
         A dataset over `variant` (and `sample`, of which 0 is the estimate itself), in SI units and degrees, with the
         amounts as coordinates, every outcome of `fitting.prediction.outcomes.MEASURES`, `status_frames` (frames with
         each status) and `failed`. Members that cannot be simulated are marked and hold NaN; nothing is raised for them.
+        A scene whose untreated motion is INVALID as it starts (`pftwin.simulate` says so) has no valid variant.
 
     Raises:
         InputError: no scene or treatment; a scene without what is to be changed or estimated; samples without an
@@ -134,7 +137,7 @@ def predict(
         expected = f"at most {_COURSE_LIMIT}"
         raise InputError(f"trajectories of {many} members", where="trajectories", expected=expected, remedy=remedy)
     thetas = estimate_and_draws(estimate, samples, seed)
-    done, found = 0, []
+    done, found, invalid = 0, [], []
     for batch in groups:
 
         def counted(here: int, _: int, before: int = done) -> None:
@@ -143,8 +146,11 @@ def predict(
 
         scene = batch.scene
         check(scene)
+        own = scene
         if estimate is not None:
-            check(estimate.apply(scene))  # refuses a scene without these parameters
+            own = estimate.apply(scene)
+            check(own)  # refuses a scene without these parameters
+        invalid.append(untrusted_start(own))
         substeps = jnp.asarray(substeps_for(scene.motion.frame_interval, step))
         fitted = None if estimate is None else estimate.apply
         groove = Groove.of(scene)
@@ -153,7 +159,12 @@ def predict(
         members = np.tile(thetas, (len(batch.amounts), 1))
         found.append(run(recipe, amounts, members, chunk, devices, counted, care=care))
         done += len(amounts)
-    return dataset(groups, found, estimate, thetas, dt=step, threshold=threshold)
+    return dataset(groups, found, estimate, thetas, invalid, dt=step, threshold=threshold)
+
+
+def untrusted_start(scene: Scene) -> tuple[str, ...]:
+    """Why no motion of a scene can be trusted that has limits, from its equilibrium (`invalid_start`)."""
+    return () if scene.limits is None else invalid_start(scene, equilibrium(scene))
 
 
 def estimate_and_draws(estimate: Fitted | None, samples: int, seed: int) -> Floats:
@@ -193,9 +204,17 @@ _COURSES = {
 
 
 def dataset(
-    batches: list[VariantBatch], found: list[Members], estimate: Fitted | None, thetas: Floats, **settings: float
+    batches: list[VariantBatch],
+    found: list[Members],
+    estimate: Fitted | None,
+    thetas: Floats,
+    invalid: list[tuple[str, ...]],
+    **settings: float,
 ) -> Dataset:
-    """The dataset of members, which stand batch by batch, variants by samples."""
+    """The dataset of members, which stand batch by batch, variants by samples.
+
+    `invalid`: for each batch, why no motion of its scene can be trusted.
+    """
     from xarray import Dataset
 
     places = np.concatenate([b.places for b in batches])
@@ -207,8 +226,8 @@ def dataset(
         a = np.concatenate([p.reshape(len(b.places), many, *p.shape[1:]) for b, p in zip(batches, parts, strict=True)])
         return a[order] if sampled else a[order][:, 0]
 
-    counted = [(m, b.scene.motion.times.size) for b, m in zip(batches, found, strict=True)]
-    failed = gathered([~m.sensible | is_invalid(m.flags, frames) for m, frames in counted])
+    counted = [(m, b.scene.motion.times.size, why) for b, m, why in zip(batches, found, invalid, strict=True)]
+    failed = gathered([~m.sensible | is_invalid(m.flags, frames) | bool(why) for m, frames, why in counted])
     variables: Variables = {}
     for name, about in MEASURES.items():
         values, unit = _shown(gathered([m.outcomes[name] for m in found]), about.unit)
@@ -221,7 +240,7 @@ def dataset(
         last = ("axis",) if name == "sphere_center" else ()
         variables[name] = _named((*axes, "time", *last), values, _COURSES[name][1], unit)
     coordinates = _coordinates(batches, order, len(places), bool(found[0].courses))
-    words = np.array([said for m, frames in counted for said in _verdicts(m, frames, many)])
+    words = np.array([said for m, frames, why in counted for said in _verdicts(m, frames, why, many)])
     coordinates["verdict"] = _named(("variant",), words[order], "verdict on the motion")
     told = {}
     if estimate is not None:
@@ -270,11 +289,12 @@ def _coordinates(batches: list[VariantBatch], order: NDArray[np.int64], count: i
     return out
 
 
-def _verdicts(found: Members, frames: int, many: int) -> list[str]:
+def _verdicts(found: Members, frames: int, why: tuple[str, ...], many: int) -> list[str]:
     """Of every variant, for the estimate itself."""
     own = zip(found.flags[::many], found.sensible[::many], strict=True)
-    senseless = Verdict(("a parameter that makes no sense",))
-    return [(verdict_of_counts(counts, frames) if good else senseless).describe() for counts, good in own]
+    senseless = ("a parameter that makes no sense",)
+    reasons = [verdict_of_counts(counts, frames).reasons if good else senseless for counts, good in own]
+    return [Verdict((*said, *why)).describe() for said in reasons]
 
 
 def _shown(values: NDArray[Any], unit: str) -> tuple[NDArray[Any], str]:

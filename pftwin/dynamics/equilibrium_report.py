@@ -19,6 +19,7 @@ from pftwin.dynamics.observe import instant_and_frame
 from pftwin.dynamics.state import System
 from pftwin.dynamics.static_load import LEVER, patella_at_rest
 from pftwin.dynamics.status import RESERVATIONS, Status, status_facts, status_of_lines
+from pftwin.model.limits import not_pulled
 from pftwin.model.scene import Scene
 
 _NEUTRAL = 1e-6  # of the largest stiffness: below, a direction counts as neutral
@@ -163,6 +164,23 @@ def _turned(q: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float6
     (w, x, y, z), (a, b, c) = q, v
     t = np.array([y * c - z * b, z * a - x * c, x * b - y * a])  # q x v
     return v + 2 * (w * t + np.array([y * t[2] - z * t[1], z * t[0] - x * t[2], x * t[1] - y * t[0]]))
+
+
+def invalid_start(scene: Scene, start: EquilibriumReport) -> tuple[str, ...]:
+    """Why no motion of a scene can be trusted that has limits: as it starts, nothing pulls the patella upward, or the
+    equilibrium is not that of the recorded start. An equilibrium that was not found is a status of its own.
+    """
+    limits = scene.limits
+    if limits is None or not start.converged:
+        return not_pulled(scene)
+    shift, turn = 1e3 * start.moved, float(np.degrees(start.turned))
+    pairs = ((shift, "mm", "most_start_shift_mm"), (turn, "deg", "most_start_turn_deg"))
+    far = (
+        f"the equilibrium is {found:.1f} {unit} from the recorded start (at most {getattr(limits, name):g}: {name})"
+        for found, unit, name in pairs
+        if found > getattr(limits, name)
+    )
+    return (*not_pulled(scene), *far)
 
 
 def _eigenvalues(stiffness: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -23,14 +23,13 @@ from pftwin.base.rotations import (
 )
 from pftwin.base.spatial import Quaternion
 from pftwin.dynamics.equilibrium import Solution
-from pftwin.dynamics.equilibrium_report import EquilibriumReport, on_host
+from pftwin.dynamics.equilibrium_report import EquilibriumReport, invalid_start, on_host
 from pftwin.dynamics.error_estimate import ErrorEstimate
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.observe import Observation
 from pftwin.dynamics.rebound import Impact
 from pftwin.dynamics.status import FLAGS, Status
 from pftwin.model.effects.base import Observable
-from pftwin.model.limits import not_pulled
 from pftwin.model.motion import KneeMotion
 from pftwin.model.motion_on_host import tibia_orientation, tibia_position
 from pftwin.model.scene import Scene
@@ -211,20 +210,7 @@ class Result:
     @cached_property
     def verdict(self) -> Verdict:
         """Whether the motion may be spoken of, and if not, why."""
-        return verdict_of(self.flags, (*not_pulled(self.scene), *self._far_from_start()))
-
-    def _far_from_start(self) -> tuple[str, ...]:
-        """That the equilibrium is not that of the recorded start, in a scene that has limits."""
-        limits, start = self.scene.limits, self.equilibrium
-        if limits is None or not start.converged:
-            return ()
-        shift, turn = 1e3 * start.moved, float(np.degrees(start.turned))
-        pairs = ((shift, "mm", "most_start_shift_mm"), (turn, "deg", "most_start_turn_deg"))
-        return tuple(
-            f"the equilibrium is {found:.1f} {unit} from the recorded start (at most {getattr(limits, name):g}: {name})"
-            for found, unit, name in pairs
-            if found > getattr(limits, name)
-        )
+        return verdict_of(self.flags, invalid_start(self.scene, self.equilibrium))
 
     @property
     def tracking(self) -> str:

@@ -72,6 +72,12 @@ def test_errors_and_shares_are_of_the_frames_compared(knee, truth, predicted):
     assert (seen.held["x"], seen.held["tilt"]) == (1.0, 1.0)
 
 
+def test_a_knee_that_starts_invalid_is_predicted_invalid(knee):
+    found = predict_motion(knee.with_limits(least_upward_lines=2), fitted(), samples=2, dt=2e-3)
+    assert found.verdict.startswith("INVALID: lines of force that pull the patella upward: 1 (at least 2")
+    assert found.verdict.endswith("from the recorded start (at most 15: most_start_turn_deg)")
+
+
 def test_synthetic_data_and_doubts_are_told(knee, truth):
     doubted = fitted(doubts=["two springs swapped"], verdict="INVALID: no contact")
     found = predict_motion(knee, doubted, replace(truth, synthetic=True), samples=2, dt=2e-3)

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from fitting.cli.live.knobs import Knob
+from fitting.prediction.predicting import untrusted_start
 from pftwin.base.rotations import tibiofemoral_angles
 from pftwin.dynamics.status import Status
-from pftwin.model.limits import not_pulled
 from pftwin.model.motion_on_host import tibia_orientation
 from pftwin.model.scene import Scene
 from pftwin.results.tracking import DISLOCATED, RE_ENGAGED, groove_line
@@ -29,7 +29,7 @@ def facts(scene: Scene, knobs: tuple[Knob, ...], missing: dict[str, str]) -> dic
         "flexion": np.degrees(np.asarray(tibiofemoral_angles(tibia_orientation(motion)).flexion)).tolist(),
         "knobs": [{name: getattr(k, name) for name in shown} for k in knobs],
         "missing": missing,
-        "reasons": list(not_pulled(scene)),
+        "reasons": list(untrusted_start(scene)),
         "hasContact": contact is not None,
         "groove": None if surface is None else _groove(surface),
         "dislocated": DISLOCATED,

@@ -50,6 +50,13 @@ def test_a_small_knee(tmp_path):
     assert motions[0]["verdict"] == "valid"
 
 
+def test_a_knee_that_starts_invalid_is_invalid_on_the_page():
+    scene = small_scene().with_limits(least_upward_lines=2)
+    told = facts(scene, (), {})["reasons"]
+    assert tuple(told) == pftwin.simulate(scene).verdict.reasons
+    assert len(told) == 2
+
+
 def test_a_patella_that_falls_out_of_the_groove(tmp_path):
     scene = small_scene()
     k = scene.index("gravity")

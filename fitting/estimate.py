@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Sequence
 from dataclasses import MISSING, asdict, dataclass, field, fields, replace
@@ -20,7 +19,7 @@ from fitting.uncertainty import NORMAL_95, SERIAL, Undetermined, in_words
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.base.quantities import shown
-from pftwin.base.text_files import read_json, write_text
+from pftwin.base.text_files import read_json, restored_numbers, write_json_file
 from pftwin.model.scene import Scene
 from pftwin.results.verdict import INVALID
 
@@ -110,7 +109,8 @@ class Estimate:
     def correlation(self) -> Floats:
         """(p, p)."""
         sd = np.maximum(self.standard_deviations, 1e-300)
-        return self.covariance / np.outer(sd, sd)
+        with np.errstate(invalid="ignore"):  # NaN beside an infinite variance
+            return self.covariance / np.outer(sd, sd)
 
     @property
     def asked(self) -> int:
@@ -339,7 +339,7 @@ class Estimate:
         Raises:
             OutputError: it cannot be written.
         """
-        write_text(path, json.dumps(self.to_dict(), indent=2) + "\n")
+        write_json_file(path, self.to_dict())
         return Path(path)
 
     @staticmethod
@@ -353,7 +353,7 @@ class Estimate:
         Raises:
             InputError: no such file, or one that holds no estimate.
         """
-        content = read_json(path, expected=f"a file of {FORMAT!r}, as `pftwin fit -o` writes it")
+        content = restored_numbers(read_json(path, expected=f"a file of {FORMAT!r}, as `pftwin fit -o` writes it"))
         try:
             if content.get("format") != FORMAT:
                 raise ValueError(f"its format is {content.get('format')!r}")

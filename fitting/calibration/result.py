@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -17,7 +16,7 @@ from fitting.calibration.operations import OUTCOMES, Operated
 from fitting.prediction.outcomes import MEASURES
 from pftwin.base.arrays import Floats
 from pftwin.base.quantities import as_read
-from pftwin.base.text_files import write_text
+from pftwin.base.text_files import write_json_file
 
 if TYPE_CHECKING:
     from fitting.calibration.plots import CalibrationPlots
@@ -260,7 +259,7 @@ class Calibration:
             OutputError: it cannot be written.
         """
         target = Path(path)
-        write_text(target, json.dumps(self.to_dict(), indent=2) + "\n")
+        write_json_file(target, self.to_dict())
         return target
 
 

@@ -214,12 +214,10 @@ def _check_posterior(objective: str) -> None:
 
 def _sample_posterior(estimate: Estimate, draws: int, output: Path) -> Posterior:
     """Samples with progress on stderr, and adds the posterior to the estimate's file."""
-    import json
-
     from fitting.posterior.sampling import sample_posterior
-    from pftwin.base.text_files import write_text
+    from pftwin.base.text_files import write_json_file
 
     with progress("sampling the posterior") as shown:
         found = sample_posterior(estimate, draws=draws, seed=estimate.seed, progress=shown)
-    write_text(output, json.dumps({**estimate.to_dict(), "posterior": found.to_dict()}, indent=2) + "\n")
+    write_json_file(output, {**estimate.to_dict(), "posterior": found.to_dict()})
     return found

@@ -160,6 +160,40 @@ def read_json(path: str | os.PathLike[str], *, expected: str) -> Any:
         raise InputError(f"not readable JSON: {error}", where=path, expected=expected) from None
 
 
+def write_json_file(path: str | os.PathLike[str], value: Any) -> None:
+    """Writes a JSON file, whole or not at all.
+
+    JSON has no numbers that are not finite: they become the strings "NaN", "Infinity" and "-Infinity", which
+    `restored_numbers` turns back.
+
+    Raises:
+        OutputError: the place cannot be written to.
+    """
+    write_text(path, json.dumps(_written_numbers(value), indent=2, allow_nan=False) + "\n")
+
+
+_NOT_FINITE = {"NaN": np.nan, "Infinity": np.inf, "-Infinity": -np.inf}
+
+
+def _written_numbers(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _written_numbers(own) for key, own in value.items()}
+    if isinstance(value, list | tuple):
+        return [_written_numbers(own) for own in value]
+    if isinstance(value, float) and not np.isfinite(value):
+        return "NaN" if np.isnan(value) else "Infinity" if value > 0 else "-Infinity"
+    return value
+
+
+def restored_numbers(value: Any) -> Any:
+    """The content of a JSON file with the numbers that `write_json_file` wrote as strings."""
+    if isinstance(value, dict):
+        return {key: restored_numbers(own) for key, own in value.items()}
+    if isinstance(value, list):
+        return [restored_numbers(own) for own in value]
+    return _NOT_FINITE.get(value, value) if isinstance(value, str) else value
+
+
 def number(cell: str) -> float:
     """The number in a cell, NaN where it is empty or says so; ValueError for anything else, infinity included."""
     text = cell.strip()

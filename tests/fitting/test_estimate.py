@@ -153,6 +153,24 @@ def test_its_file_holds_its_numbers_and_what_follows_from_them(tmp_path):
     assert again.to_dict() == e.to_dict()
 
 
+def test_its_file_is_json_where_numbers_are_not_finite(tmp_path):
+    """JSON has no Infinity: R and JavaScript refuse a file that holds it."""
+
+    def refused(name: str) -> float:
+        raise AssertionError(name)
+
+    unknown = np.diag([1.0, np.inf, 3.0])
+    e = made_estimate(
+        VALUES, covariance=unknown, condition=np.inf, history=[{"best": -np.inf}, {"best": 2.0}], rmse={"X": np.nan}
+    )
+    text = e.save(tmp_path / "fit.json").read_text()
+    assert json.loads(text, parse_constant=refused)["covariance"][1][1] == "Infinity"
+    again = Estimate.load(tmp_path / "fit.json")
+    np.testing.assert_array_equal(again.covariance, unknown)
+    assert (again.condition, again.history) == (np.inf, [{"best": -np.inf}, {"best": 2.0}])
+    assert np.isnan(again.rmse["X"])
+
+
 def test_coordinates_of_points_are_told_in_millimetres():
     """An attachment 1 mm from the middle is as well known as one 20 mm from it."""
     names, values, sd = ("K1", "insertion.y", "insertion.x"), np.array([160.0, 1e-3, -0.02]), [4.0, 4e-4, 6e-4]

@@ -1,7 +1,7 @@
-"""What an effect is: a value with parameters and one method, from the state of the knee to a load on the patella.
+"""Base class of effects: each holds parameters and computes the load on the patella from the state of the knee.
 
-A load is a wrench plus the effect's *stiff terms*: scalar forces along wrench directions with their slopes, which is
-all an implicit step needs to know. Integrators know loads, never effects.
+A load is a wrench plus *stiff terms*: scalar forces along wrench directions, with their derivatives, which is all that
+an implicit step needs. Integrators depend on loads alone, never on the kinds of effects.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     from pftwin.model.effects.line_elements import LineElement
 
 
-@dataclass(frozen=True)  # all instances are equal, so that programs are not compiled again for another
+@dataclass(frozen=True)  # all instances are equal, so that a new instance does not trigger recompilation
 class Ground:
-    """The frame of a fixed femur: the world itself, so every transformation is the identity and leaves no equation."""
+    """The frame of a fixed femur: the world frame. Every transformation is the identity and adds no operation."""
 
     def point(self, p: Vec3) -> Vec3:
         """World coordinates of a point of this frame."""
@@ -36,16 +36,16 @@ class Ground:
     to_local = direction = local_direction = point
 
     def relative_velocity(self, velocity: Vec3, at: Vec3) -> Vec3:
-        """A velocity less that of the frame's own point at world position `at`."""
+        """A world velocity minus that of the frame's material point at world position `at` [m/s]."""
         return velocity
 
     def relative_spin(self, spin: Vec3, axes: Rotation) -> Vec3:
-        """An angular velocity, given in some axes, less that of the frame."""
+        """An angular velocity, expressed in `axes`, minus that of the frame [rad/s]."""
         return spin
 
 
 class Patella(eqx.Module):
-    """The patella at an instant. Points of its frame are given from its centre of mass."""
+    """Pose and velocity of the patella at an instant. Points of its frame are relative to its centre of mass."""
 
     position: Vec3  # of the centre of mass, world [m]
     rotation: Rotation  # patella frame to world
@@ -54,37 +54,37 @@ class Patella(eqx.Module):
 
     @staticmethod
     def at_rest(position: Vec3, orientation: Quaternion) -> Patella:
-        """A patella that does not move."""
+        """A patella with zero velocity and angular velocity."""
         return Patella(position, orientation.rotation(), Vec3.zero(), Vec3.zero())
 
     def arm(self, p: Vec3) -> Vec3:
-        """From the centre of mass to the patella's point p (patella frame), world axes [m]."""
+        """Vector from the centre of mass to the point p (patella frame), in world axes [m]."""
         return self.rotation.apply(p)
 
     def velocity_at(self, arm: Vec3) -> Vec3:
-        """World velocity of the patella's point at `arm` from the centre of mass (world axes)."""
+        """World velocity [m/s] of the patella's point at the offset `arm` [m, world axes] from the centre of mass."""
         return self.velocity + self.rotation.apply(self.spin).cross(arm)
 
 
 class Instant(eqx.Module):
-    """The state of the knee as an effect sees it."""
+    """State of the knee from which an effect computes its load."""
 
     patella: Patella
     femur: Frame | Ground
     tibia: Frame
     time: Scalar | float  # [s]
-    step: Scalar | float  # time until the next load [s], over which memories advance; 0 where nothing advances
-    lookahead: Scalar | float = 0.0  # time from the state that an implicit step starts from to this instant [s]
+    step: Scalar | float  # time until the next load [s], by which memories advance; 0: they do not advance
+    lookahead: Scalar | float = 0.0  # time from the start of an implicit step to this instant [s]
     displacement_gain: Scalar | None = None  # displacement here per change of velocity, if not `lookahead` [s]
-    twist: Twist | None = None  # of the patella at the start of the step, if not that of `patella`
+    twist: Twist | None = None  # twist of the patella at the start of the step, if not that of `patella`
 
     @property
     def ends_a_step(self) -> bool:
-        """Whether this is the end of an implicit step, predicted from its start, rather than an observed instant."""
+        """Whether this is the predicted end of an implicit step rather than an observed instant."""
         return not isinstance(self.lookahead, float)
 
     def turn_in_femur(self) -> Rotation:
-        """Patella frame to the femur's."""
+        """Rotation from the patella frame to the femur frame."""
         axes = self.patella.rotation
         return Rotation(*(self.femur.local_direction(a) for a in (axes.ex, axes.ey, axes.ez)))
 
@@ -99,8 +99,8 @@ class Instant(eqx.Module):
 class StiffTerm(eqx.Module):
     """A scalar force f(s, ds/dt) on the patella along one wrench direction g = (direction, moment).
 
-    s grows as the patella moves against g: ds/dt = -g . twist + the guided bodies' share. Leaves may have a leading
-    axis: a group of like terms.
+    s grows as the patella moves against g: ds/dt = -g . twist + the contribution of the guided bodies' motion. With a
+    leading axis on its leaves, this is a group of terms of one kind.
     """
 
     direction: Vec3  # unit vector of the force, world
@@ -110,7 +110,7 @@ class StiffTerm(eqx.Module):
     stiffness: Scalar  # df/ds [N/m]
     damping: Scalar  # df/d(ds/dt) [N s/m]
     rate: Scalar  # ds/dt [m/s]
-    unilateral: bool = eqx.field(static=True, default=False)  # whether an implicit step has to see that f >= 0
+    unilateral: bool = eqx.field(static=True, default=False)  # whether an implicit step must enforce f >= 0
 
     def wrench(self) -> Wrench:
         """Force in world axes, moment in patella axes; summed over a group."""
@@ -118,11 +118,11 @@ class StiffTerm(eqx.Module):
 
 
 class Drag(eqx.Module):
-    """An isotropic viscous drag on the whole body: force -c_t v, moment -c_r w."""
+    """Isotropic viscous drag on the patella: force -c_t v, moment -c_r w."""
 
     translational: Scalar  # c_t [N s/m]
     rotational: Scalar  # c_r [N m s/rad]
-    velocity: Vec3  # v, of the centre of mass relative to what drags, world [m/s]
+    velocity: Vec3  # v, of the centre of mass relative to the segment that exerts the drag, world [m/s]
     spin: Vec3  # w, relative, patella axes [rad/s]
 
     def wrench(self) -> Wrench:
@@ -135,13 +135,13 @@ class Drag(eqx.Module):
 
 
 class AggregateStiffness(eqx.Module):
-    """The sums over very many stiff terms on one body that a step and the energy budget need.
+    """Sums over many stiff terms, as an implicit step and the energy budget need them.
 
-    With g_i = (direction, moment) of each, forces f_i >= 0 and slopes k_i, and c_i = c k_i.
+    Term i has the wrench direction g_i = (direction, moment), force f_i >= 0, stiffness k_i and damping c_i = c k_i.
     """
 
     force: Array  # (6,) sum f_i g_i: force in world axes, moment about the centre of mass in patella axes [N, N m]
-    elastic: Array  # (6,) the elastic part of it
+    elastic: Array  # (6,) elastic part of `force`
     stiffness: Array  # (6, 6) sum k_i g_i g_i^T
     damping_time: Scalar | float  # c [s]
     size: Scalar  # sum f_i [N]
@@ -153,7 +153,7 @@ class AggregateStiffness(eqx.Module):
         return Wrench(Vec3.from_array(self.force[:3]), Vec3.from_array(self.force[3:]))
 
     def slope(self, step: Scalar) -> Array:
-        """(6, 6): what the wrench loses per unit of twist over a step."""
+        """(6, 6): decrease of the wrench per unit of twist over a step [s]."""
         return (step + self.damping_time) * self.stiffness
 
     def dissipation(self) -> Scalar:
@@ -163,22 +163,22 @@ class AggregateStiffness(eqx.Module):
 
 
 class Load(NamedTuple):
-    """What an effect does to the patella at an instant."""
+    """Load of an effect on the patella at an instant."""
 
     stiff: tuple[StiffTerm, ...] = ()
     bed: AggregateStiffness | None = None
     drag: Drag | None = None
-    wrench: Wrench | None = None  # everything that is not stiff; axes as in `total`
+    wrench: Wrench | None = None  # sum of the non-stiff parts; axes as in `total`
     energy: Scalar | None = None  # stored [J]
-    heat: Scalar | None = None  # dissipated inside the effect, beside what stiff terms and drag dissipate [W]
+    heat: Scalar | None = None  # power dissipated inside the effect, in addition to stiff terms and drag [W]
 
     def total(self) -> Wrench:
-        """The whole wrench, stiff terms and drag included: force in world axes, moment in patella axes."""
+        """Total wrench, including stiff terms and drag: force in world axes, moment in patella axes."""
         parts = [part.wrench() for part in (self.drag, self.bed, *self.stiff) if part is not None]
         return sum(parts, start=Wrench.zero() if self.wrench is None else self.wrench)
 
     def power(self, patella: Patella) -> Scalar:
-        """Rate of work done on the patella [W]."""
+        """Power of the load on the patella [W]."""
         w = self.total()
         return w.force.dot(patella.velocity) + w.moment.dot(patella.spin)
 
@@ -197,7 +197,7 @@ class Observable(NamedTuple):
 
 
 class Reported(NamedTuple):
-    """What one effect reports: a number a frame that may be measured too."""
+    """An observable of a named effect: a quantity with one value per frame, which may also be measured."""
 
     effect: str
     key: str
@@ -206,10 +206,10 @@ class Reported(NamedTuple):
 
     @staticmethod
     def of(name: str, known: Mapping[str, Mapping[str, Observable]], where: str) -> Reported:
-        """By "EFFECT.OBSERVABLE", among all observables of a scene's effects.
+        """Looks up "EFFECT.OBSERVABLE" in `known`, the observables of a scene's effects by effect name.
 
         Raises:
-            InputError: no such effect, or one that does not report this.
+            InputError: there is no such effect, or it does not report this observable.
         """
         owner, _, key = name.rpartition(".")
         if key in known.get(owner, {}):
@@ -220,22 +220,22 @@ class Reported(NamedTuple):
 
 
 class Change(NamedTuple):
-    """An effect with one of its features changed, for studies of what that feature is worth."""
+    """An effect with one feature changed, for studies of the effect of that feature on the result."""
 
-    label: str  # the feature: changes with one label are made in all effects at once
-    effect: Effect  # with the change
-    how: str  # in words
-    memory: Callable[[Any], Any] | None = None  # converts the unchanged effect's memory, where the two differ
+    label: str  # the feature: changes with the same label are applied to all effects together
+    effect: Effect  # the changed effect
+    how: str  # description of the change
+    memory: Callable[[Any], Any] | None = None  # converts the unchanged effect's memory; None: both are the same
 
 
 class Effect(eqx.Module):
-    """Base of all effects. `name` tells effects of one kind apart in results and scene files."""
+    """Base class of all effects. `name` identifies the effect in results and scene files."""
 
     name: str = eqx.field(static=True, kw_only=True)
     observables: ClassVar[dict[str, Observable]] = {}
-    jumps: ClassVar[bool] = False  # whether the force jumps as the pose changes: then there need be no equilibrium
-    is_weight: ClassVar[bool] = False  # whether it is the patella's weight
-    in_turns: ClassVar[bool] = False  # whether the members of a batch search for it one after another on a CPU
+    jumps: ClassVar[bool] = False  # whether the force is discontinuous in the pose, so that equilibrium may not exist
+    is_weight: ClassVar[bool] = False  # whether the effect is the patella's weight
+    in_turns: ClassVar[bool] = False  # whether its search runs for the variants of a batch one at a time on a CPU
 
     def __init_subclass__(cls, **more: Any) -> None:
         super().__init_subclass__(**more)
@@ -244,54 +244,54 @@ class Effect(eqx.Module):
 
     @abstractmethod
     def load(self, now: Instant, memory: Any) -> tuple[Load, Any]:
-        """The load at an instant, and the memory that goes on to the next step (None for most)."""
+        """Returns the load at an instant, and the memory for the next step (None for most effects)."""
 
     def remember(self, now: Instant) -> Any:
-        """The memory to start with; None for an effect that remembers nothing."""
+        """Initial memory; None for an effect without memory."""
         return None
 
     def guess(self, now: Instant) -> Any:
-        """A rough first memory that a few loads at rest correct: cheaper to compile than `remember`."""
+        """Rough initial memory, which a few loads at rest then correct; cheaper to compile than `remember`."""
         return self.remember(now)
 
     def refined(self, memory: Any, trial: Any) -> Any:
-        """A memory with the places that a load at a trial pose has improved, but without its history."""
+        """`memory` with the contact points of `trial`, the memory after a load at a trial pose, but not its history."""
         return memory
 
     def observe(self, now: Instant, memory: Any) -> dict[str, Scalar]:
-        """What a result shows of this effect, by the names in `observables`."""
+        """Values of the observables, keyed by the names in `observables`."""
         return {}
 
     def report(self, now: Instant, memory: Any) -> tuple[dict[str, Scalar], Scalar | None]:
-        """What `observe` shows, and the energy stored. Override it where both are computed at once."""
+        """Returns the values of `observe` and the stored energy [J]. Override it where one computation gives both."""
         return self.observe(now, memory), self.load(now, memory)[0].energy
 
     def line_element(self) -> LineElement | None:
-        """The effect as a line of force that pulls at the patella; None for all others."""
+        """This effect if it is a line of force that pulls at the patella, else None."""
         return None
 
     def contact_role(self) -> Contact | None:
-        """The effect as the contact between button and femur that results follow; None for all others."""
+        """This effect if it is the contact between button and femur that results report, else None."""
         return None
 
     def quantities(self) -> dict[str, Quantity]:
-        """What is declared of its numbers: unit, bounds and short name, by the names of fields, dotted below them."""
+        """Unit, bounds and short name of each parameter, keyed by field name, with dots for nested fields."""
         return {".".join(d.path): d.quantity for d in declarations(self) if d.quantity is not None}
 
     def simplifications(self) -> Iterable[Change]:
-        """The effect without one of its features: its damping, its friction, its toe region."""
+        """Variants of the effect, each without one feature, e.g. its damping, friction or toe region."""
         return ()
 
     def elaborations(self) -> Iterable[Change]:
-        """The effect with a feature that it lacks, with values from the literature."""
+        """Variants of the effect, each with one additional feature, whose parameters are from the literature."""
         return ()
 
     def in_still_femur(self, femur: SegmentMotion) -> Effect | None:
-        """The effect where a moving femur's frame is treated as inertial; None if it has no meaning there."""
+        """The equivalent effect where a moving femur's frame is treated as inertial; None if there is none."""
         return self
 
     def recentred(self, center_of_mass: Vec3) -> Effect:
-        """The same effect with patella points given from the centre of mass, ready for the time loop."""
+        """The effect with patella points relative to the centre of mass, prepared for the time loop."""
         return self
 
 

@@ -1,4 +1,4 @@
-"""Contact between the patella's button and the femur: its interface, and what its kinds share."""
+"""Base classes and shared functions for contact between the patella's button and the femur."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from pftwin.model.effects.friction import Friction
 
 FACETS = ("medial", "lateral")
-FORCE = {  # what every contact reports of its force
+FORCE = {  # observables of the force, reported by every contact
     "force": Observable("N", "total normal contact force, sum over the facets"),
     "force_medial": Observable("N", "normal force on the medial contact"),
     "force_lateral": Observable("N", "normal force on the lateral contact"),
@@ -35,76 +35,76 @@ BY_FACET = FORCE | {f"indentation_{f}": Observable("m", f"indentation at the {f}
 
 
 class Contact(Effect):
-    """A contact that results follow. It reports what `FORCE` lists, for the medial and the lateral facet.
+    """Base class of contacts between button and femur. It reports the observables in `FORCE` for both facets.
 
-    Points are NaN where nothing touches. An indentation is reported as `indentation_medial` and `indentation_lateral`
-    where there is one for each facet.
+    Points are NaN where there is no contact. Contacts with one indentation per facet also report
+    `indentation_medial` and `indentation_lateral`.
     """
 
     name: str = eqx.field(static=True, kw_only=True, default="contact")
-    method: ClassVar[str] = ""  # how contact is found, in a word; empty where the surface's name implies it
+    method: ClassVar[str] = ""  # name of the contact search; empty where the surface's type implies it
 
     def contact_role(self) -> Contact:
-        """Itself."""
+        """This contact."""
         return self
 
     def observe(self, now: Instant, memory: Any) -> dict[str, Any]:
-        """What `report` shows."""
+        """The observables of `report`."""
         return self.report(now, memory)[0]
 
     @abstractmethod
     def report(self, now: Instant, memory: Any) -> tuple[dict[str, Any], Scalar | None]:
-        """See `Effect`: what is shown of a contact and its energy come from one search."""
+        """See `Effect`. Observables and energy come from one contact search."""
 
     def standing_load(self, now: Instant, memory: Any) -> Load:
-        """The load at an observed instant, by the contacts that `report` shows."""
+        """The load at an observed instant, from the contacts that `report` lists."""
         return self.load(now, memory)[0]
 
     @abstractmethod
     def tracked_point(self) -> Vec3:
-        """The point of the patella whose path results show: the middle of the button's sphere, patella frame [m]."""
+        """Point of the patella whose path results show: the centre of the button's sphere, patella frame [m]."""
 
     @abstractmethod
     def with_button_moved(self, by: Vec3) -> Self:
-        """The contact with its button moved on the patella, along the patella's axes [m]."""
+        """The contact with its button translated on the patella by a vector in patella axes [m]."""
 
     @abstractmethod
     def button_radius(self) -> Scalar:
-        """Of the button's sphere; of a mesh, half its largest extent [m]. A step may not leap over a part of it."""
+        """Radius of the button's sphere, or half the largest extent of its mesh [m]; longest steps scale with it."""
 
     def groove_surface(self) -> Surface | None:
-        """A smooth surface that tells where the groove is: the contact's own, or a stand-in; None without any."""
+        """Smooth surface that defines the groove: the contact surface or a substitute for it; None if there is none."""
         return None
 
     def normal_law(self) -> ContactLaw | None:
-        """The law from indentation and its rate to a force; None where there is none of a single force."""
+        """Law of the force as a function of indentation and its rate; None if contact is not a single force."""
         return None
 
     def fitted_surface(self) -> Surface | None:
-        """The smooth surface that the button touches; None where it touches a mesh."""
+        """Smooth surface of the femur in this contact; None if the femur is a mesh."""
         return None
 
     def with_fitted_surface(self, surface: Surface) -> Self:
-        """The contact with another surface in place of `fitted_surface`."""
+        """The contact with `surface` in place of `fitted_surface`."""
         raise NotImplementedError(f"{type(self).__name__} has no fitted surface")
 
     def femur_triangles(self) -> Array | None:
-        """Corners (n, 9) of the femur's triangles, femur frame [m]; None where it is no mesh. Some may be copies."""
+        """Corners (n, 9) of the femur's triangles, femur frame [m], possibly with duplicates; None if it is no mesh."""
         return None
 
     def pressure(self, depth: Scalar) -> Scalar | None:
-        """Pressure [Pa] where surfaces at rest overlap by a depth [m] of any shape; None of a law of whole contacts."""
+        """Static pressure [Pa] at overlap depths [m] (any shape); None if the law gives a force per contact instead."""
         return None
 
     def button_triangles(self) -> Array | None:
-        """Corners (n, 9) of the button's triangles from `tracked_point`, patella axes [m]; None of a sphere."""
+        """Corners (n, 9) of the button's triangles from `tracked_point`, patella axes [m]; None for a sphere."""
         return None
 
     def with_friction(self, friction: Friction) -> Contact:
-        """The same contact with friction; one that has friction already gets this one.
+        """The contact with friction, which replaces any friction that it has.
 
         Raises:
-            InputError: a contact that has no single normal and point for each force.
+            InputError: the contact's forces have no single normal and point each.
         """
         raise InputError(
             f"friction for {self.name!r} ({type(self).__name__})",
@@ -117,11 +117,11 @@ P = TypeVar("P", bound="ClosestPoint | FacetPoint")
 
 
 class ContactPush(NamedTuple):
-    """A contact's force, and what it remembers."""
+    """Normal force of a contact, and its memory."""
 
     term: StiffTerm
     energy: Scalar  # stored [J]
-    approach_speed: Scalar | None  # at the moment the contact began, 0 while apart [m/s]; None: the law forgets
+    approach_speed: Scalar | None  # when the contact began, 0 without contact [m/s]; None: not used by the law
 
 
 def force_along(
@@ -135,22 +135,22 @@ def force_along(
     share: Scalar | float,
     stored: Scalar | float | None = None,
 ) -> ContactPush:
-    """A law's force along a direction.
+    """Normal force of a contact law, along a direction.
 
     Args:
         law, now: the normal contact law, and the instant.
-        indentation, rate: [m], [m/s].
-        direction, moment: of a unit force on the patella: world axes, and patella axes about the centre of mass [m].
-        approach_speed: `ContactPush.approach_speed` of the last load.
-        share: of the law's force that this contact bears.
-        stored: of the law's energy that this contact stores; by default as much.
+        indentation, rate: indentation [m] and its rate [m/s].
+        direction, moment: unit force on the patella, world axes; its moment about the centre of mass, patella axes [m].
+        approach_speed: `ContactPush.approach_speed` of the last load [m/s].
+        share: fraction of the law's force that this contact bears.
+        stored: fraction of the law's energy that this contact stores; `share` by default.
     """
     if approach_speed is not None:
         begun = jnp.where(approach_speed > 0, approach_speed, jnp.maximum(rate, 1e-12))
         approach_speed = jnp.where(indentation > 0, begun, 0.0)
-    # Sliding along a curve, a tangent leads off the surface: linearised about the deeper of where the step starts
-    # and where it leads, contact does not open and close from step to step.
-    # The viscous part is left to the step as well, which sees that the force does not pull.
+    # When the button slides along a curved surface, extrapolation along the tangent leaves the surface. Linearising
+    # about the deeper of the step's start and its predicted end keeps contact from opening and closing at every step.
+    # The implicit step also adds the viscous part, and keeps the force from pulling.
     if not now.ends_a_step:
         force = law.force(indentation, rate, approach_speed)
     else:
@@ -164,25 +164,25 @@ def force_along(
 
 
 def load_of(pushes: Sequence[ContactPush]) -> tuple[Load, Speeds]:
-    """A stiff term for each contact, and the approach speeds to remember."""
+    """Returns the load, with one stiff term per contact, and the approach speeds for the memory [m/s]."""
     energy = sum((p.energy for p in pushes[1:]), start=pushes[0].energy)
     speeds = tuple(p.approach_speed for p in pushes if p.approach_speed is not None)
     return Load(stiff=tuple(p.term for p in pushes), energy=energy), speeds or None
 
 
 def vector_sum(vectors: Sequence[Vec3]) -> Vec3:
-    """The sum, of the vectors' own float type."""
+    """Sum of one or more vectors, in their float type."""
     return sum(vectors[1:], start=vectors[0])
 
 
 def facet_report(
     total: Vec3, forces: Sequence[Scalar], indentations: Sequence[Scalar], points: Sequence[Array]
 ) -> dict[str, Any]:
-    """What `BY_FACET` lists. A mesh of one facet calls it medial; the other one reports no force and NaN.
+    """The observables in `BY_FACET`. A single facet counts as medial; lateral then reports zero force and NaN.
 
     Args:
         total: contact force on the patella, femur axes [N].
-        forces, indentations, points: of each facet [N], [m] and (3,) in the femur's frame [m].
+        forces, indentations, points: per facet: [N], [m], and (3,) in the femur frame [m].
     """
     report: dict[str, Any] = {"force": sum(forces[1:], start=forces[0])}
     report |= {"force_x": total.x, "force_y": total.y, "force_z": total.z}
@@ -195,27 +195,27 @@ def facet_report(
 
 
 class Touch(NamedTuple, Generic[P]):
-    """A sphere at one nearest point of the femur."""
+    """Contact of a sphere at one nearest point of the femur."""
 
     at: P
     indentation: Scalar  # [m]
-    share: Scalar  # share of the law's force: 1, less where two contacts overlap, 0 for no contact
+    share: Scalar  # fraction of the law's force: 1, less where two contacts overlap, 0 for no contact
     push: ContactPush
 
 
 class FixedButton(Contact):
     """A contact whose button is fixed in the patella, at the field that `tracked_point` returns.
 
-    Subclasses declare a `surface`, that of the femur or a smooth stand-in that tells where the groove is.
+    Subclasses declare a `surface`: that of the femur, or a smooth substitute that defines the groove.
     """
 
-    if TYPE_CHECKING:  # fields of the subclasses, in their own order
+    if TYPE_CHECKING:  # fields of the subclasses, whose order differs between them
 
         @property
         def surface(self) -> Surface | None: ...  # noqa: D102
 
     def groove_surface(self) -> Surface | None:
-        """The surface, or its stand-in."""
+        """The field `surface`."""
         return self.surface
 
     def with_button_moved(self, by: Vec3) -> Self:
@@ -223,17 +223,17 @@ class FixedButton(Contact):
         return eqx.tree_at(lambda e: e.tracked_point(), self, self.tracked_point() + by)
 
     def recentred(self, center_of_mass: Vec3) -> Self:
-        """The button's place counted from the centre of mass."""
+        """The contact with the button's position relative to the centre of mass."""
         return self.with_button_moved(-center_of_mass)
 
 
 class ButtonSphere(FixedButton):
     """A contact whose button is a sphere fixed in the patella: `center` in its frame and `radius` [m].
 
-    Subclasses declare these and a `law`.
+    Subclasses declare these fields and a `law`.
     """
 
-    if TYPE_CHECKING:  # fields of the subclasses, in their own order
+    if TYPE_CHECKING:  # fields of the subclasses, whose order differs between them
 
         @property
         def law(self) -> ContactLaw: ...  # noqa: D102
@@ -243,7 +243,7 @@ class ButtonSphere(FixedButton):
         def radius(self) -> Scalar: ...  # noqa: D102
 
     def centre_in_femur(self, now: Instant) -> tuple[Vec3, Vec3]:
-        """The sphere's centre in the femur's frame and its velocity relative to it, femur axes [m], [m/s]."""
+        """The sphere's centre in the femur frame [m], and its velocity relative to the femur, femur axes [m/s]."""
         patella, femur = now.patella, now.femur
         arm = patella.arm(self.center)
         centre = patella.position + arm
@@ -260,7 +260,7 @@ class ButtonSphere(FixedButton):
         share: Scalar | float,
         stored: Scalar | float | None = None,
     ) -> ContactPush:
-        """The law's force along a normal of the femur (femur axes): see `force_along`."""
+        """Normal force along `normal` (femur axes): see `force_along`."""
         world = now.femur.direction(normal)
         moment = applied_at(self.center, now.patella, world)
         return force_along(self.law, now, indentation, rate, world, moment, approach_speed, share, stored)
@@ -275,7 +275,7 @@ class ButtonSphere(FixedButton):
         share: Scalar,
         stored: Scalar | None = None,
     ) -> Touch[P]:
-        """The law's force at a nearest point; the normal is in the femur's axes, `rate` that of the indentation."""
+        """Contact at a nearest point `at`; `normal` in femur axes, `rate` of the indentation [m/s]."""
         indentation = self.radius - at.distance
         push = self.push(now, normal, indentation, rate, approach_speed, share, stored)
         return Touch(at, indentation, share, push)
@@ -289,20 +289,20 @@ class ButtonSphere(FixedButton):
         return self.center
 
     def button_radius(self) -> Scalar:
-        """The sphere's."""
+        """Radius of the sphere [m]."""
         return self.radius
 
 
 class ButtonMesh(FixedButton):
-    """A contact whose button is a mesh fixed in the patella: its `origin` there [m], axes parallel to the patella's."""
+    """A contact whose button is a mesh fixed in the patella, at `origin` [m], with axes parallel to the patella's."""
 
     in_turns: ClassVar[bool] = True
 
-    if TYPE_CHECKING:  # fields of the subclasses, in their own order
+    if TYPE_CHECKING:  # fields of the subclasses, whose order differs between them
 
         @property
         def origin(self) -> Vec3: ...  # noqa: D102
 
     def tracked_point(self) -> Vec3:
-        """The origin of the button's mesh: the middle of a sphere."""
+        """Origin of the button's mesh, patella frame [m]; for a spherical button, its centre."""
         return self.origin

@@ -1,6 +1,6 @@
-"""Normal contact laws, free of geometry: from indentation and its rate to a force, its slopes and its energy.
+"""Normal contact laws: force, its derivatives and energy as functions of indentation and its rate.
 
-Each law is F = k d^p (1 + x dd/dt), never negative. They differ in the damping x:
+Each law is F = k d^p (1 + x dd/dt), at least 0. The laws differ in the damping factor x:
 
 | law | x | source |
 |---|---|---|
@@ -8,8 +8,8 @@ Each law is F = k d^p (1 + x dd/dt), never negative. They differ in the damping 
 | HuntCrossley | 3/2 alpha | Hunt & Crossley 1975 |
 | Flores | 8 (1 - e) / (5 e v0) | Flores et al. 2011; Michaud et al. 2024, eq. 2 |
 
-where v0 is the approach speed at the moment contact began: the Flores law remembers. As v0 tends to 0 (slow touch) its
-damping would grow without bound, so v0 is held above `approach_speed_floor`.
+where v0 is the approach speed when contact began, which the Flores law keeps in memory. As v0 tends to 0, its damping
+would grow without bound, so v0 is at least `approach_speed_floor`.
 """
 
 from __future__ import annotations
@@ -24,21 +24,21 @@ from pftwin.base.quantities import quantity
 from pftwin.base.spatial import Scalar, safe_sqrt
 
 SLOW = 0.01  # [m/s]
-Speeds = tuple[Scalar, ...] | None  # each contact's approach speed when it began, 0 while apart [m/s]
+Speeds = tuple[Scalar, ...] | None  # approach speed of each contact when it began, 0 without contact [m/s]
 
 
 class ContactForce(NamedTuple):
-    """A contact law's answer at one indentation and rate."""
+    """Force of a contact law at one indentation and rate."""
 
     total: Scalar  # force, elastic and viscous, at least 0 [N]
-    elastic: Scalar  # its elastic part [N]
+    elastic: Scalar  # elastic part of `total` [N]
     stiffness: Scalar  # dF/dd [N/m]
     damping: Scalar  # dF/d(dd/dt) [N s/m]
     energy: Scalar  # stored [J]
 
 
 def _power(d: Scalar, exponent: Scalar | float) -> Scalar:
-    """d^exponent for d >= 0; the common exponents avoid the transcendental functions."""
+    """d^exponent for d >= 0, without transcendental functions for common exponents."""
     if isinstance(exponent, int | float):
         if exponent == 0:
             return jnp.where(d > 0, jnp.ones_like(d), 0.0)
@@ -51,8 +51,8 @@ def _power(d: Scalar, exponent: Scalar | float) -> Scalar:
 
 
 class ContactLaw(eqx.Module):
-    """A law F = k d^p (1 + x dd/dt) with k in N/m^p. Give p as a Python number where it is not to be varied: 1, 1.5
-    and 2 then compile to a product or a square root.
+    """Base class of laws F = k d^p (1 + x dd/dt), with k in N/m^p. Pass p as a Python number if it does not vary: 1,
+    1.5 and 2 then compile to a product or a square root.
     """
 
     contact_stiffness: Scalar = eqx.field(
@@ -64,26 +64,26 @@ class ContactLaw(eqx.Module):
     remembers_approach: ClassVar[bool] = False
 
     def slow_approach(self) -> float:
-        """Up to this speed an approach is too slow for its restitution to matter [m/s]."""
+        """Approach speed up to which restitution does not matter [m/s]."""
         return SLOW
 
     @abstractmethod
     def damping_factor(self, approach_speed: Scalar | None) -> Scalar | None:
-        """The factor x [s/m]; None where the law has no damping."""
+        """Damping factor x [s/m]; None if the law has no damping."""
 
     def no_contact_yet(self, like: Scalar, contacts: int) -> Speeds:
-        """The memory before anything has touched, in the float type of `like`."""
+        """Memory of `contacts` contacts before any has begun, in the float type of `like`."""
         return (jnp.zeros_like(like),) * contacts if self.remembers_approach else None
 
     def elastic_ratio(self, indentation_ratio: Scalar) -> Scalar:
-        """The elastic force at an indentation by that at another one, from their ratio; 0 where that is negative."""
+        """Ratio of the elastic forces at two indentations from the ratio of the indentations; 0 where that is < 0."""
         ratio = jnp.where(indentation_ratio > 0, indentation_ratio, 0.0)
         return ratio * _power(ratio, self.hertz_exponent - 1)
 
     def force(self, indentation: Scalar, rate: Scalar, approach_speed: Scalar | None = None) -> ContactForce:
-        """Force and slopes at an indentation [m] and its rate [m/s].
+        """Force and its derivatives at an indentation [m] and its rate [m/s].
 
-        Where indentation is at most 0 all are 0. `approach_speed` [m/s] is needed by laws that remember it.
+        All are 0 where the indentation is at most 0. Laws with `remembers_approach` need `approach_speed` [m/s].
         """
         d = jnp.where(indentation > 0, indentation, 0.0)
         root = _power(d, self.hertz_exponent - 1)
@@ -100,7 +100,7 @@ class ContactLaw(eqx.Module):
 
 
 class Hertz(ContactLaw):
-    """Elastic contact without loss: F = k d^p."""
+    """Elastic contact without dissipation: F = k d^p."""
 
     def damping_factor(self, approach_speed: Scalar | None) -> None:
         """No damping."""
@@ -108,7 +108,7 @@ class Hertz(ContactLaw):
 
 
 class HuntCrossley(ContactLaw):
-    """F = k d^p (1 + 3/2 alpha dd/dt), with alpha in s/m (restitution about 1 - alpha v0 for slow impacts)."""
+    """F = k d^p (1 + 3/2 alpha dd/dt), with alpha in s/m (restitution of about 1 - alpha v0 in slow impacts)."""
 
     dissipation: Scalar = eqx.field(metadata=quantity("s/m", at_least=0))  # alpha
 
@@ -120,7 +120,7 @@ class HuntCrossley(ContactLaw):
 class Flores(ContactLaw):
     """F = k d^p (1 + 8 (1 - e) / (5 e) (dd/dt) / v0), v0 the approach speed when contact began, at least the floor."""
 
-    # e: above 1 bounces would grow
+    # e: above 1, bounces would grow
     restitution: Scalar = eqx.field(
         metadata=quantity("", positive=True, at_most=1.0, words="coefficient of restitution")
     )
@@ -130,7 +130,7 @@ class Flores(ContactLaw):
     remembers_approach: ClassVar[bool] = True
 
     def slow_approach(self) -> float:
-        """The floor: below it the damping is that of the floor, and the restitution nearer to 1."""
+        """The floor of v0: slower approaches get its damping, and their restitution is closer to 1."""
         return float(self.approach_speed_floor)
 
     def damping_factor(self, approach_speed: Scalar | None) -> Scalar:

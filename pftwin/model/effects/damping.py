@@ -21,12 +21,12 @@ class LinearDamping(Effect):
     name: str = eqx.field(static=True, kw_only=True, default="damping")
 
     def load(self, now: Instant, memory: Any) -> tuple[Load, Any]:
-        """The drag."""
+        """See `Effect`: the drag."""
         segment, patella = now.segment(self.body), now.patella
         velocity = segment.relative_velocity(patella.velocity, patella.position)
         spin = segment.relative_spin(patella.spin, patella.rotation)
         return Load(drag=Drag(self.translational, self.rotational, velocity, spin)), memory
 
     def in_still_femur(self, femur: SegmentMotion) -> LinearDamping | None:
-        """None if it drags against the ground, which would then move."""
+        """See `Effect`; None for damping relative to the ground, which moves in the femur's frame."""
         return None if self.body == "ground" else self

@@ -1,10 +1,10 @@
-r"""The button's mesh on the femur's mesh, each with an elastic layer: pressure on every triangle that is in contact.
+r"""Elastic foundation contact between the meshes of button and femur, with a pressure on every triangle in contact.
 
-A triangle whose centroid is d deep pushes with A p(d) along the femur's normal there, n; A is its area projected along
-n. The forces have the potential sum_i A_i w(d_i), with w the law's energy per area, to which a moment w dA/dangle
-belongs: see docs/mesh_contact.md. (Where the nearest place is an edge, n turns with the point, too; that is not
-counted.) Friction there is none. Source: Bei and Fregly 2004, Med Eng Phys 26:777; see
-`pftwin.model.effects.foundation_law`. How triangles and depths are found: `pftwin.geometry.contact.depths`.
+A triangle whose centroid is at depth d exerts the force A p(d) along the femur's normal n there, where A is its area
+projected along n. The forces derive from the potential sum_i A_i w(d_i), with w the law's energy per area, which adds
+a moment w dA/dangle: see docs/mesh_contact.md. (Where the nearest point is on an edge, n also turns with the centroid;
+this is neglected.) There is no friction. Source: Bei and Fregly 2004, Med Eng Phys 26:777; see
+`pftwin.model.effects.foundation_law`. The search for triangles and depths is in `pftwin.geometry.contact.depths`.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ from pftwin.model.effects.foundation_sums import Bedded, Pressures, triangle_sum
 
 
 class ElasticFoundation(ButtonMesh):
-    """Two meshes with a layered elastic foundation between them.
+    """Contact between two meshes with an elastic layer on each.
 
-    A triangle of the button bears p(d) + c p'(d) dd/dt, never below 0, with c a `damping_time` [s]. They are summed
-    into one aggregate stiffness.
+    A triangle of the button bears the pressure p(d) + c p'(d) dd/dt, at least 0, with c the `damping_time` [s]. The
+    load is their sum, as one aggregate stiffness.
     """
 
     femur: PressedSurface | DistanceGrid  # in the femur's frame
@@ -42,8 +42,8 @@ class ElasticFoundation(ButtonMesh):
     law: FoundationLaw
     origin: Vec3 = eqx.field(metadata=quantity("m", frame="patella"))  # of the button's mesh, axes parallel
     damping_time: Scalar | float = eqx.field(default=0.0, metadata=quantity("s", at_least=0))  # c
-    surface: Surface | None = None  # a smooth stand-in that tells where the groove is: for results alone
-    placement: Vec3 = eqx.field(  # of the mesh beside its origin: bones and cartilage are registered to each other
+    surface: Surface | None = None  # smooth substitute that defines the groove, used only for results
+    placement: Vec3 = eqx.field(  # offset of the mesh from `origin`: bone and cartilage are registered to each other
         default_factory=Vec3.zero, metadata=quantity("m", frame="patella")
     )
     method: ClassVar[str] = "foundation"
@@ -63,7 +63,7 @@ class ElasticFoundation(ButtonMesh):
     }
 
     def pressed(self, now: Instant) -> Bedded:
-        """The button's place in the femur, and the motion of both."""
+        """The button and the femur's surface with their relative pose and motion, for `triangle_sums`."""
         patella, femur = now.patella, now.femur
         velocity = femur.relative_velocity(patella.velocity, patella.position)
         spin = femur.relative_spin(patella.spin, patella.rotation)
@@ -81,7 +81,7 @@ class ElasticFoundation(ButtonMesh):
         )
 
     def load(self, now: Instant, memory: Any) -> tuple[Load, Any]:
-        """The forces of all triangles, as one aggregate stiffness."""
+        """See `Effect`: the forces of all triangles, as one aggregate stiffness."""
         at = self.pressed(now)
         found = triangle_sums(at)[0]
         velocity, spin = Vec3.from_array(at.twist[:3]), Vec3.from_array(at.twist[3:])
@@ -91,13 +91,13 @@ class ElasticFoundation(ButtonMesh):
         return Load(bed=bed, energy=found.energy), memory
 
     def report(self, now: Instant, memory: Any) -> tuple[dict[str, Scalar], Scalar]:
-        """Force, area, pressures, and where they press; NaN where nothing is in contact and they have no meaning."""
+        """See `Effect`: force, area, pressures and centres of pressure; values undefined without contact are NaN."""
         at = self.pressed(now)
         forces, p = triangle_sums(at)
         push = Vec3.from_array(jnp.sum(p.facets, axis=0))
         borne = jnp.sum(p.borne)
         some = borne > 0
-        too_deep = (p.deepest > DEEPEST) | self._swallowed(at, p)
+        too_deep = (p.deepest > DEEPEST) | self._enclosed(at, p)
         report = {
             "force": push.norm(),
             "force_x": push.x,
@@ -110,20 +110,20 @@ class ElasticFoundation(ButtonMesh):
             "indentation": jnp.where(p.deepest > 0, p.deepest, jnp.nan),
             "too_deep": too_deep.astype(p.deepest.dtype),
         }
-        for k, facet in enumerate(FACETS):  # a mesh of one facet calls it medial
+        for k, facet in enumerate(FACETS):  # a single facet counts as medial
             loaded = p.borne[k] > 0
             report[f"force_{facet}"] = Vec3.from_array(p.facets[k]).norm()
             report[f"point_{facet}"] = jnp.where(loaded, p.moment[k] / jnp.where(loaded, p.borne[k], 1.0), jnp.nan)
         return report, forces.energy
 
-    def _swallowed(self, at: Bedded, found: Pressures) -> Array:
-        """Whether the button is deeper than the search reaches: no triangle in contact, but some behind the surface."""
+    def _enclosed(self, at: Bedded, found: Pressures) -> Array:
+        """Whether the button is too deep for the search: no triangle is in contact, but one is behind the surface."""
         middle = at.position + at.rotation.apply(centroid(Triangle.of_rows(self.button.corners[0])))
         femur = self.femur.exact
         return behind(femur.corners, femur.triangle, femur.rim_edges(), middle, found.area == 0).there
 
     def button_radius(self) -> Scalar:
-        """Half the largest extent of the button's mesh."""
+        """Half the largest extent of the button's mesh [m]."""
         return half_extent(self.button.mesh)
 
     def pressure(self, depth: Scalar) -> Scalar:

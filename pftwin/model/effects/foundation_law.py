@@ -1,14 +1,14 @@
-r"""Elastic layers on a rigid backing: pressure, its slope and energy per area from depth. Free of geometry.
+r"""Elastic foundation laws: pressure, its derivative and energy per area as functions of depth.
 
-An elastic foundation is a bed of independent springs. A thin layer of modulus E, Poisson ratio nu
-and thickness h, bonded to a rigid backing, is confined: with K = E (1 - nu) / ((1 + nu) (1 - 2 nu)) it bears
+An elastic foundation is a bed of independent springs. A thin layer of modulus E, Poisson ratio nu and thickness h,
+bonded to a rigid backing, is confined. With the confined modulus K = E (1 - nu) / ((1 + nu) (1 - 2 nu)) it bears
 
 | law | pressure of one layer at depth d | |
 |---|---|---|
 | LinearFoundation | K d / h | small strains |
 | LogarithmicFoundation | -K ln(1 - d / h) | stiffens towards d = h |
 
-Two layers that press on each other, one on each body, bear the same pressure and share the depth. Sources: Bei and
+Two layers in contact, one on each body, bear the same pressure, and their depths add up. Sources: Bei and
 Fregly 2004, Med Eng Phys 26:777; for two layers Smith, Choi, Negrut and Thelen 2018, Comput Methods Biomech Biomed
 Eng Imaging Vis 6:491.
 """
@@ -28,9 +28,9 @@ from pftwin.base.errors import InputError
 from pftwin.base.quantities import quantity
 from pftwin.base.spatial import Scalar
 
-SQUEEZED = 0.95  # share of both thicknesses beyond which the logarithmic law follows its tangent, to stay finite
-_MOST_STEPS = 40  # equal layers take 1, moduli a factor of 1000 apart at most 12
-_CONVERGED = 1e4  # multiples of rounding: the last step squares the remaining error
+SQUEEZED = 0.95  # fraction of the total thickness beyond which the logarithmic law follows its tangent, to stay finite
+_MOST_STEPS = 40  # equal layers take 1 step, moduli that differ by a factor of 1000 at most 12
+_CONVERGED = 1e4  # tolerance in units of machine epsilon, as one more step squares the remaining error
 
 
 class Layer(eqx.Module):
@@ -41,12 +41,12 @@ class Layer(eqx.Module):
     thickness: Scalar = eqx.field(metadata=quantity("m", positive=True))  # h
 
     def confined_modulus(self) -> Scalar:
-        """K [Pa]: stress over strain where the layer cannot expand sideways."""
+        """K [Pa]: ratio of stress to strain without lateral expansion."""
         return self.modulus * (1 - self.poisson) / ((1 + self.poisson) * (1 - 2 * self.poisson))
 
 
 class FoundationPressure(NamedTuple):
-    """A law's answer at a depth."""
+    """Pressure of a foundation law at a depth."""
 
     pressure: Scalar  # p, at least 0 [Pa]
     slope: Scalar  # dp/dd [Pa/m]
@@ -54,24 +54,24 @@ class FoundationPressure(NamedTuple):
 
 
 class FoundationLaw(eqx.Module):
-    """Two layers in series, each on its body."""
+    """Base class of laws for two layers in series, one on each body."""
 
     femur: Layer
     button: Layer
 
     @abstractmethod
     def press(self, depth: Scalar) -> FoundationPressure:
-        """The answer at a depth [m] of any shape: all 0 where that is not above 0."""
+        """Pressure at depths [m] of any shape; all results are 0 where the depth is at most 0."""
 
     def thickness(self) -> Scalar:
-        """Of both layers together [m]."""
+        """Sum of both thicknesses [m]."""
         return self.femur.thickness + self.button.thickness
 
     def compliance(self) -> Scalar:
-        """Depth per pressure of both layers together, at no load [m/Pa]."""
-        return self._of_both(lambda layer: layer.thickness / layer.confined_modulus())
+        """Depth per pressure of both layers together, at zero load [m/Pa]."""
+        return self._sum_layers(lambda layer: layer.thickness / layer.confined_modulus())
 
-    def _of_both(self, part: Callable[[Layer], Scalar]) -> Scalar:
+    def _sum_layers(self, part: Callable[[Layer], Scalar]) -> Scalar:
         return part(self.femur) + part(self.button)
 
 
@@ -85,9 +85,9 @@ class LinearFoundation(FoundationLaw):
 
 
 class LogarithmicFoundation(FoundationLaw):
-    """p with h1 (1 - exp(-p / K1)) + h2 (1 - exp(-p / K2)) = d: -K ln(1 - d / h) in each layer.
+    """p solves h1 (1 - exp(-p / K1)) + h2 (1 - exp(-p / K2)) = d, from p = -K ln(1 - d / h) in each layer.
 
-    Beyond `SQUEEZED` of the thicknesses it follows its tangent: finite, but not realistic.
+    Beyond the fraction `SQUEEZED` of the total thickness it follows its tangent, which is finite but not realistic.
     """
 
     def press(self, depth: Scalar) -> FoundationPressure:
@@ -97,16 +97,16 @@ class LogarithmicFoundation(FoundationLaw):
         within = jnp.minimum(d, SQUEEZED * self.thickness())
         p, beyond = self._solved(within), d - within
         slope = 1 / self._depth_slope(p)
-        energy = self._of_both(lambda layer: _energy(layer, p)) + beyond * (p + 0.5 * slope * beyond)
+        energy = self._sum_layers(lambda layer: _energy(layer, p)) + beyond * (p + 0.5 * slope * beyond)
         answer = FoundationPressure(p + slope * beyond, slope, energy)
         return FoundationPressure(*(jnp.where(touching, a, 0.0) for a in answer))
 
     def _solved(self, d: Scalar) -> Scalar:
-        """The pressure at depths up to the bound.
+        """Pressure at depths up to `SQUEEZED` of the total thickness, by Newton's method.
 
-        With g(p) = h1 exp(-p / K1) + h2 exp(-p / K2), ln g is convex and falls, from h1 + h2 to h1 + h2 - d: Newton's
-        steps from below never overshoot. The last step carries the derivatives, which makes them those of the implicit
-        function.
+        With g(p) = h1 exp(-p / K1) + h2 exp(-p / K2), ln g is convex and decreasing, and g goes from h1 + h2 to
+        h1 + h2 - d at the solution: Newton steps from below never overshoot. Only the last step is differentiated,
+        which gives the derivatives of the implicit function.
         """
         frozen, at = stop_gradient((self, d))
         enough = _CONVERGED * float(jnp.finfo(at.dtype).eps)
@@ -125,8 +125,8 @@ class LogarithmicFoundation(FoundationLaw):
         return self._step(stop_gradient(p), d)
 
     def _least(self, d: Scalar) -> Scalar:
-        """A pressure that is not above the solution: that of two layers of the lower modulus, or, if more, that which
-        one layer has to bear when the other is squeezed flat.
+        """A lower bound of the solution: the pressure of two layers of the lower modulus or, if larger, the one that
+        one layer bears when the other has thickness zero.
         """
         layers = (self.femur, self.button)
         lower = jnp.minimum(*(layer.confined_modulus() for layer in layers))
@@ -137,9 +137,9 @@ class LogarithmicFoundation(FoundationLaw):
         return p
 
     def _step(self, p: Scalar, d: Scalar) -> Scalar:
-        left = self._of_both(lambda layer: layer.thickness * jnp.exp(-p / layer.confined_modulus()))
+        left = self._sum_layers(lambda layer: layer.thickness * jnp.exp(-p / layer.confined_modulus()))
         # ln(g / (h1 + h2 - d)) without cancellation at small depths.
-        short = d + self._of_both(lambda layer: layer.thickness * jnp.expm1(-p / layer.confined_modulus()))
+        short = d + self._sum_layers(lambda layer: layer.thickness * jnp.expm1(-p / layer.confined_modulus()))
         gain = stop_gradient(left) / stop_gradient(self._depth_slope(p))
         return p + gain * jnp.log1p(short / (self.thickness() - d))
 
@@ -150,7 +150,7 @@ class LogarithmicFoundation(FoundationLaw):
             k = layer.confined_modulus()
             return layer.thickness / k * jnp.exp(-p / k)
 
-        return self._of_both(of_one)
+        return self._sum_layers(of_one)
 
 
 def _energy(layer: Layer, p: Scalar) -> Scalar:
@@ -164,10 +164,10 @@ LAWS: dict[str, type[FoundationLaw]] = {"linear": LinearFoundation, "logarithmic
 
 
 def checked_layer(modulus: float, poisson: float, thickness: float, *, where: str = "layer") -> Layer:
-    """A layer of numbers that make sense, in SI units.
+    """A layer with validated parameters: modulus [Pa], Poisson's ratio and thickness [m].
 
     Raises:
-        InputError: a modulus or thickness that is not positive and finite; a Poisson ratio outside [0, 0.5).
+        InputError: the modulus or thickness is not positive and finite, or Poisson's ratio is outside [0, 0.5).
     """
     for name, value, unit in (("modulus", modulus, "Pa"), ("thickness", thickness, "m")):
         if not 0 < value < float("inf"):

@@ -1,8 +1,8 @@
-"""Sums over an elastic foundation's triangles in contact.
+"""Sums of forces and pressures over the triangles of an elastic foundation that are in contact.
 
-A loop over the pieces of the button that reach into the femur ends with the last of them, so a light touch costs little
-and no list can overflow. Under derivatives the loop runs over the whole button and skips pieces that no member of a
-batch has in contact.
+A loop over the pieces of the button inside the femur ends with the last one, so a light contact is cheap and no list
+can overflow. Under differentiation the loop runs over the whole button, and skips pieces that are in contact in no
+variant of a batch.
 """
 
 from __future__ import annotations
@@ -23,25 +23,25 @@ from pftwin.geometry.contact.depths import REACH, Depths, depths_in
 from pftwin.geometry.contact.distance_grid import DistanceGrid
 from pftwin.model.effects.foundation_law import FoundationLaw
 
-PIECE = 16  # leaves of the button summed at once
+PIECE = 16  # number of the button's leaves per iteration
 
 
 class Bedded(eqx.Module):
-    """A button in a femur's surface, and the motion of both."""
+    """A button, the femur's surface, and their relative pose and motion."""
 
     femur: PressedSurface | DistanceGrid
     button: PressingSurface
     law: FoundationLaw
     damping_time: Scalar  # [s]
     origin: Vec3  # of the button's mesh, from the patella's centre of mass, patella axes [m]
-    position: Vec3  # the same in the femur's frame [m]
+    position: Vec3  # of the same origin in the femur frame [m]
     rotation: Rotation  # patella to femur
-    world: Rotation | None  # femur to world; None where they are one
-    twist: Array  # (6,) of the patella relative to the femur: of its centre of mass, world axes; spin, patella axes
+    world: Rotation | None  # femur to world; None if the femur is the world
+    twist: Array  # (6,) relative to the femur: velocity of the centre of mass, world axes; spin, patella axes
 
 
 class Forces(NamedTuple):
-    """Sums over the triangles in contact: see `pftwin.model.effects.base.AggregateStiffness`."""
+    """Sums over the triangles in contact, as in `pftwin.model.effects.base.AggregateStiffness`."""
 
     force: Array  # (6,)
     elastic: Array  # (6,)
@@ -51,21 +51,21 @@ class Forces(NamedTuple):
 
 
 class Pressures(NamedTuple):
-    """Sums and extremes over the triangles in contact; pressures without damping."""
+    """Sums and maxima over the triangles in contact; pressures exclude damping."""
 
     area: Array  # () [m^2]
-    borne: Array  # (2,) pressure times area on each facet [N]
-    moment: Array  # (2, 3) the same times the place, femur frame [N m]
-    facets: Array  # (2, 3) force of those on each facet, femur axes [N]
-    most: Array  # () largest pressure [Pa]
-    deepest: Array  # () largest depth [m]
+    borne: Array  # (2,) sum of pressure times area on each facet [N]
+    moment: Array  # (2, 3) first moment of pressure times area on each facet, femur frame [N m]
+    facets: Array  # (2, 3) force on each facet, femur axes [N]
+    most: Array  # () maximum pressure [Pa]
+    deepest: Array  # () maximum depth [m]
 
 
 Sums = tuple[Forces, Pressures]
 
 
 def triangle_sums(at: Bedded) -> Sums:
-    """The sums over all triangles in contact. Jit, vmap, forward and reverse derivatives apply."""
+    """Sums over all triangles in contact. Supports jit, vmap, and forward and reverse differentiation."""
     found = at.femur.touching(at.button, at.position, at.rotation, width=at.button.leaves, band=0.0, reach=REACH)
     return _sum_contacts(at, found)
 
@@ -117,21 +117,21 @@ def _added_sums(one: Sums, other: Sums) -> Sums:
 
 
 def _sums_over_leaves(at: Bedded, found: TouchingLeaves, start: Array) -> Sums:
-    """Sums over some of the leaves."""
-    # The last piece begins early enough to be full, and counts only leaves that no other piece has counted.
+    """Sums over the piece of leaves that begins at `start`."""
+    # The last piece starts early enough to be full, and counts only leaves that no other piece has counted.
     first = jnp.minimum(start, max(at.button.leaves - PIECE, 0))
     leaf, place = (jax.lax.dynamic_slice_in_dim(x, first, min(PIECE, at.button.leaves)) for x in found[:2])
     number = first + jnp.arange(leaf.shape[0], dtype=jnp.int32)
     there = (number >= start) & (number < found.total)
     d = depths_in(at.button, at.femur, at.position, at.rotation, leaf, place, there)
     rows = _wrenches(at, d, d.normal)
-    # Per triangle; all zero where it is not in contact.
+    # Per triangle; all zero without contact.
     pressure, slope, stored = at.law.press(jnp.where(d.listed, d.depth, -1.0))
     elastic, stiffness = d.area * pressure, d.area * slope
     force = elastic - at.damping_time * stiffness * (at.twist @ rows)
     kept = jnp.where(force > 0, stored, 0.0)
     force, elastic, stiffness = (jnp.where(force > 0, a, 0.0) for a in (force, elastic, stiffness))
-    # What changes of the projected areas add, so that forces and moments are the energy's slopes.
+    # Contribution of the changing projected areas, so that forces and moments are the derivatives of the energy.
     moved = _wrenches(at, d, d.sliding) @ kept
     turning = moved + jnp.concatenate([jnp.zeros(3, kept.dtype), kept @ d.tilting.array()])
     forces = Forces(
@@ -157,8 +157,8 @@ def _sums_over_leaves(at: Bedded, found: TouchingLeaves, start: Array) -> Sums:
 
 
 def _wrenches(at: Bedded, d: Depths, forces: Vec3) -> Array:
-    """(6, triangles) of forces at the centroids, femur axes: world axes, and moments about the centre of mass, patella
-    axes."""
+    """Wrenches (6, triangles) of forces at the centroids (femur axes): force in world axes, and moment about the centre
+    of mass in patella axes."""
     arm = d.local + Vec3(*(jnp.broadcast_to(a, d.depth.shape) for a in (at.origin.x, at.origin.y, at.origin.z)))
     moment = arm.cross(at.rotation.unapply(forces))
     direction = forces if at.world is None else at.world.apply(forces)

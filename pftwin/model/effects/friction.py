@@ -1,17 +1,17 @@
 r"""Regularised Coulomb friction at the contacts of a sphere.
 
-At each contact, with N its normal force and v the sliding velocity of the sphere's skin on the surface,
+At each contact, with N its normal force and v the sliding velocity of the sphere's surface on the femur,
 
     F = -mu N v / sqrt(|v|^2 + v_s^2),
 
-which is Coulomb's mu N for |v| well above the slip speed v_s, and a stiff damper mu N / v_s below it: what would stick
-creeps instead, at v_s tan / sqrt(mu^2 - tan^2) on a slope with tan < mu. Regularised laws against Coulomb's: Vigué et
-al. 2017, J Sound Vib 389:350. No friction against spinning about the normal: the contact has no size.
+which is Coulomb's mu N for |v| well above the slip speed v_s, and a stiff damper mu N / v_s below it: instead of
+sticking, a contact creeps, at v_s tan / sqrt(mu^2 - tan^2) on a slope with tan < mu. Vigué et al. 2017, J Sound Vib
+389:350 compare regularised laws with Coulomb's. Contacts are points, so spin about the normal meets no friction.
 
-An implicit step is given the secant c = mu N / sqrt(|v|^2 + v_s^2) as damping in both tangential directions, not the
-tangent, which vanishes in fast sliding: F = -c v at the step's end opposes the sliding that is left then, never
-overshoots zero and takes energy at any length of step. N is what the normal force came to in the step before, so
-friction is a step late.
+An implicit step uses the secant c = mu N / sqrt(|v|^2 + v_s^2) as damping in both tangential directions, not the
+tangent, which vanishes in fast sliding: F = -c v at the end of the step opposes the sliding that remains there, never
+reverses it, and dissipates energy for any step length. N is the normal force at the end of the previous step, so
+friction lags by one step.
 """
 
 from __future__ import annotations
@@ -31,23 +31,23 @@ from pftwin.model.effects.contact import FACETS, ButtonSphere, Contact
 
 
 class Friction(eqx.Module):
-    """Friction constants of a pair of surfaces."""
+    """Parameters of friction between a pair of surfaces."""
 
     coefficient: Scalar = eqx.field(metadata=quantity("", at_least=0))  # mu
-    slip_speed: Scalar = eqx.field(metadata=quantity("m/s", positive=True))  # v_s: below it contacts creep
+    slip_speed: Scalar = eqx.field(metadata=quantity("m/s", positive=True))  # v_s: contacts creep below it
 
 
 class LastPush(NamedTuple):
-    """A normal force as a step linearised it: with the change of velocity dv it became f - (h k + c) g . dv."""
+    """Linearised normal force of a step: a change dv of the twist makes it f - (h k + c) g . dv."""
 
-    direction: Vec3  # g: the force's
-    moment: Vec3  # and its moment's [m]
-    unchanged: Scalar  # f + (h k + c) g . v, with the velocity v at the linearisation [N]
+    direction: Vec3  # direction of the force: with `moment`, g
+    moment: Vec3  # moment of a unit force [m]
+    unchanged: Scalar  # f + (h k + c) g . v, with the twist v at the linearisation [N]
     weight: Scalar  # h k + c [N s/m]
 
     @staticmethod
     def of(push: StiffTerm, now: Instant) -> LastPush:
-        """The force to remember."""
+        """Linearises the normal force `push` at the end of the step."""
         gain = now.lookahead if now.displacement_gain is None else now.displacement_gain
         weight = gain * push.stiffness + push.damping
         here = Twist(now.patella.velocity, now.patella.spin)
@@ -56,25 +56,25 @@ class LastPush(NamedTuple):
 
 
 class FrictionMemory(NamedTuple):
-    """What a contact with friction carries from step to step."""
+    """Memory of a contact with friction."""
 
-    contact: Any  # the contact's own memory
-    last: tuple[LastPush, ...]  # its normal forces
+    contact: Any  # memory of the contact without friction
+    last: tuple[LastPush, ...]  # linearised normal forces of the last step
 
 
 class Sliding(NamedTuple):
     """Friction at one contact."""
 
     terms: tuple[StiffTerm, StiffTerm]  # in two directions of the tangent plane
-    speed: Scalar  # of the sphere's skin on the surface [m/s]
-    grip: Scalar  # friction over normal force [-]
+    speed: Scalar  # sliding speed [m/s]
+    grip: Scalar  # ratio of friction to normal force [-]
 
 
 class WithFriction(ButtonSphere):
-    """Adds friction to a sphere's contact: each normal force is joined by a tangential one.
+    """Mixin that adds a friction force to each normal force of a sphere's contact.
 
-    For classes that derive from this and from a contact of a sphere, `frictionless`, whose normal forces are unilateral
-    stiff terms, the medial facet's first.
+    A subclass also derives from the contact class that it names in `frictionless`, whose normal forces are unilateral
+    stiff terms, that of the medial facet first.
     """
 
     friction: Friction = eqx.field(kw_only=True)
@@ -88,7 +88,7 @@ class WithFriction(ButtonSphere):
 
     @classmethod
     def of(cls, contact: Contact, friction: Friction) -> Self:
-        """A contact of the kind `frictionless` with friction."""
+        """Adds friction to a contact of the class `frictionless`."""
         fields = {f.name: getattr(contact, f.name) for f in dataclasses.fields(contact)}
         return cls(**fields, friction=friction)
 
@@ -97,7 +97,7 @@ class WithFriction(ButtonSphere):
         return eqx.tree_at(lambda c: c.friction, self, friction)
 
     def simplifications(self) -> Iterable[Change]:
-        """Without friction."""
+        """See `Effect`: the contact without friction."""
         return (Change("friction", self.alone(), "smooth", memory=lambda memory: memory.contact),)
 
     def alone(self) -> Contact:
@@ -105,15 +105,15 @@ class WithFriction(ButtonSphere):
         return self.frictionless(**{f.name: getattr(self, f.name) for f in dataclasses.fields(self.frictionless)})
 
     def remember(self, now: Instant) -> FrictionMemory:
-        """The contact's memory, and no previous force."""
+        """See `Effect`: no previous normal force."""
         return self._first(now, self.alone().remember(now))
 
     def guess(self, now: Instant) -> FrictionMemory:
-        """The contact's guess, and no previous force."""
+        """See `Effect`: no previous normal force."""
         return self._first(now, self.alone().guess(now))
 
     def refined(self, memory: FrictionMemory, trial: FrictionMemory) -> FrictionMemory:
-        """The contact's refined memory."""
+        """See `Effect`: refines the contact's memory only."""
         return memory._replace(contact=self.alone().refined(memory.contact, trial.contact))
 
     def _first(self, now: Instant, memory: Any) -> FrictionMemory:
@@ -123,7 +123,7 @@ class WithFriction(ButtonSphere):
         return FrictionMemory(memory, (LastPush(nowhere, nowhere, zero, zero),) * len(pushes))
 
     def load(self, now: Instant, memory: FrictionMemory) -> tuple[Load, FrictionMemory]:
-        """The contact's load, and two stiff terms more for every normal force."""
+        """See `Effect`: the contact's load, and two more stiff terms per normal force."""
         load, contact = self.alone().load(now, memory.contact)
         pushes, last = _pushes(load), memory.last
         slidings = [self._sliding(now, push, before) for push, before in zip(pushes, last, strict=True)]
@@ -148,7 +148,7 @@ class WithFriction(ButtonSphere):
         return Sliding((terms[0], terms[1]), speed, per_speed * speed)
 
     def report(self, now: Instant, memory: FrictionMemory) -> tuple[dict[str, Any], Scalar | None]:
-        """The contact's report; `force_x`, `_y` and `_z` with friction, the other forces without it."""
+        """See `Effect`: `force_x`, `force_y` and `force_z` include friction, the other contact forces do not."""
         contact = self.alone()
         report, energy = contact.report(now, memory.contact)
         pushes = _pushes(contact.standing_load(now, memory.contact))
@@ -170,10 +170,10 @@ def _pushes(load: Load) -> list[StiffTerm]:
 
 
 def normal_force(push: StiffTerm, last: LastPush, now: Instant) -> Scalar:
-    """The normal force that friction is proportional to [N], at least 0: at the end of a step, that of the last step.
+    """Normal force that friction is proportional to [N], at least 0; at the end of a step, that of the last step.
 
-    The linearised force is not what the step ends with: where a stiff contact is just being made it is hundreds of
-    times as large, and friction would be too.
+    The force about which a step linearises is not the force at its end: where a stiff contact has just begun it is
+    hundreds of times as large, and so would be the friction.
     """
     if not now.ends_a_step:
         return jnp.maximum(push.force, 0.0)
@@ -183,14 +183,14 @@ def normal_force(push: StiffTerm, last: LastPush, now: Instant) -> Scalar:
 
 
 def _speed_along(direction: Vec3, moment: Vec3, twist: Twist) -> Scalar:
-    """How fast the patella moves along a wrench direction."""
+    """Component of a twist along a wrench direction [m/s]."""
     return direction.dot(twist.linear) + moment.dot(twist.angular)
 
 
 def tangents(normal: Vec3) -> tuple[Vec3, Vec3]:
-    """Two unit vectors that complete a unit normal: Duff et al. 2017, J Comput Graph Tech 6(1):1.
+    """Orthonormal tangent vectors of a unit normal: Duff et al. 2017, J Comput Graph Tech 6(1):1.
 
-    They jump where z changes its sign, which nothing isotropic in the plane can see.
+    They are discontinuous where z changes sign, which does not affect a law that is isotropic in the tangent plane.
     """
     sign = jnp.where(normal.z < 0, -1.0, 1.0)
     a = -1 / (sign + normal.z)

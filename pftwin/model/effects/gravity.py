@@ -13,7 +13,7 @@ from pftwin.model.motion import SegmentMotion
 
 
 class Gravity(Effect):
-    """A uniform field: F = m g at the centre of mass; energy -m g . x from the world's origin."""
+    """Uniform gravity: F = m g at the centre of mass, with energy -m g . x relative to the world's origin."""
 
     mass: Scalar = eqx.field(metadata=quantity("kg", positive=True))  # of the patella
     acceleration: Vec3 = eqx.field(metadata=quantity("m/s^2", frame="world"))
@@ -22,25 +22,25 @@ class Gravity(Effect):
     observables: ClassVar[dict[str, Observable]] = {"weight": Observable("N", "weight of the patella")}
 
     def load(self, now: Instant, memory: Any) -> tuple[Load, Any]:
-        """The weight."""
+        """See `Effect`: the weight."""
         weight = self.mass * self.acceleration
         return Load(wrench=Wrench(weight, Vec3.zero()), energy=-weight.dot(now.patella.position)), memory
 
     def observe(self, now: Instant, memory: Any) -> dict[str, Scalar]:
-        """Its size."""
+        """See `Effect`: magnitude of the weight [N]."""
         return {"weight": self.mass * self.acceleration.norm()}
 
     def in_still_femur(self, femur: SegmentMotion) -> TurningGravity:
-        """Weight in its true direction at every instant, seen from the femur."""
+        """See `Effect`: gravity with its direction over time in the femur's axes."""
         return TurningGravity(self.mass, self.acceleration, femur=femur, name=self.name)
 
 
 class TurningGravity(Gravity):
-    """Weight in the axes of a femur that is taken to stand still: its direction turns as the femur would."""
+    """Gravity in the axes of a moving femur whose frame is treated as inertial: its direction changes over time."""
 
-    femur: SegmentMotion = eqx.field(kw_only=True)  # as it was recorded in the true world
+    femur: SegmentMotion = eqx.field(kw_only=True)  # recorded motion of the femur in the world
 
     def load(self, now: Instant, memory: Any) -> tuple[Load, Any]:
-        """The weight."""
+        """See `Effect`: the weight."""
         there = self.femur.frames(now.time).rotation.unapply(self.acceleration)
         return Load(wrench=Wrench(self.mass * there, Vec3.zero())), memory

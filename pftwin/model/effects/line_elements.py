@@ -1,4 +1,4 @@
-"""Lines of force between the patella and a guided body: straight, or around an obstacle on a bone."""
+"""Lines of force between the patella and a guided body, straight or wrapped around an obstacle on a bone."""
 
 from __future__ import annotations
 
@@ -14,28 +14,28 @@ from pftwin.geometry.wrapping.obstacle import Obstacle
 from pftwin.model.effects.base import Effect, Instant, StiffTerm, applied_at
 from pftwin.model.motion import SegmentMotion
 
-# Labels of the changes that tendons and strands offer to studies.
+# Labels of the `Change`s of tendons and strands.
 DAMPING, TOE = "tendons' damping", "toe region"
 
 
 class Line(NamedTuple):
-    """A line from the patella's insertion to the origin on a guided body."""
+    """A line from its insertion on the patella to its origin on a guided body."""
 
     length: Scalar  # [m]
     lengthening: Scalar  # d length / dt [m/s]
-    direction: Vec3  # from the insertion to the origin, world
-    moment: Vec3  # of a unit pull about the patella's centre of mass, patella axes [m]
+    direction: Vec3  # unit vector from the insertion to the origin, world
+    moment: Vec3  # of a unit tension about the patella's centre of mass, patella axes [m]
 
     def term(self, tension: Scalar, elastic: Scalar, stiffness: Scalar, damping: Scalar) -> StiffTerm:
-        """The pull along this line as a stiff term."""
+        """The tension along this line as a stiff term."""
         return StiffTerm(self.direction, self.moment, tension, elastic, stiffness, damping, self.lengthening)
 
 
 @traced_once
 def line_of_force(now: Instant, insertion: Vec3, body: str, origin: Vec3) -> Line:
-    """The line between the patella's point `insertion` and the point `origin` of `body`.
+    """The straight line from the point `insertion` of the patella to the point `origin` of `body`, in their frames [m].
 
-    Where the two points coincide the direction is the zero vector, with finite derivatives.
+    Where the two points coincide, the direction is the zero vector, with finite derivatives.
     """
     patella, segment = now.patella, now.segment(body)
     arm = patella.arm(insertion)
@@ -76,17 +76,17 @@ def wrapped_line_of_force(now: Instant, insertion: Vec3, body: str, origin: Vec3
 
 
 class LineElement(Effect):
-    """An effect along lines from its field `insertion` on the patella to `origin` on the guided `body` [m].
+    """Base class of effects that pull along lines from `insertion` on the patella to `origin` on the guided `body` [m].
 
-    They are straight, or run over the obstacle in its field `wrap`, if it has one.
+    The lines are straight, or wrap around the obstacle in the field `wrap`.
 
-    Subclasses declare these fields, in their own order among their fields, and the tension. What other modules do
-    with a line of force (fit it, move or lengthen it in a treatment, draw it) goes through this interface.
+    Subclasses declare these fields and the tension. Other modules fit, move, lengthen or draw lines of force through
+    this interface.
     """
 
     elastic: ClassVar[bool] = False  # whether it has a stiffness and a slack length: see `ElasticLine`
 
-    if TYPE_CHECKING:  # fields of the subclasses, in their own order
+    if TYPE_CHECKING:  # fields of the subclasses, whose order differs between them
 
         @property
         def insertion(self) -> Vec3: ...  # noqa: D102
@@ -97,39 +97,39 @@ class LineElement(Effect):
 
     @property
     def wrap(self) -> Obstacle | None:
-        """What the lines run over: the field of that name, where a subclass has it."""
+        """Obstacle that the lines wrap around: the field `wrap` of a subclass, else None."""
         return None
 
     @property
     def line_ends(self) -> tuple[Vec3, str]:
-        """The insertions, patella frame [m], and the body at the other ends: "femur", "tibia" or "ground"."""
+        """The insertions, patella frame [m], and the body of the origins: "femur", "tibia" or "ground"."""
         return self.insertion, self.body
 
     def origin_at(self, time: Scalar | float) -> Vec3:
-        """The other ends in their body's frame at an instant [m]; the same at all times unless overridden."""
+        """The origins in their body's frame at a time [s] [m]; constant unless overridden."""
         return self.origin
 
     def with_origin_moved(self, by: Vec3) -> Self:
-        """The element with its other ends moved in their body's frame [m]."""
+        """The element with its origins moved by a vector in their body's frame [m]."""
         return eqx.tree_at(lambda t: t.origin, self, self.origin + by)
 
     def pulls(self) -> Any:
-        """Which of the lines (lines,) can pull at some time: all, unless overridden."""
+        """Which of the lines can bear tension at some time, boolean (n_lines,); all (True) unless overridden."""
         return True
 
     def recentred(self, center_of_mass: Vec3) -> Self:
-        """Insertions, and an obstacle on the patella, counted from the centre of mass."""
+        """The element with insertions, and an obstacle on the patella, relative to the centre of mass."""
         moved = eqx.tree_at(lambda t: t.insertion, self, self.insertion - center_of_mass)
         if self.wrap is None or self.wrap.body != "patella":
             return moved
         return eqx.tree_at(lambda t: t.wrap.center, moved, self.wrap.center - center_of_mass)
 
     def in_still_femur(self, femur: SegmentMotion) -> Self | None:
-        """None if it is fixed to the ground, which would then move."""
+        """See `Effect`; None for lines from the ground, which moves in the femur's frame."""
         return None if self.body == "ground" else self
 
     def line_element(self) -> LineElement:
-        """Itself."""
+        """This effect."""
         return self
 
     @property
@@ -139,7 +139,7 @@ class LineElement(Effect):
         return None if jnp.ndim(x) == 0 else jnp.shape(x)[0]
 
     def depth_in_wrap(self, now: Instant) -> Scalar:
-        """How deep the ends lie within what the lines run over [m], which then run straight; not positive outside."""
+        """Depth of the deeper end inside the obstacle [m], at most 0 outside; lines with an end inside run straight."""
         if self.wrap is None:
             return jnp.zeros(())
         patella, anchor = now.patella, now.segment(self.body).point(self.origin_at(now.time))
@@ -151,17 +151,17 @@ class LineElement(Effect):
         return jnp.maximum(*(self.wrap.depth(end) for end in ends))
 
     def line(self, now: Instant) -> Line:
-        """The lines at this instant."""
+        """Geometry of the lines at an instant."""
         ends = self.insertion, self.body, self.origin_at(now.time)
         return line_of_force(now, *ends) if self.wrap is None else wrapped_line_of_force(now, *ends, self.wrap)
 
 
 class ElasticLine(LineElement):
-    """Lines whose tension depends on their stretch beyond the field `slack_length`, with the field `stiffness`."""
+    """Base class of lines whose tension depends on a `stiffness` and the stretch beyond a `slack_length` [m]."""
 
     elastic: ClassVar[bool] = True
 
-    if TYPE_CHECKING:  # fields of the subclasses, in their own order
+    if TYPE_CHECKING:  # fields of the subclasses, whose order differs between them
 
         @property
         def stiffness(self) -> Scalar: ...  # noqa: D102
@@ -169,26 +169,26 @@ class ElasticLine(LineElement):
         def slack_length(self) -> Scalar: ...  # noqa: D102
 
     def lengthened(self, by: Scalar | float) -> Self:
-        """The element with a longer slack length [m]; in a group, that of every line."""
+        """The element with `by` [m] added to the slack length of every line."""
         return eqx.tree_at(lambda t: t.slack_length, self, self.slack_length + by)
 
     def stiffened(self, share: Scalar | float) -> Self:
-        """The element with its stiffness multiplied by a share."""
+        """The element with its stiffness multiplied by the factor `share`."""
         return eqx.tree_at(lambda t: t.stiffness, self, self.stiffness * share)
 
     def slack_length_for(self, length: Scalar, tension: Scalar) -> Scalar:
-        """The slack length at which the line, held at a length [m], pulls with a tension [N].
+        """The slack length [m] for which a line held at `length` [m] has the tension `tension` [N].
 
         Raises:
-            InputError: an effect that does not say.
+            InputError: not defined for this effect.
         """
         raise self._unknown_tension()
 
     def held_tension(self, length: Scalar) -> Scalar:
-        """The tension when held at a length [m]: the inverse of `slack_length_for`.
+        """The static tension [N] at a length [m]: the inverse of `slack_length_for`.
 
         Raises:
-            InputError: an effect that does not say.
+            InputError: not defined for this effect.
         """
         raise self._unknown_tension()
 

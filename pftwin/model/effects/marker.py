@@ -1,4 +1,4 @@
-"""A point of the patella whose place is measured. It pulls at nothing."""
+"""A marker on the patella, whose position is reported and which exerts no force."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from pftwin.model.effects.base import Effect, Instant, Load, Observable
 
 
 class Marker(Effect):
-    """A marker fixed to the patella. It reports where it is in the femur's frame: x proximal, y lateral, z anterior.
+    """A marker fixed to the patella. It reports its position in the femur frame: x proximal, y lateral, z anterior.
 
-    So single markers can be compared with a simulation, where too few are seen for a pose.
+    It allows comparison with single measured markers, where too few are visible to determine a pose.
     """
 
     point: Vec3 = eqx.field(metadata=quantity("m", frame="patella"))
@@ -24,11 +24,11 @@ class Marker(Effect):
     }
 
     def load(self, now: Instant, memory: Any) -> tuple[Load, Any]:
-        """None."""
+        """See `Effect`: no load."""
         return Load(), memory
 
     def observe(self, now: Instant, memory: Any) -> dict[str, Scalar]:
-        """Where it is."""
+        """See `Effect`: position in the femur frame [m]."""
         there = now.femur.to_local(now.patella.position + now.patella.arm(self.point))
         return {"x": there.x, "y": there.y, "z": there.z}
 

@@ -1,8 +1,8 @@
-"""Contact between two triangle meshes as in the paper: contours of contact, the largest indentation, a force at each.
+"""Contact between two triangle meshes: one normal force per contour of contact.
 
-Source: Michaud et al. 2024, section 2.4.1. The geometry is found by `pftwin.geometry.contact.contour`, the force by a
-normal contact law: one force for each contact, medial and lateral, at the contour's middle, along the contour's
-direction, of the size that the law gives to the largest indentation.
+Source: Michaud et al. 2024, section 2.4.1. `pftwin.geometry.contact.contour` computes the geometry. Each contact,
+medial and lateral, has one force at the middle of its contour, along the contour's direction; a normal contact law
+gives its size from the maximum indentation.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from pftwin.model.effects.contact import (
 )
 from pftwin.model.effects.contact_law import ContactLaw, Speeds
 
-WIDE = 4  # multiple of twice the largest triangle: a contour around a larger area encloses corners
+WIDE = 4  # multiple of twice the area of the largest triangle: a contour around a larger area encloses corners
 
 
 class MeshContact(ButtonMesh):
@@ -43,8 +43,8 @@ class MeshContact(ButtonMesh):
     patella: ContactMesh
     law: ContactLaw
     origin: Vec3 = eqx.field(metadata=quantity("m", frame="patella"))  # of the patella's mesh; axes are the patella's
-    surface: Surface | None = None  # a smooth stand-in that tells where the groove is: for results alone
-    meshes: MeshPair | None = None  # set by `recentred`: arrays laid out for the inner loop
+    surface: Surface | None = None  # smooth substitute that defines the groove, used only for results
+    meshes: MeshPair | None = None  # set by `recentred`: arrays prepared for the inner loop
     method: ClassVar[str] = "contours"
     jumps: ClassVar[bool] = True  # the force jumps where a corner or a triangle joins a contour
     observables: ClassVar[dict[str, Observable]] = {
@@ -57,20 +57,20 @@ class MeshContact(ButtonMesh):
     }
 
     def contacts(self, now: Instant) -> Contacts:
-        """The contacts at an instant, in the femur's frame."""
+        """The contacts at an instant, in the femur frame."""
         if self.meshes is None:
-            raise TypeError("a mesh contact takes loads only once it has been made ready: call `recentred` first")
+            raise TypeError("this mesh contact is not prepared for computing loads: call `recentred` first")
         return self.meshes.contacts(self._pose(now))
 
     def _pose(self, now: Instant) -> Pose:
-        """Of the patella's mesh in the femur's frame."""
+        """Pose of the patella's mesh in the femur frame."""
         patella, femur = now.patella, now.femur
         center = femur.to_local(patella.position + patella.arm(self.origin))
         return Pose(center, Quaternion.from_rotation(now.turn_in_femur()))
 
-    def _swallowed(self, now: Instant, found: Contacts) -> list[Behind]:
-        """Whether the patella's mesh is wholly behind the femur's, or the femur's inside the patella's, as an open one
-        of a part of the femur can be: no triangles meet, and one corner is behind."""
+    def _enclosed(self, now: Instant, found: Contacts) -> list[Behind]:
+        """Whether the patella's mesh is wholly behind the femur's, and whether the femur's (possible for an open mesh)
+        is wholly inside the patella's: no triangles intersect, and a corner is behind the other surface."""
         pose = self._pose(now)
         pairs = (self.patella, pose.apply, self.femur), (self.femur, pose.unapply, self.patella)
         corners = [place(Vec3.from_array(inner.tree.triangles[0, :3])) for inner, place, _ in pairs]
@@ -79,22 +79,22 @@ class MeshContact(ButtonMesh):
             for corner, (_, _, outer) in zip(corners, pairs, strict=True)
         ]
 
-    def _hollow(self, found: Contacts) -> Array:
-        """Whether a contour is so wide that it must enclose a corner, and yet none was found within reach."""
+    def _beyond_reach(self, found: Contacts) -> Array:
+        """Whether the search found no corner within reach inside a contour that is wide enough to enclose one."""
         largest = jnp.max(Triangle.of_rows(self.patella.tree.triangles).area_vector().norm())
-        hollow = [(c.indentation <= 0) & (c.area > WIDE * largest) for c in found.each]
-        return jnp.stack(hollow).any()
+        missed = [(c.indentation <= 0) & (c.area > WIDE * largest) for c in found.each]
+        return jnp.stack(missed).any()
 
     def normal_law(self) -> ContactLaw:
         """See `Contact`."""
         return self.law
 
     def remember(self, now: Instant) -> Speeds:
-        """No contact has begun yet."""
+        """Initial memory: no contact has begun."""
         return self.law.no_contact_yet(now.patella.position.x, self.femur.facets)
 
     def load(self, now: Instant, memory: Speeds) -> tuple[Load, Speeds]:
-        """A stiff term for each contact."""
+        """See `Effect`: a stiff term per contact."""
         return load_of(self._pushes(now, self.contacts(now), memory))
 
     def _pushes(self, now: Instant, found: Contacts, memory: Speeds) -> list[ContactPush]:
@@ -111,7 +111,7 @@ class MeshContact(ButtonMesh):
         return force_along(self.law, now, contact.indentation, -world.dot(velocity), world, moment, approach_speed, 1.0)
 
     def report(self, now: Instant, memory: Speeds) -> tuple[dict[str, Any], Scalar | None]:
-        """Forces, points and indentations by facet; NaN where a facet has no contact of its own."""
+        """See `Effect`: forces, points and indentations per facet; NaN for a facet without a separate contact."""
         found = self.contacts(now)
         pushes = self._pushes(now, found, memory)
         forces = [p.term.force for p in pushes]
@@ -120,20 +120,20 @@ class MeshContact(ButtonMesh):
         points = [jnp.where(c.area > 0, c.point.array(), jnp.nan) for c in found.each]
         report = facet_report(total, forces, indentations, points)
         report["contour_area"] = sum((c.area for c in found.each[1:]), start=found.each[0].area)
-        inside, engulfed = self._swallowed(now, found)
+        inside, engulfed = self._enclosed(now, found)
         for k, facet in enumerate(FACETS[: self.femur.facets]):
-            # Without force, yet deep in contact: the corner's distance to the surface is the indentation.
+            # An enclosed mesh has no contour, so its indentation is the distance of a corner to the surface.
             here = inside.there & (self.femur.facet(inside.place) == k)
             report[f"indentation_{facet}"] = jnp.where(here, inside.depth, report[f"indentation_{facet}"])
         medial = report["indentation_medial"]
         report["indentation_medial"] = jnp.where(engulfed.there & ~inside.there, engulfed.depth, medial)
-        too_deep = found.too_deep | inside.there | engulfed.there | self._hollow(found)
+        too_deep = found.too_deep | inside.there | engulfed.there | self._beyond_reach(found)
         flags = {"merged": found.merged, "at_rim": found.at_rim, "overflow": found.overflow, "too_deep": too_deep}
         report |= {name: flag.astype(forces[0].dtype) for name, flag in flags.items()}
         return report, load_of(pushes)[0].energy
 
     def button_radius(self) -> Scalar:
-        """Half the largest extent of the patella's mesh."""
+        """Half the largest extent of the patella's mesh [m]."""
         return half_extent(self.patella.tree.triangles)
 
     def femur_triangles(self) -> Array:
@@ -145,6 +145,6 @@ class MeshContact(ButtonMesh):
         return self.patella.tree.triangles
 
     def recentred(self, center_of_mass: Vec3) -> Self:
-        """Origin counted from the centre of mass; the meshes laid out for searches."""
+        """See `Effect`; also prepares the meshes for searches."""
         moved, pair = super().recentred(center_of_mass), mesh_pair(self.femur, self.patella)
         return eqx.tree_at(lambda e: e.meshes, moved, pair, is_leaf=lambda x: x is None)

@@ -1,7 +1,7 @@
-"""The button's sphere on a triangle mesh: the exact nearest point of every facet, medial and lateral at once.
+"""Contact of a spherical button with a triangle mesh, at the exact nearest point of the medial and the lateral facet.
 
-The law is that of `SphereContact`; only the geometry differs. Nothing is followed from step to step: each step finds
-its nearest points by a tree (`pftwin.geometry.bvh`).
+The force is that of `SphereContact`; only the geometry differs. No contact point is tracked between steps: each step
+searches a bounding volume hierarchy (`pftwin.geometry.bvh`) for the nearest points.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from pftwin.model.effects.contact import BY_FACET, ButtonSphere, Contact, Touch,
 from pftwin.model.effects.contact_law import ContactLaw, Speeds
 from pftwin.model.effects.friction import Friction, WithFriction
 
-ONE, TWO = 0.02, 0.20  # separations, in radii, up to which two contacts are one and from which on they are two
+ONE, TWO = 0.02, 0.20  # in radii: nearest points up to the first apart are one contact, from the second on two contacts
 
 
 class MeshSphereContact(ButtonSphere):
@@ -32,7 +32,7 @@ class MeshSphereContact(ButtonSphere):
     law: ContactLaw
     center: Vec3 = eqx.field(metadata=quantity("m", frame="patella", words="centre of the button"))
     radius: Scalar = eqx.field(metadata=quantity("m", positive=True, words="radius of the button"))
-    surface: Surface | None = None  # a smooth stand-in that tells where the groove is: for results alone
+    surface: Surface | None = None  # smooth substitute that defines the groove, used only for results
     method: ClassVar[str] = "nearest"
     in_turns: ClassVar[bool] = True
     observables: ClassVar[dict[str, Observable]] = {
@@ -42,12 +42,12 @@ class MeshSphereContact(ButtonSphere):
     }
 
     def remember(self, now: Instant) -> Speeds:
-        """No contact has begun yet."""
+        """Initial memory: no contact has begun."""
         return self.law.no_contact_yet(now.patella.position.x, self.facets.count)
 
     @traced_once
     def touches(self, now: Instant, memory: Speeds) -> list[Touch[FacetPoint]]:
-        """The sphere on each facet."""
+        """Contact of the sphere with each facet."""
         centre, velocity = self.centre_in_femur(now)
         points = self.facets.points(centre)
         speeds, shares = memory or (None,) * len(points), _shares(points, self.radius)
@@ -57,11 +57,11 @@ class MeshSphereContact(ButtonSphere):
         ]
 
     def load(self, now: Instant, memory: Speeds) -> tuple[Load, Speeds]:
-        """A stiff term for each facet."""
+        """See `Effect`: a stiff term per facet."""
         return load_of([t.push for t in self.touches(now, memory)])
 
     def report(self, now: Instant, memory: Speeds) -> tuple[dict[str, Any], Scalar | None]:
-        """Forces, points and indentations by facet; NaN for a facet whose contact is none of its own."""
+        """See `Effect`: forces, points and indentations per facet; NaN for a facet without a separate contact."""
         touches = self.touches(now, memory)
         forces = [t.push.term.force for t in touches]
         total = vector_sum([f * t.at.normal for f, t in zip(forces, touches, strict=True)])
@@ -90,10 +90,10 @@ class RoughMeshSphereContact(WithFriction, MeshSphereContact):
 
 
 def _shares(points: list[FacetPoint], radius: Scalar) -> list[Scalar]:
-    """The share of the law's force that each facet's contact bears.
+    """Fraction of the law's force that each facet's contact bears.
 
-    A nearest point on the seam, while the other facet is nearer, is no contact. Two that are both genuine bear all of
-    the force where they are apart and half of it where they are one: no facet of a mesh vanishes in the other.
+    A nearest point on the seam is no contact while the other facet is nearer. Two actual contacts bear the full force
+    each where they are separate, and half of it each where they coincide, with a smooth transition in between.
     """
     if len(points) == 1:
         return [jnp.ones_like(points[0].distance)]

@@ -1,22 +1,22 @@
-r"""The button's sphere on a triangle mesh, by the volume of their overlap: the smooth law, for gradients.
+r"""Contact of a spherical button with a triangle mesh from the volume of their overlap, smooth enough for gradients.
 
-The volume V between a facet and the sphere (the integral of the depth over the facet's part inside) stands for an
-indentation: for a gap like a paraboloid, as between smooth surfaces, V = pi r d^2, with r the effective radius, the
-inverse root of the product of the gap's two curvatures (a sphere of radius R on a plane: r = R). So
+The overlap volume V of a facet and the sphere (the integral of the depth over the part of the facet inside the sphere)
+defines the indentation. For a paraboloidal gap, as between smooth surfaces, V = pi r d^2, where the effective radius r
+is one over the square root of the product of the gap's curvatures (for a sphere of radius R on a plane, r = R). So
 
     d = sqrt(V / (pi r)),       F = k d^p (1 + x dd/dt)       along  -grad d,
 
-where k, p and x are the contact law's own and the gradient is with respect to the sphere's centre: the elastic force is
-that of a potential, and V has continuous second derivatives wherever triangles, edges or corners come and go. With r a
-constant, k is the stiffness at that radius. `effective_radius` measures r on a mesh.
+where k, p and x belong to the contact law and the gradient is with respect to the sphere's centre. The elastic force
+has a potential, and V has continuous second derivatives where triangles, edges or corners enter or leave the sphere.
+As r is constant, k is the stiffness at that radius. `effective_radius` computes r on a mesh.
 
-Medial and lateral facets have volumes of their own, V_m and V_l, and each contact bears its law's force. Where both
-have grown into one contact across the border, it is the law of V_m + V_l that counts, borne by the two in parts.
-Between these the potential passes smoothly, by how deep the border is inside the sphere,
+The medial and the lateral facet have separate volumes V_m and V_l and each bears the force of the law. Where both
+form one contact across their border, the law applies to V_m + V_l, and the two share its force. A blend of the
+potentials joins these cases smoothly, depending on the depth of the border inside the sphere,
 
     U = (1 - s) (u(V_m) + u(V_l)) + s u(V_m + V_l),      s from 0 to 1 with   depth^2 pi r (1 / V_m + 1 / V_l),
 
-a number that is at least 4 wherever the border crosses a single contact and tends to 0 where two are apart.
+a number that is at least 4 where the border crosses a single contact and tends to 0 where two contacts separate.
 """
 
 from __future__ import annotations
@@ -42,16 +42,16 @@ from pftwin.model.effects.friction import Friction, WithFriction
 
 
 class VolumeTouch(NamedTuple):
-    """The sphere on the mesh, resolved."""
+    """Contact of the sphere with the mesh at an instant."""
 
     overlap: Overlap
-    terms: tuple[StiffTerm, ...]  # of the medial and the lateral facet, and of their growing into one
+    terms: tuple[StiffTerm, ...]  # of the medial and the lateral facet, and of the blend between two contacts and one
     energy: Scalar
     speeds: Speeds
 
 
 class MeshVolumeContact(ButtonSphere):
-    """A sphere fixed in the patella against a mesh fixed in the femur, by their overlap's volume."""
+    """A sphere fixed in the patella against a mesh fixed in the femur, with a force from their overlap volume."""
 
     mesh: PatchMesh
     law: ContactLaw
@@ -59,8 +59,8 @@ class MeshVolumeContact(ButtonSphere):
     radius: Scalar = eqx.field(metadata=quantity("m", positive=True, words="radius of the button"))
     effective_radius: Scalar = eqx.field(
         metadata=quantity("m", positive=True, words="radius of the law")
-    )  # r, that of the law's stiffness
-    surface: Surface | None = None  # a smooth stand-in that tells where the groove is: for results alone
+    )  # r, at which the law's stiffness applies
+    surface: Surface | None = None  # smooth substitute that defines the groove, used only for results
     method: ClassVar[str] = "volume"
     observables: ClassVar[dict[str, Observable]] = {
         **BY_FACET,
@@ -71,12 +71,12 @@ class MeshVolumeContact(ButtonSphere):
     }
 
     def remember(self, now: Instant) -> Speeds:
-        """No contact has begun yet."""
+        """Initial memory: no contact has begun."""
         return self.law.no_contact_yet(now.patella.position.x, 2)
 
     @traced_once
     def touch(self, now: Instant, memory: Speeds) -> VolumeTouch:
-        """The overlap at this instant and its forces."""
+        """The overlap at an instant, and its forces."""
         centre, velocity = self.centre_in_femur(now)
         found = overlap(sphere_patch(self.mesh, centre, self.radius), self.radius, self.effective_radius)
         speeds, s = memory or (None, None), found.merged
@@ -95,19 +95,19 @@ class MeshVolumeContact(ButtonSphere):
         joint_energy = self.law.force(found.joint_depth, jnp.zeros_like(rate), of_both).energy
         gained = joint_energy - energies[0] - energies[1]
         if self.mesh.facets.count > 1:
-            terms.append(self._growing(now, found, gained, velocity))
+            terms.append(self._blend_term(now, found, gained, velocity))
         energy = energies[0] + energies[1] + s * gained
         return VolumeTouch(found, tuple(terms), energy, tuple(begun) or None)
 
-    def _growing(self, now: Instant, found: Overlap, gained: Scalar, velocity: Vec3) -> StiffTerm:
-        """The potential's change by the change of s, as a force of `gained` along -grad s."""
+    def _blend_term(self, now: Instant, found: Overlap, gained: Scalar, velocity: Vec3) -> StiffTerm:
+        """Force from the dependence of the potential on s: `gained` [J] times -grad s [1/m]."""
         world = now.femur.direction(-found.merged_slope)
         zero = jnp.zeros_like(gained)
         rate = found.merged_slope.dot(velocity)
         return StiffTerm(world, applied_at(self.center, now.patella, world), gained, gained, zero, zero, rate)
 
     def load(self, now: Instant, memory: Speeds) -> tuple[Load, Speeds]:
-        """A stiff term for each facet, and one for their growing into one."""
+        """See `Effect`: a stiff term per facet, and one for the blend between two contacts and one."""
         t = self.touch(now, memory)
         return Load(stiff=t.terms, energy=t.energy), t.speeds
 
@@ -120,11 +120,11 @@ class MeshVolumeContact(ButtonSphere):
         return RoughMeshVolumeContact.of(self, friction)
 
     def recentred(self, center_of_mass: Vec3) -> Self:
-        """Sphere centre counted from the centre of mass; the mesh prepared for repeated searches."""
+        """See `Effect`; also prepares the mesh for repeated searches."""
         return eqx.tree_at(lambda e: e.mesh, super().recentred(center_of_mass), self.mesh.prepared())
 
     def report(self, now: Instant, memory: Speeds) -> tuple[dict[str, Any], Scalar | None]:
-        """Forces, places and indentations by facet; NaN for a facet that is not touched."""
+        """See `Effect`: forces, points and indentations per facet; NaN for a facet without contact."""
         t, (centre, _) = self.touch(now, memory), self.centre_in_femur(now)
         found, deep = t.overlap, self.mesh.depth_by_distance(centre, self.radius)
         total = sum((term.force * term.direction for term in t.terms), start=Vec3.zero())
@@ -132,14 +132,14 @@ class MeshVolumeContact(ButtonSphere):
         along = (1 / jnp.where(whole > 0, whole, 1.0)) * total
         forces, indentations, points = [], [], []
         for k, area in enumerate(found.areas):
-            # Halves of one contact lean apart: what they bear of its force is along the force itself.
+            # The forces of the two parts of one contact diverge; their contribution is the component along the total.
             push = t.terms[k].force * t.terms[k].direction
             size = (1 - found.merged) * push.norm() + found.merged * push.dot(along)
             d = jnp.where(found.merged > 0, found.joint_depth, found.depths[k])
             inside = found.arms[k] * (1 / jnp.where(area > 0, area, 1.0))
             forces.append(size)
             points.append(jnp.where(size > 0, (centre + inside).array(), jnp.nan))
-            # A sphere wholly inside the bone has no surface in it: the distance to the surface tells.
+            # A sphere wholly inside the bone contains no surface; its depth is the distance to the surface.
             indentations.append(jnp.where(area > 0, d, jnp.where(deep[k] > self.radius, deep[k], jnp.nan)))
         report = facet_report(now.femur.local_direction(total), forces, indentations, points)
         report |= {f"area_{facet}": area for facet, area in zip(FACETS, found.areas, strict=True)}
@@ -156,6 +156,6 @@ class RoughMeshVolumeContact(WithFriction, MeshVolumeContact):
 
 
 def _combined_term(a: StiffTerm, b: StiffTerm) -> StiffTerm:
-    """Two terms along the same direction as one."""
+    """Sum of two terms along the same direction, as one term."""
     added = {name: getattr(a, name) + getattr(b, name) for name in ("force", "elastic", "stiffness", "damping")}
     return dataclasses.replace(a, **added)

@@ -1,7 +1,7 @@
-"""The button's sphere on a trochlear surface: every local contact, medial and lateral at once.
+"""Contact of a spherical button with a smooth trochlear surface, at the medial and the lateral contact point.
 
-Source of the force: Michaud et al. 2024, section 2.4.2 (the normal to the surface carries it, no friction). How the
-contacts are found: `pftwin.geometry.contact.facets`.
+Source of the force: Michaud et al. 2024, section 2.4.2 (along the surface normal, without friction). The contact
+search is in `pftwin.geometry.contact.facets`.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ from pftwin.model.effects.contact import BY_FACET, ButtonSphere, Contact, Touch,
 from pftwin.model.effects.contact_law import ContactLaw, Speeds
 from pftwin.model.effects.friction import Friction, WithFriction
 
-SHALLOWEST = 1e-6  # indentation below which contacts are told apart as if it were this [m]
-SEARCH_STEPS = 10  # iterations that find the contacts without a previous guess
+SHALLOWEST = 1e-6  # smallest indentation used to decide how far two contacts overlap [m]
+SEARCH_STEPS = 10  # iterations of the contact search without a previous guess
 
 
 class ContactMemory(NamedTuple):
-    """What contact carries from step to step."""
+    """Memory of the contact from step to step."""
 
-    places: tuple[FollowedPoint, FollowedPoint]  # of the medial and the lateral point
+    places: tuple[FollowedPoint, FollowedPoint]  # medial and lateral contact point
     approach_speeds: Speeds
 
 
@@ -46,19 +46,19 @@ class SphereContact(ButtonSphere):
     }
 
     def centre_in_chart(self, now: Instant) -> tuple[Vec3, Vec3]:
-        """The sphere's centre and its velocity relative to the femur, in the chart's frame."""
+        """The sphere's centre [m] and its velocity relative to the femur [m/s], in the chart's frame."""
         centre, velocity = self.centre_in_femur(now)
         chart = self.surface.chart
         return chart.to_frame(centre), chart.axes.unapply(velocity)
 
     def guess(self, now: Instant) -> ContactMemory:
-        """Both points below the sphere's centre, from where the search continues; no contact has begun yet."""
+        """See `Effect`: both points start below the sphere's centre; no contact has begun."""
         c, _ = self.centre_in_chart(now)
         foot = FollowedPoint(*self.surface.chart.foot(c), jnp.zeros_like(c.x))
         return ContactMemory((foot, foot), self.law.no_contact_yet(now.patella.position.x, 2))
 
     def remember(self, now: Instant) -> ContactMemory:
-        """Both points, found without a previous guess; no contact has begun yet."""
+        """See `Effect`: both points from a search without a previous guess; no contact has begun."""
         c, _ = self.centre_in_chart(now)
 
         def improve(_: Scalar, places: tuple[FollowedPoint, FollowedPoint]) -> tuple[FollowedPoint, FollowedPoint]:
@@ -70,23 +70,23 @@ class SphereContact(ButtonSphere):
         return start._replace(places=jax.lax.fori_loop(0, SEARCH_STEPS, improve, start.places))
 
     def refined(self, memory: ContactMemory, trial: ContactMemory) -> ContactMemory:
-        """The memory with the trial's points."""
+        """See `Effect`: the memory with the trial's contact points."""
         return memory._replace(places=trial.places)
 
     @traced_once
     def touches(
         self, now: Instant, memory: ContactMemory
     ) -> tuple[Touch[ClosestPoint], Touch[ClosestPoint], ContactMemory]:
-        """The medial and the lateral contact at this instant, and the memory for the next."""
+        """The medial and the lateral contact at an instant, and the memory for the next step."""
         c, _ = self.centre_in_chart(now)
         return self._touches_at(follow_facets(self.surface, c, self.radius, memory.places), now, memory)
 
     @traced_once
     def standing_touches(self, now: Instant, memory: ContactMemory) -> tuple[Touch[ClosestPoint], Touch[ClosestPoint]]:
-        """The contacts that the step to this instant has had: none is found or lost by looking.
+        """The contacts of the step to this instant, without a new search, so that observing does not change them.
 
-        A step ends with the velocity that its own contacts leave. Another contact would meet this velocity unprepared:
-        damping makes hundreds of newtons of it, which the motion never sees, since the next step adapts at once.
+        The velocity at the end of a step is consistent with the contacts of that step. For any other contact, damping
+        would turn it into hundreds of newtons, which never act on the motion because the next step adapts at once.
         """
         c, _ = self.centre_in_chart(now)
         return self._touches_at(facets_from(self.surface, c, self.radius, memory.places), now, memory)[:2]
@@ -98,11 +98,11 @@ class SphereContact(ButtonSphere):
         speeds, way = memory.approach_speeds or (None, None), now.step * velocity
         touches, places = [], []
         ridge = facets.ridge
-        near = 1 - ridge.place, ridge.place  # of the ridge's force, what comes off each contact's
+        near = 1 - ridge.place, ridge.place  # fraction of the ridge's force to subtract from each contact's
         for p, speed, less in zip((facets.medial, facets.lateral), speeds, near, strict=True):
             normal = self.surface.chart.axes.apply(p.normal)
             depth = jnp.maximum(self.radius - p.distance, SHALLOWEST)
-            on_ridge = 1 - (ridge.distance - p.distance) / depth  # indentation there, by that of the contact
+            on_ridge = 1 - (ridge.distance - p.distance) / depth  # ratio of indentations: at the ridge to this contact
             overlap = less * self.law.elastic_ratio(on_ridge)
             bears, stores = 1 - overlap, 1 - overlap * on_ridge
             touches.append(self.touch(now, p, normal, -p.normal.dot(velocity), speed, bears, stores))
@@ -111,21 +111,21 @@ class SphereContact(ButtonSphere):
         return one, two, ContactMemory((medial, lateral), load_of([one.push, two.push])[1])
 
     def load(self, now: Instant, memory: ContactMemory) -> tuple[Load, ContactMemory]:
-        """A stiff term per contact."""
+        """See `Effect`: a stiff term per contact."""
         one, two, memory = self.touches(now, memory)
         return load_of([one.push, two.push])[0], memory
 
     def standing_load(self, now: Instant, memory: ContactMemory) -> Load:
-        """A stiff term for each of `standing_touches`."""
+        """See `Contact`: a stiff term for each of `standing_touches`."""
         return load_of([t.push for t in self.standing_touches(now, memory)])[0]
 
     def report(self, now: Instant, memory: ContactMemory) -> tuple[dict[str, Any], Scalar | None]:
-        """Forces, points and indentations, told apart as medial and lateral."""
+        """See `Effect`: forces, points and indentations per facet, medial and lateral."""
         touches = self.standing_touches(now, memory)
         ends = [t.push.term for t in touches]
         vector = ends[0].force * ends[0].direction + ends[1].force * ends[1].direction
         one, two = (t.at for t in touches)
-        # A single contact, of which both points bear half, belongs to one facet.
+        # Where both points are one contact and bear half of its force each, they belong to one facet.
         first = medial_of_groove(self.surface, one)
         second = jnp.where(jnp.abs(one.v - two.v) < MERGED * self.radius, first, medial_of_groove(self.surface, two))
         places, off_patch = [], jnp.zeros_like(one.u)
@@ -147,7 +147,7 @@ class SphereContact(ButtonSphere):
         return shown, load_of([t.push for t in touches])[0].energy
 
     def fitted_surface(self) -> Surface:
-        """The surface itself."""
+        """The field `surface`."""
         return self.surface
 
     def with_fitted_surface(self, surface: Surface) -> Self:
@@ -159,7 +159,7 @@ class SphereContact(ButtonSphere):
         return RoughSphereContact.of(self, friction)
 
     def recentred(self, center_of_mass: Vec3) -> Self:
-        """Sphere centre counted from the centre of mass; the patch's coefficients one array each."""
+        """See `Effect`; also splits the patch's coefficients into one array each."""
         return eqx.tree_at(lambda e: e.surface, super().recentred(center_of_mass), self.surface.unstacked())
 
 

@@ -1,4 +1,4 @@
-"""Tendons and ligament strands: a spring beside a dashpot. They differ in the spring's law alone."""
+"""Tendons and ligament strands as a spring in parallel with a dashpot. They differ only in the spring's law."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ _LINEAR = "linear from slack, the linear region as it is"
 
 
 class SpringForce(NamedTuple):
-    """A spring law's answer at a stretch."""
+    """Force of a spring at a stretch."""
 
     force: Scalar  # [N]
-    slope: Scalar  # [N/m]
+    slope: Scalar  # derivative with respect to the stretch [N/m]
     energy: Scalar  # stored [J]
 
 
@@ -34,12 +34,12 @@ class LinearSpring(NamedTuple):
     stiffness: Scalar  # K [N/m]
 
     def at(self, stretch: Scalar) -> SpringForce:
-        """At a stretch [m]; below 0 it would push."""
+        """Force at a stretch [m]; negative where the stretch is."""
         return SpringForce(self.stiffness * stretch, self.stiffness, 0.5 * self.stiffness * jnp.square(stretch))
 
 
 class ToeSpring(NamedTuple):
-    r"""The toe region of soft tissue: quadratic while its crimped fibres straighten, then linear; C1.
+    r"""Spring with a toe region, as in soft tissue: quadratic while crimped fibres straighten, then linear; C1.
 
     F = K s^2 / (2 t) for 0 < s < t, F = K (s - t / 2) beyond, 0 where slack.
     Source: Blankevoort & Huiskes 1991, J Biomech Eng 113:263 (half of t / L0 is their reference strain e1).
@@ -49,7 +49,7 @@ class ToeSpring(NamedTuple):
     toe: Scalar  # t, the stretch at which the toe region ends [m]
 
     def at(self, stretch: Scalar) -> SpringForce:
-        """At a stretch [m]."""
+        """Force at a stretch [m]."""
         in_toe, s, half = stretch < self.toe, jnp.maximum(stretch, 0.0), 0.5 * self.toe
         force = jnp.where(in_toe, s * s / (2 * self.toe), s - half)
         slope = jnp.where(in_toe, s / self.toe, 1.0)
@@ -58,9 +58,9 @@ class ToeSpring(NamedTuple):
 
 
 class DampedLine(ElasticLine):
-    """A spring with a dashpot beside it: F = f(L - L0) + c dL/dt, never negative, and nothing where L <= L0.
+    """Spring and dashpot in parallel: F = f(L - L0) + c dL/dt, at least 0, and 0 where L <= L0.
 
-    A leading axis on every leaf makes a group.
+    With a leading axis on every leaf, this is a group of lines.
     """
 
     observables: ClassVar[dict[str, Observable]] = {
@@ -76,23 +76,23 @@ class DampedLine(ElasticLine):
     @property
     @abstractmethod
     def law(self) -> LinearSpring | ToeSpring:
-        """The spring's law f."""
+        """Law f of the spring."""
 
     @property
     def dashpot(self) -> Scalar:
-        """c [N s/m]: the field `damping`, where a subclass does not derive it from another."""
+        """c [N s/m]: the field `damping` unless overridden."""
         return self.damping
 
     @property
     def rest_length(self) -> Scalar:
-        """L0 [m]: the field `slack_length`, where a subclass does not derive it from others."""
+        """L0 [m]: the field `slack_length` unless overridden."""
         return self.slack_length
 
     def load(self, now: Instant, memory: Any) -> tuple[Load, Any]:
-        """Its pull."""
+        """See `Effect`: the tensions as stiff terms."""
         line = self.line(now)
         stretch, c = line.length - self.rest_length, self.dashpot
-        # A tendon that shortens too fast to pull still gives up what it stores: as heat.
+        # A tendon that shortens too fast to bear tension still releases its stored energy, as heat.
         elastic, k, stored = self.law.at(jnp.maximum(stretch, 0.0))
         pull = elastic + c * line.lengthening
         taut = (stretch > 0) & (pull > 0)
@@ -100,30 +100,30 @@ class DampedLine(ElasticLine):
         return Load(stiff=(line.term(tension, elastic, k, c),), energy=jnp.sum(stored)), memory
 
     def held_tension(self, length: Scalar) -> Scalar:
-        """See `ElasticLine`: of the spring; of a linear one negative where it would hang slack."""
+        """See `ElasticLine`: tension of the spring alone [N]; of a linear spring, negative where the line is slack."""
         return self.law.at(length - self.rest_length).force
 
     def observe(self, now: Instant, memory: Any) -> dict[str, Scalar]:
-        """Tension and length."""
+        """See `Effect`: tension [N] and length [m]."""
         return self.report(now, memory)[0]
 
     def report(self, now: Instant, memory: Any) -> tuple[dict[str, Scalar], Scalar | None]:
-        """These, and the energy stored."""
+        """See `Effect`: tension [N] and length [m], and the stored energy [J]."""
         load, _ = self.load(now, memory)
         (term,) = load.stiff
         return {"tension": term.force, "length": self.line(now).length}, load.energy
 
     def simplifications(self) -> Iterable[Change]:
-        """Without its dashpot."""
+        """See `Effect`: the line without its dashpot."""
         undamped = eqx.tree_at(lambda t: t.damping, self, jnp.zeros_like(self.damping))
         return (Change(DAMPING, undamped, "no dashpot"),)
 
 
 class Tendon(DampedLine):
-    r"""A spring-damper between the patella and a guided body; it pulls or hangs slack.
+    r"""Linear spring and dashpot in parallel between the patella and a guided body, without compression.
 
-    F = K (L - L0) + c dL/dt, never negative, and nothing where L <= L0. A leading axis on every leaf makes a group.
-    Source: Michaud et al. 2024, eq. 1 (there c = 0.01 s * K; the sign of the damping term is that of its mechanics).
+    F = K (L - L0) + c dL/dt, at least 0, and 0 where L <= L0. With a leading axis on every leaf, this is a group.
+    Source: Michaud et al. 2024, eq. 1 (there c = 0.01 s * K; the damping term has the sign that mechanics requires).
     """
 
     stiffness: Scalar = eqx.field(metadata=quantity("N/m", positive=True, alias="K"))  # K
@@ -136,7 +136,7 @@ class Tendon(DampedLine):
 
     @property
     def law(self) -> LinearSpring:
-        """F = K s."""
+        """Linear spring F = K s."""
         return LinearSpring(self.stiffness)
 
     def slack_length_for(self, length: Scalar, tension: Scalar) -> Scalar:
@@ -144,7 +144,7 @@ class Tendon(DampedLine):
         return length - tension / self.stiffness
 
     def elaborations(self) -> Iterable[Change]:
-        """With a toe region, the linear region as it is."""
+        """See `Effect`: the tendon with a toe region and an unchanged linear region."""
         slack, toe = self.slack_length / (1 + 0.5 * TOE_STRAIN), TOE_STRAIN + 0 * self.slack_length
         ends = self.insertion, self.origin, self.body
         stiffening = ToeTendon(self.stiffness, slack, toe, self.damping, *ends, wrap=self.wrap, name=self.name)
@@ -152,10 +152,10 @@ class Tendon(DampedLine):
 
 
 class ToeTendon(DampedLine):
-    r"""A tendon that stiffens over a toe region, then is linear, and never pushes.
+    r"""A tendon whose stiffness rises over a toe region and is then constant, without compression.
 
-    The law is that of `ToeSpring` with t = toe strain * L0, plus c dL/dt while taut, never negative. As the toe strain
-    tends to 0 this is `Tendon`. A leading axis on every leaf makes a group.
+    The law is that of `ToeSpring` with t = toe strain * L0, plus c dL/dt while taut, at least 0. As the toe strain
+    tends to 0 it becomes `Tendon`. With a leading axis on every leaf, this is a group.
     """
 
     stiffness: Scalar = eqx.field(metadata=quantity("N/m", positive=True, alias="K"))  # K, of the linear region
@@ -169,7 +169,7 @@ class ToeTendon(DampedLine):
 
     @property
     def law(self) -> ToeSpring:
-        """With a toe region that is a part of the slack length."""
+        """Toe spring; its toe region is a fraction of the slack length."""
         return ToeSpring(self.stiffness, self.toe_strain * self.slack_length)
 
     def slack_length_for(self, length: Scalar, tension: Scalar) -> Scalar:
@@ -180,7 +180,7 @@ class ToeTendon(DampedLine):
         return jnp.where(f < 0.5 * toe * linear, in_toe, linear)
 
     def simplifications(self) -> Iterable[Change]:
-        """Without its toe region: linear from half a toe later, where its linear region's line meets zero; undamped."""
+        """See `Effect`: linear, slack up to where the linear region extrapolates to zero force; without the dashpot."""
         slack = self.slack_length * (1 + 0.5 * self.toe_strain)
         ends = self.insertion, self.origin, self.body
         linear = Tendon(self.stiffness, slack, self.damping, *ends, wrap=self.wrap, name=self.name)
@@ -188,10 +188,10 @@ class ToeTendon(DampedLine):
 
 
 class StrandGroup(DampedLine):
-    r"""Ligament strands that stiffen over a toe region, then are linear, and never push.
+    r"""Ligament strands whose stiffness rises over a toe region and is then constant, without compression.
 
     With strain e = (L - L0) / L0 and reference strain e1: F = k e^2 / (4 e1) for 0 < e < 2 e1, F = k (e - e1) beyond,
-    plus k c de/dt while taut; k in newtons per unit strain, c in seconds. Every leaf has the strands' axis in front.
+    plus k c de/dt while taut; k in newtons per unit strain, c in seconds. The first axis of every leaf is the strand.
     Source: Blankevoort & Huiskes 1991, J Biomech Eng 113:263 (their 2 e1 is the `toe_strain` here).
     """
 
@@ -207,12 +207,12 @@ class StrandGroup(DampedLine):
 
     @property
     def law(self) -> ToeSpring:
-        """The same per metre: K = k / L0, t = 2 e1 L0."""
+        """Toe spring in terms of length: K = k / L0, t = 2 e1 L0."""
         return ToeSpring(self.stiffness / self.slack_length, self.toe_strain * self.slack_length)
 
     @property
     def dashpot(self) -> Scalar:
-        """k c / L0."""
+        """k c / L0 [N s/m]."""
         return self.stiffness * self.damping_time / self.slack_length
 
     def slack_length_for(self, length: Scalar, tension: Scalar) -> Scalar:
@@ -221,12 +221,12 @@ class StrandGroup(DampedLine):
         return length / (1 + jnp.where(f < 0.5 * toe, safe_sqrt(2 * toe * f), f + 0.5 * toe))
 
     def report(self, now: Instant, memory: Any) -> tuple[dict[str, Scalar], Scalar | None]:
-        """Total tension, and the energy stored."""
+        """See `Effect`: total tension [N], and the stored energy [J]."""
         shown, energy = super().report(now, memory)
         return {"tension": jnp.sum(shown["tension"])}, energy
 
     def simplifications(self) -> Iterable[Change]:
-        """Without toe regions, the stiffness per metre and the linear region as they are; undamped."""
+        """See `Effect`: without toe regions, with the same linear region and stiffness per metre; without dashpots."""
         longer = (1 + 0.5 * self.toe_strain) / (1 + 0.5 * _NO_TOE)
         new = self.stiffness * longer, self.slack_length * longer, jnp.full_like(self.toe_strain, _NO_TOE)
         linear = eqx.tree_at(lambda s: (s.stiffness, s.slack_length, s.toe_strain), self, new)

@@ -1,4 +1,4 @@
-"""Prescribed tensions: muscles whose tension was measured or computed elsewhere."""
+"""Prescribed tensions: muscles whose tension over time is measured or comes from another model."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from pftwin.model.effects.line_elements import LineElement
 
 
 class PrescribedTension(LineElement):
-    """Lines that pull with tensions given over time, from origins that may move on their body (wrapping muscles).
+    """Lines with prescribed tensions over time, from origins that may move on their body (wrapping muscles).
 
-    `tension` has shape (n_samples, n_lines), `origin` the same per coordinate, `insertion` (n_lines,). Between samples
-    both are interpolated linearly; before the first and after the last they stay. A tension that depends on time alone
-    has no potential: `energy` is 0, and its work counts as external work.
+    `tension` and each coordinate of `origin` have shape (n_samples, n_lines), those of `insertion` (n_lines,). Tension
+    and origin are interpolated linearly between samples, and constant before the first and after the last. A tension
+    that depends on time alone has no potential: no energy is stored, and its work counts as external work.
     """
 
     tension: Scalar = eqx.field(metadata=quantity("N", at_least=0))
@@ -34,7 +34,7 @@ class PrescribedTension(LineElement):
     observables: ClassVar[dict[str, Observable]] = {"tension": Observable("N", "sum of the prescribed tensions")}
 
     def at(self, time: Scalar | float) -> tuple[Scalar, Vec3]:
-        """Tensions and origins at an instant."""
+        """Tensions [N] and origins [m] at a time [s], each (n_lines,)."""
         position = (time - self.start_time) / self.interval
         last = self.tension.shape[0] - 1
         whole = jnp.clip(jnp.floor(position), 0.0, max(last - 1.0, 0.0))
@@ -46,15 +46,15 @@ class PrescribedTension(LineElement):
         return jax.tree.map(sample, (self.tension, self.origin))
 
     def origin_at(self, time: Scalar | float) -> Vec3:
-        """Where the lines leave their body at an instant [m]."""
+        """Origins of the lines at a time [s], in their body's frame [m]."""
         return self.at(time)[1]
 
     def pulls(self) -> Any:
-        """Those whose tension is not zero throughout."""
+        """Which lines (n_lines,) have a tension above zero at some sample."""
         return np.any(np.asarray(self.tension) > 0, axis=0)
 
     def load(self, now: Instant, memory: Any) -> tuple[Load, Any]:
-        """The tensions' forces; their slopes are zero, so none of them is stiff."""
+        """See `Effect`: a wrench without stiff terms, as the tensions do not depend on the state."""
         tension, line = self.at(now.time)[0], self.line(now)
         zero = jnp.zeros_like(tension)
         term = line.term(tension, tension, zero, zero)

@@ -1,13 +1,13 @@
-r"""Tendons that are standard linear solids: they stiffen with the rate of stretch, and relax when held.
+r"""Tendons as standard linear solids, whose stiffness grows with the rate of stretch and whose tension relaxes.
 
-A spring beside a spring and a dashpot in series, that cannot be pushed: see `ViscoelasticTendon`, with x for s here.
-Where F would be negative the strand hangs loose: its material is longer than the way between its ends, so that it
-pulls nothing, x = K1 e / (K + K1), and shortens as the dashpot recovers. It stores (K x^2 + K1 (x - e)^2) / 2 and loses
-K1 (x - e)^2 / tau as heat.
+A spring in parallel with a spring and dashpot in series, without compression: see `ViscoelasticTendon` for the
+symbols. Here x is the stretch of the material, which equals s while the tendon is taut. Where F would be negative the
+tendon is slack: the material is longer than the distance of its ends, so it bears no tension, x = K1 e / (K + K1), and
+it shortens as the dashpot recovers. The stored energy is (K x^2 + K1 (x - e)^2) / 2, the heat rate K1 (x - e)^2 / tau.
 
-Over a step de/dt is integrated exactly for a stretch that changes linearly with time (exponential integrator: Simo &
-Hughes 1998, Computational Inelasticity, chapter 10). Source of the model: Fung 1993, Biomechanics: Mechanical
-Properties of Living Tissues, chapter 2 (there the Kelvin body).
+Over a step, de/dt is integrated exactly for a stretch that is linear in time (exponential integrator: Simo & Hughes
+1998, Computational Inelasticity, chapter 10). Source of the model: Fung 1993, Biomechanics: Mechanical Properties of
+Living Tissues, chapter 2 (there the Kelvin body).
 """
 
 from __future__ import annotations
@@ -23,32 +23,32 @@ from pftwin.geometry.wrapping.obstacle import Obstacle
 from pftwin.model.effects.base import Instant, Load, Observable
 from pftwin.model.effects.line_elements import ElasticLine, Line
 
-RELAXED = -1.0  # stands for a dashpot relaxed at any length; a real stretch is never negative [m]
+RELAXED = -1.0  # marks a dashpot that is relaxed at any length; actual stretches of a dashpot are never negative [m]
 
 
 class SolidPull(NamedTuple):
-    """The solid's tension at an instant, or at the end of a step."""
+    """Tension of the solid at an instant or at the end of a step."""
 
     tension: Scalar  # [N]
-    stiffness: Scalar  # dF/dx: instantaneous, or over a step in which the dashpot yields [N/m]
+    stiffness: Scalar  # dF/dx: instantaneous, or over a step during which the dashpot moves [N/m]
     energy: Scalar  # stored [J]
-    heat: Scalar  # power dissipated in the dashpot; over a step its mean [W]
+    heat: Scalar  # power dissipated in the dashpot, averaged over a step [W]
     dashpot: Scalar  # e [m]
 
 
 class StandardLinearSolid(eqx.Module):
-    """Its three constants."""
+    """Parameters and response of a standard linear solid."""
 
     stiffness: Scalar  # K, fully relaxed [N/m]
     maxwell_stiffness: Scalar  # K1, of the spring in series with the dashpot [N/m]
     relaxation_time: Scalar  # tau, of the relaxation of tension at a constant stretch [s]
 
     def resting(self, stretch: Scalar, dashpot: Scalar) -> Scalar:
-        """The dashpot's stretch, with `RELAXED` replaced by its value."""
+        """The dashpot's stretch [m]; `RELAXED` becomes the actual stretch, at least 0."""
         return jnp.where(dashpot < 0, jnp.maximum(stretch, 0.0), dashpot)
 
     def at(self, stretch: Scalar, dashpot: Scalar) -> SolidPull:
-        """At an instant; where the dashpot is `RELAXED` it follows the stretch, at the long-term stiffness."""
+        """Tension at an instant; a `RELAXED` dashpot follows the stretch, so the stiffness is the long-term one."""
         e = self.resting(stretch, dashpot)
         at_once = self.stiffness + self.maxwell_stiffness
         loose = self.maxwell_stiffness * e / at_once
@@ -60,12 +60,12 @@ class StandardLinearSolid(eqx.Module):
         return SolidPull(tension, stiffness, self._energy(material, e), heat, dashpot)
 
     def over(self, start: Scalar, end: Scalar, dashpot: Scalar, duration: Scalar | float) -> SolidPull:
-        """At the end of a time over which the stretch goes from `start` to `end`.
+        """Tension at the end of an interval in which the stretch changes linearly from `start` to `end`.
 
         Args:
-            start, end: stretch [m], negative where the ends are nearer than the slack length.
-            dashpot: its stretch at the start, or `RELAXED`.
-            duration: [s]; 0 changes nothing.
+            start, end: stretch [m], negative where the distance of the ends is below the slack length.
+            dashpot: stretch of the dashpot at the start [m], or `RELAXED`.
+            duration: length of the interval [s]; 0 changes nothing.
         """
         e = self.resting(start, dashpot)
         z = jnp.maximum(duration / self.relaxation_time, 1e-9)
@@ -75,14 +75,14 @@ class StandardLinearSolid(eqx.Module):
         ratio = self.maxwell_stiffness / (self.stiffness + self.maxwell_stiffness)
         began = jnp.maximum(start, ratio * e)
         rest = e + of_start * (began - e) - of_end * e
-        loose = ratio * rest / (1 - of_end * ratio)  # the length at which it would end without tension
+        loose = ratio * rest / (1 - of_end * ratio)  # the material's stretch at the end without tension
         ends = jnp.maximum(end, loose)
         after = rest + of_end * ends
         taut = end > loose
         pull = self.stiffness * end + self.maxwell_stiffness * (end - after)
         slope = self.stiffness + self.maxwell_stiffness * (1 - of_end)
-        # The spring in series: its mean over the time is exact, its square's mean that of the parabola through
-        # start, mean and end.
+        # The stretch of the spring in series: its mean over the interval is exact; its mean square is that of the
+        # parabola with the same start, mean and end.
         average = (after - e) / z
         first, last = began - e, ends - after
         bow = 0.5 * (first + last) - average
@@ -97,15 +97,15 @@ class StandardLinearSolid(eqx.Module):
 
 
 class ViscoelasticTendon(ElasticLine):
-    r"""A tendon that is a standard linear solid; it pulls or hangs slack.
+    r"""A tendon as a standard linear solid, without compression.
 
-    F = K s + K1 (s - e), de/dt = (s - e) / tau, with s = L - L0, never negative. A tendon that is stretched at once and
-    held relaxes from (K + K1) s to K s as exp(-t / tau). The dashpot's stretch e is memory: a motion starts with every
-    dashpot relaxed, as an equilibrium is. A leading axis on every leaf makes a group.
+    F = K s + K1 (s - e), at least 0, with de/dt = (s - e) / tau and s = L - L0. After a step of stretch, the tension
+    relaxes from (K + K1) s to K s as exp(-t / tau). The dashpot's stretch e is memory: a motion starts with every
+    dashpot relaxed, as in equilibrium. With a leading axis on every leaf, this is a group.
     """
 
-    stiffness: Scalar = eqx.field(metadata=quantity("N/m", positive=True, alias="K"))  # K, when relaxed
-    maxwell_stiffness: Scalar = eqx.field(metadata=quantity("N/m", at_least=0))  # K1, more when pulled at once
+    stiffness: Scalar = eqx.field(metadata=quantity("N/m", positive=True, alias="K"))  # K, fully relaxed
+    maxwell_stiffness: Scalar = eqx.field(metadata=quantity("N/m", at_least=0))  # K1, in addition when fast
     relaxation_time: Scalar = eqx.field(metadata=quantity("s", positive=True))  # tau
     slack_length: Scalar = eqx.field(metadata=quantity("m", positive=True, alias="L"))  # L0
     insertion: Vec3 = eqx.field(metadata=quantity("m", frame="patella"))
@@ -120,22 +120,22 @@ class ViscoelasticTendon(ElasticLine):
 
     @property
     def law(self) -> StandardLinearSolid:
-        """With the three constants."""
+        """The solid with this tendon's parameters."""
         return StandardLinearSolid(self.stiffness, self.maxwell_stiffness, self.relaxation_time)
 
     def remember(self, now: Instant) -> Scalar:
-        """A dashpot that is relaxed at this length."""
+        """See `Effect`: a dashpot that is relaxed at the present length."""
         return jnp.maximum(self.line(now).length - self.slack_length, 0.0)
 
     def guess(self, now: Instant) -> Scalar:
-        """A dashpot that is relaxed at any length, as in the search for equilibrium."""
+        """See `Effect`: a dashpot that is relaxed at any length, as in the search for equilibrium."""
         return RELAXED * jnp.ones_like(self.line(now).length)
 
     def load(self, now: Instant, memory: Scalar) -> tuple[Load, Scalar]:
-        """Its pull, and the dashpot one step later.
+        """See `Effect`: the tension, and the dashpot's stretch one step later.
 
-        The dashpot moves as the present velocity stretches it. The step's change of velocity affects the dashpot
-        to second order only; its effect on the tension is in the stiffness.
+        The dashpot advances with the present velocity. The change of velocity over the step affects the dashpot only
+        to second order; its effect on the tension is in the stiffness.
         """
         line = self.line(now)
         stretch = line.length - self.slack_length
@@ -149,12 +149,12 @@ class ViscoelasticTendon(ElasticLine):
         return self._load(line, pull), later.dashpot
 
     def _load(self, line: Line, pull: SolidPull) -> Load:
-        # The tension is all elastic: the dashpot's loss does not depend on the speed of the ends.
+        # All tension counts as elastic, since the dashpot's dissipation does not depend on the speed of the ends.
         term = line.term(pull.tension, pull.tension, pull.stiffness, jnp.zeros_like(pull.tension))
         return Load(stiff=(term,), energy=jnp.sum(pull.energy), heat=jnp.sum(pull.heat))
 
     def held_tension(self, length: Scalar) -> Scalar:
-        """See `ElasticLine`: of the spring, negative where it would hang slack."""
+        """See `ElasticLine`: tension when fully relaxed [N], negative where the line is slack."""
         return self.stiffness * (length - self.slack_length)
 
     def slack_length_for(self, length: Scalar, tension: Scalar) -> Scalar:
@@ -162,7 +162,7 @@ class ViscoelasticTendon(ElasticLine):
         return length - tension / self.stiffness
 
     def observe(self, now: Instant, memory: Scalar) -> dict[str, Scalar]:
-        """Tension, length and the dashpot's stretch."""
+        """See `Effect`: tension [N], length [m] and the dashpot's stretch [m]."""
         line = self.line(now)
         stretch = line.length - self.slack_length
         pull = self.law.at(stretch, memory)

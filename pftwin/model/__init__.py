@@ -1,1 +1,1 @@
-"""What is simulated: a scene of bodies, motion and effects. Knows no solver."""
+"""The model: a scene of bodies, motion and effects, independent of solvers."""

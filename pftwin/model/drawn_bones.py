@@ -1,4 +1,4 @@
-"""Bones that a scene is drawn with. No force comes from them, and no program depends on them."""
+"""Surfaces of bones for drawings of a scene. They do not affect forces or compiled programs."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class DrawnBones:
-    """Surfaces of bones [m] by body, "femur", "patella" or "tibia", each in its body's frame."""
+    """Surfaces of bones [m], keyed by body ("femur", "patella" or "tibia"), each in the frame of its body."""
 
     surfaces: Mapping[str, SurfaceMesh]
 
     def __eq__(self, other: object) -> bool:
-        """By content, so that scenes with the same bones have one structure."""
+        """Compares content, so that scenes with the same bones have the same structure."""
         if not isinstance(other, DrawnBones):
             return NotImplemented
         if self.surfaces.keys() != other.surfaces.keys():

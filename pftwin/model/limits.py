@@ -1,9 +1,9 @@
-"""What a knee can be: the one table of limits, and what of a scene lies beyond them.
+"""Limits on the parameters and motion of a plausible knee, and the check of a scene against them.
 
-They hold for scenes that say that they are knees: those of scene files (`pftwin.load_scene`), which imported models
-are too. A scene that is built in Python is any body on any surface, and has none unless `scene.with_limits()` gives it
-them. Each is wide enough for instrumented rigs, implants and children, and can be set by its name: `[limits]` in a
-scene file, `pftwin --allow NAME=VALUE`, `load_scene(path, limits={...})` and `scene.with_limits(NAME=VALUE)`.
+Limits apply to scenes from scene files (`pftwin.load_scene`), imported models included. A scene that is built in
+Python may be any body on any surface, and has no limits unless `scene.with_limits()` adds them. The default limits are
+wide enough for instrumented rigs, implants and children. Each can be set by name: `[limits]` in a scene file,
+`pftwin --allow NAME=VALUE`, `load_scene(path, limits={...})` or `scene.with_limits(NAME=VALUE)`.
 """
 
 from __future__ import annotations
@@ -27,47 +27,47 @@ if TYPE_CHECKING:
     from pftwin.model.scene import Scene
 
 _PROXIMAL = np.array([1.0, 0.0, 0.0])
-_UPWARD = 0.5  # share of a pull that is proximal: a retinaculum's is less, a quadriceps' more
+_UPWARD = 0.5  # proximal fraction of an upward pull: a retinaculum's is less, a quadriceps' more
 _UNITS = {"rad_per_s": "rad/s", "m_per_s": "m/s", "m_per_s2": "m/s^2", "share": "times the distance", "lines": ""}
-_ROUNDED = 0.02  # by how much, as a share, rounded moments of inertia may break the triangle inequality
+_ROUNDED = 0.02  # relative excess over the triangle inequality that rounded moments of inertia may have
 
 
 @dataclasses.dataclass(frozen=True)
 class Limits:
-    """The limits, in the units of their names."""
+    """Limits for a plausible knee, `least_...` and `most_...`, in the units at the end of their names."""
 
     least_mass_kg: float = 0.001
     most_mass_kg: float = 1.0  # a patella weighs 0.03 to 0.1; the rig's carrier 0.12
-    least_gyration_mm: float = 1.0  # radius of gyration: root of moment of inertia by mass
+    least_gyration_mm: float = 1.0  # radius of gyration: square root of moment of inertia over mass
     most_gyration_mm: float = 100.0
     least_button_radius_mm: float = 2.0
     most_button_radius_mm: float = 100.0
-    least_lines: float = 1.0  # of force; without any nothing holds the patella
-    least_upward_lines: float = 1.0  # of those that pull it proximally, as a quadriceps; asked of motions alone
+    least_lines: float = 1.0  # number of lines of force; without any, nothing holds the patella
+    least_upward_lines: float = 1.0  # lines that pull it proximally, like a quadriceps; required only for motions
     most_line_mm: float = 1000.0  # distance from insertion to origin at the start
-    least_slack_share: float = 0.05  # slack length by that distance
+    least_slack_share: float = 0.05  # ratio of slack length to the length of the line at the start
     most_slack_share: float = 1.5
-    most_depth_in_wrap_mm: float = 0.0  # of a line's end in what it wraps over at the start; frames stay INVALID
-    most_force_N: float = 20_000.0  # of a line at the start, and of any force that is given  # noqa: N815
+    most_depth_in_wrap_mm: float = 0.0  # of a line's end inside its obstacle at the start; frames stay INVALID
+    most_force_N: float = 20_000.0  # of a line at the start, and of any force parameter  # noqa: N815
     most_acceleration_m_per_s2: float = 100.0  # of gravity
     least_flexion_deg: float = -40.0  # of the knee, in any frame
     most_flexion_deg: float = 175.0
     most_adduction_deg: float = 45.0  # to either side
     most_rotation_deg: float = 75.0  # to either side
     most_angular_speed_rad_per_s: float = 50.0  # of the tibia in the femur between frames; a fast kick has 30
-    most_knee_speed_m_per_s: float = 0.25  # of the tibia along the femur, at the knee: faster poses are mistaken
+    most_knee_speed_m_per_s: float = 0.25  # of the tibia along the femur, at the knee: faster poses are errors
     most_marker_residual_mm: float = 5.0  # root mean square over a cluster in one frame
     most_marker_residual_ratio: float = 10.0  # to the median of the other clusters, where it exceeds 1 mm
-    most_center_deviation_mm: float = 5.0  # standard deviation of a joint's centre that is found from the motion
+    most_center_deviation_mm: float = 5.0  # standard deviation of a joint centre that is determined from the motion
     most_start_shift_mm: float = 10.0  # from the recorded start to the equilibrium
     most_start_turn_deg: float = 15.0
 
     @staticmethod
     def of(given: Mapping[str, Any]) -> Limits:
-        """The limits with some of them set by name.
+        """The default limits with those in `given` replaced, by name.
 
         Raises:
-            InputError: no such limit; something that is no number.
+            InputError: there is no such limit, or a value is not a number.
         """
         known = [f.name for f in dataclasses.fields(Limits)]
         for name, value in given.items():
@@ -78,12 +78,12 @@ class Limits:
         return Limits(**{name: float(value) for name, value in given.items()})
 
     def of_treated(self) -> Limits:
-        """For a treated knee, which need not rest where the untreated one was recorded."""
+        """Limits for a treated knee, which need not rest where the untreated one was recorded."""
         return dataclasses.replace(self, most_start_shift_mm=np.inf, most_start_turn_deg=np.inf)
 
 
 def beyond(name: str, limit: float, found: str, value: float, where: str | None = None) -> InputError:
-    """The error of a value beyond the limit of that name."""
+    """The error for a `value` beyond the limit `name`, in the limit's unit; `found` describes the value."""
     sense, way = ("at least", -1) if name.startswith("least") else ("at most", 1)
     enough = f"{name}={float(f'{value + way * 0.01 * abs(value):.3g}'):g}"
     return InputError(
@@ -95,7 +95,7 @@ def beyond(name: str, limit: float, found: str, value: float, where: str | None 
 
 
 class Found(NamedTuple):
-    """A number of a scene, and the limits that it has to keep."""
+    """A value of a scene, and the names of the limits that apply to it."""
 
     what: str
     value: float  # in the limits' unit
@@ -104,10 +104,10 @@ class Found(NamedTuple):
 
 
 def check_limits(scene: Scene, limits: Limits) -> None:
-    """Refuses a scene that no knee can be.
+    """Checks that a scene is a plausible knee.
 
     Raises:
-        InputError: the first number beyond its limit; principal moments of inertia that no body can have.
+        InputError: a value exceeds its limit, or no rigid body can have these principal moments of inertia.
     """
     inertia = host_array(scene.patella.inertia)
     if inertia.max() > (inertia.sum() - inertia.max()) * (1 + _ROUNDED):
@@ -125,7 +125,7 @@ def check_limits(scene: Scene, limits: Limits) -> None:
 
 
 def upward_lines(scene: Scene) -> int:
-    """How many lines can pull along the proximal axis of the patella, or of the femur, as they lie at the start."""
+    """Number of lines that pull along the proximal axis of the patella or the femur in the start pose."""
     femur = first_pose(scene.motion, "femur")
     axes = [_turned(scene.start.orientation.rotation(), _PROXIMAL), _PROXIMAL if femur is None else femur[1][:, 0]]
     count = 0
@@ -139,7 +139,7 @@ def upward_lines(scene: Scene) -> int:
 
 
 def not_pulled(scene: Scene) -> tuple[str, ...]:
-    """That nothing pulls the patella upward, in a scene that has limits: tracking is what a quadriceps makes it."""
+    """A message if nothing pulls the patella upward in a scene with limits, as tracking requires; else empty."""
     limits = scene.limits
     if limits is None or (found := upward_lines(scene)) >= limits.least_upward_lines:
         return ()
@@ -148,7 +148,7 @@ def not_pulled(scene: Scene) -> tuple[str, ...]:
 
 
 def _unit(name: str) -> str:
-    """The unit at the end of a limit's name, as it is written."""
+    """Unit of a limit, from the end of its name."""
     return next((unit for ending, unit in _UNITS.items() if name.endswith(ending)), name.rpartition("_")[2])
 
 
@@ -182,7 +182,7 @@ def _of_effects(scene: Scene) -> Iterator[Found]:
 
 
 def _at_start(scene: Scene, line: LineElement) -> Floats:
-    """From insertion to origin (..., 3) at the start, in ground [m]."""
+    """Vectors from insertion to origin at the start, (..., 3), world axes [m]."""
     inserted, body = line.line_ends
     start = scene.start
     here = host_array(start.position) + _turned(start.orientation.rotation(), host_array(inserted))
@@ -193,7 +193,7 @@ def _at_start(scene: Scene, line: LineElement) -> Floats:
 
 
 def _of_line(scene: Scene, line: LineElement) -> Iterator[Found]:
-    """Of the line of a group that is farthest off."""
+    """Values of the line of a group that comes closest to each limit."""
     length = np.linalg.norm(_at_start(scene, line), axis=-1)
     yield Found(
         f"the distance of {line.name} from insertion to origin at the start", 1e3 * length.max(), most="most_line_mm"
@@ -206,7 +206,7 @@ def _of_line(scene: Scene, line: LineElement) -> Iterator[Found]:
         yield Found(what, depth, most="most_depth_in_wrap_mm")
     if not line.elastic:
         return
-    if line.wrap is not None:  # along the line, around what it runs over
+    if line.wrap is not None:  # length of the path around the obstacle
         length = np.atleast_1d(np.asarray(start_length(scene, line), dtype=float))
     slack, stiffness = (np.asarray(getattr(line, n), dtype=float) for n in ("slack_length", "stiffness"))
     share = np.ravel(slack / np.maximum(length, 1e-9))
@@ -215,7 +215,7 @@ def _of_line(scene: Scene, line: LineElement) -> Iterator[Found]:
     yield Found(what, float(share.min()), least="least_slack_share")
     declared = declared_field(type(line), "stiffness")
     by_strain = declared is not None and "strain" in declared.unit
-    stretch = np.maximum(length - slack, 0.0) / (slack if by_strain else 1.0)  # as if there were no toe region
+    stretch = np.maximum(length - slack, 0.0) / (slack if by_strain else 1.0)  # neglects any toe region
     pull = float(np.max(stiffness * stretch))
     yield Found(f"the pull of {line.name} at the start", pull, most="most_force_N")
 

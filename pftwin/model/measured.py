@@ -15,34 +15,34 @@ from pftwin.base.rotations import PatellarAngles, patellar_angles, patellar_orie
 from pftwin.base.spatial import Quaternion
 from pftwin.files.mocap.tables import increasing_times
 
-SYNTHETIC = "the motion is synthetic: computed, not recorded from a knee"  # said wherever such data are shown
+SYNTHETIC = "the motion is synthetic: computed, not recorded from a knee"  # shown with all such data
 _UNIT_TOLERANCE = 1e-3
 _FORCES = ("contact_force", "tibial_spring_force", "femoral_spring_force")
 
 
 @dataclass(frozen=True, eq=False)
 class Measured:
-    """Measurements of the patella in the femur frame, at the recorded frames. NaN where a value is missing.
+    """Measurements of the patella in the femur frame, at the recorded frames. Missing values are NaN.
 
     Args:
-        times: (n,) seconds, strictly increasing.
-        center: (n, 3) the button's sphere centre in the femur frame [m]; all NaN where it was not measured.
-        quaternion: (n, 4) orientation of the patella in the femur, scalar first; None where it was not measured.
-        contact_force: (n,) normal contact force [N]; None where it was not measured. Likewise the springs' forces:
-        tibial_spring_force: (n,) of the patellar tendon [N].
-        femoral_spring_force: (n,) of the quadriceps [N].
-        synthetic: whether these are simulated measurements; figures and tables say so.
-        source: where they come from, for messages and legends.
-        readings: (n,) each, whatever else effects report, by "EFFECT.OBSERVABLE" ("contact.force_medial", a marker's
-            "m1.x"), in the unit in which the effect reports it.
-        weights: (n,) how much each frame counts in a fit beside the others, in all channels: its noise has a variance
-            in proportion to 1/weight, and a frame of weight 0 is left out. None: all count alike.
-        skin_markers: names of the effects among the readings that are markers on the skin. Skin slides over the bone:
-            a comparison of such a marker is qualitative.
+        times: (n,) [s], strictly increasing.
+        center: (n, 3) centre of the button's sphere in the femur frame [m]; all NaN if not measured.
+        quaternion: (n, 4) orientation of the patella in the femur, scalar first; None if not measured.
+        contact_force: (n,) normal contact force [N]; None if not measured.
+        tibial_spring_force: (n,) force of the patellar tendon [N]; None if not measured.
+        femoral_spring_force: (n,) force of the quadriceps [N]; None if not measured.
+        synthetic: whether these are simulated measurements, which figures and tables state.
+        source: origin of the data, for messages and legends.
+        readings: (n,) each, other observables of effects, keyed by "EFFECT.OBSERVABLE" ("contact.force_medial", or
+            "m1.x" of a marker), in the unit of the observable.
+        weights: (n,) relative weight of each frame in a fit, for all channels: the variance of its noise is
+            proportional to 1/weight, and weight 0 omits the frame. None: equal weights.
+        skin_markers: names of the effects among the readings that are markers on the skin. As skin slides over the
+            bone, comparison with such a marker is only qualitative.
 
     Raises:
-        InputError: repeated or unsorted times, shapes that do not match, a quaternion that is no unit quaternion,
-            infinite values, negative weights; the message names the field, and the row from 1.
+        InputError: times are repeated or unsorted, shapes do not match, a quaternion is not normalised, values are
+            infinite, or weights are negative; the message gives the field, and the row counted from 1.
     """
 
     times: NDArray[np.float64]
@@ -77,13 +77,13 @@ class Measured:
             object.__setattr__(self, "weights", weights)
 
     def during(self, spans: Sequence[tuple[float, float]]) -> Measured:
-        """The same, with weights of 0 outside of these spans of time [s].
+        """The measurements with weights of 0 outside the time intervals `spans`, (first, last) [s] each.
 
         Raises:
-            InputError: a span that ends before it starts, or all of them without a frame.
+            InputError: an interval ends before it starts, or no frame with a positive weight remains.
         """
         inside = np.zeros(self.times.size, bool)
-        slack = 1e-6 * np.median(np.diff(self.times)) if self.times.size > 1 else 0.0  # ends are written in decimals
+        slack = 1e-6 * np.median(np.diff(self.times)) if self.times.size > 1 else 0.0  # ends are given as decimals
         for first, last in spans:
             if not first <= last:
                 raise InputError(f"found {first:g}:{last:g}", where="during", expected="FROM:TO in seconds")
@@ -108,7 +108,7 @@ class Measured:
         synthetic: bool = False,
         source: str = "measurements",
     ) -> Measured:
-        """From the patella's angles (n,) [rad], by the conventions of `pftwin.base.rotations`."""
+        """Measurements from the patella's angles (n,) [rad], with the conventions of `pftwin.base.rotations`."""
         q = patellar_orientation(*(np.asarray(a, dtype=np.float64) for a in (flexion, rotation, tilt)))
         forces = contact_force, tibial_spring_force, femoral_spring_force
         return Measured(
@@ -116,7 +116,7 @@ class Measured:
         )
 
     def __eq__(self, other: object) -> bool:
-        """By content, so that scenes which carry the same measurements have one structure."""
+        """Compares content, so that scenes with the same measurements have the same structure."""
         return self is other or (isinstance(other, Measured) and self._content() == other._content())
 
     def __hash__(self) -> int:
@@ -130,17 +130,17 @@ class Measured:
 
     @property
     def angles(self) -> PatellarAngles | None:
-        """Flexion, rotation and tilt of the patella, (n,) each [rad]; None where the orientation was not measured."""
+        """Flexion, rotation and tilt of the patella, (n,) each [rad]; None if the orientation was not measured."""
         return None if self.quaternion is None else patellar_angles(Quaternion(*self.quaternion.T))
 
     @property
     def label(self) -> str:
-        """The label of these data in figures."""
+        """Label of these data in figures."""
         return "synthetic measurements" if self.synthetic else "measured"
 
 
 def _finite(given: Any, shape: tuple[int, ...], name: str, source: str) -> NDArray[np.float64]:
-    """Numbers of this shape, none of them infinite."""
+    """Values as an array, checked for the shape and infinite values."""
     values = np.array(given, dtype=np.float64)
     if values.shape != shape:
         raise InputError(f"{name} of shape {values.shape}", where=source, expected=f"{shape}")

@@ -23,7 +23,7 @@ _FEWEST_FRAMES = 4
 
 
 class Frame(eqx.Module):
-    """A guided body's frame and its motion at one time, or at a batch of times; all in world axes."""
+    """Frame of a guided body and its velocity, at one time or a batch of times; all in world axes."""
 
     origin: Vec3  # [m]
     rotation: Rotation  # local to world
@@ -32,48 +32,48 @@ class Frame(eqx.Module):
 
     @staticmethod
     def world() -> Frame:
-        """The world itself, at rest."""
+        """The world frame, at rest."""
         return Frame(Vec3.zero(), Quaternion.identity().rotation(), Vec3.zero(), Vec3.zero())
 
     def point(self, p: Vec3) -> Vec3:
-        """World coordinates of a point from its local ones."""
+        """World coordinates of a point from its local coordinates [m]."""
         return self.origin + self.rotation.apply(p)
 
     def to_local(self, p: Vec3) -> Vec3:
-        """Local coordinates of a point from its world ones."""
+        """Local coordinates of a point from its world coordinates [m]."""
         return self.rotation.unapply(p - self.origin)
 
     def direction(self, v: Vec3) -> Vec3:
-        """A direction in world axes from local axes."""
+        """World components of a vector from its local components."""
         return self.rotation.apply(v)
 
     def local_direction(self, v: Vec3) -> Vec3:
-        """A direction in local axes from world axes."""
+        """Local components of a vector from its world components."""
         return self.rotation.unapply(v)
 
     def velocity_at(self, p: Vec3) -> Vec3:
-        """World velocity of the body-fixed point that is now at the world position p [m/s]."""
+        """World velocity [m/s] of the body-fixed point at the world position p."""
         return self.velocity + self.angular_velocity.cross(p - self.origin)
 
     def slowed(self, factor: Scalar | float) -> Frame:
-        """The same pose with velocities multiplied by a factor; 0 stands still."""
+        """The same pose with velocities multiplied by a factor; 0 is at rest."""
         return Frame(self.origin, self.rotation, factor * self.velocity, factor * self.angular_velocity)
 
     def relative_velocity(self, velocity: Vec3, at: Vec3) -> Vec3:
-        """A world velocity less that of the body-fixed point at the world position `at` [m/s]."""
+        """A world velocity minus that of the body-fixed point at world position `at` [m/s]."""
         return velocity - self.velocity_at(at)
 
     def relative_spin(self, spin: Vec3, axes: Rotation) -> Vec3:
-        """An angular velocity, given in some axes, less that of the frame [rad/s]."""
+        """An angular velocity, expressed in `axes`, minus that of the frame [rad/s]."""
         return spin - axes.unapply(self.angular_velocity)
 
 
 class SegmentMotion(eqx.Module):
-    """Cubic splines (not-a-knot, C2) through positions and quaternion components.
+    """Motion of a segment as cubic splines (not-a-knot, C2) through positions and quaternion components.
 
-    With u the quaternions' spline, the orientation is u/|u| and the angular velocity in world axes is exact for the
-    interpolant: omega = 2 Im(du/dt * conj(u)) / |u|^2 (the change of |u| is real and drops out). Before the first and
-    beyond the last knot the end cubics go on; times there are for rounding errors only.
+    With u the spline of the quaternions, the orientation is u/|u|, and the angular velocity in world axes is exact for
+    the interpolant: omega = 2 Im(du/dt * conj(u)) / |u|^2 (the change of |u| is real and drops out). The end cubics
+    extrapolate before the first and after the last knot, only to tolerate rounding errors of times.
     """
 
     knots: Float[Array, " n"]  # [s]
@@ -82,10 +82,10 @@ class SegmentMotion(eqx.Module):
 
     @staticmethod
     def fit(poses: PoseSeries) -> SegmentMotion:
-        """Splines through recorded poses (on the host, in float64; leaves in JAX's default float type).
+        """Splines through recorded poses, computed on the host in float64; leaves have JAX's default float type.
 
         Raises:
-            InputError: fewer than four frames.
+            InputError: there are fewer than four frames.
         """
         if poses.times.size < _FEWEST_FRAMES:
             raise InputError(
@@ -99,19 +99,19 @@ class SegmentMotion(eqx.Module):
         return SegmentMotion(*_leaves(poses.times, *splines))
 
     def at_speed(self, factor: float, start: float) -> SegmentMotion:
-        """The same poses, passed through so many times as fast from a time on."""
+        """The same poses at `factor` times the speed, with the time `start` [s] unchanged."""
         powers = factor ** np.arange(3.0, -1.0, -1.0)[:, None, None]
         knots, p, q = (np.asarray(a, float) for a in jax.tree.leaves(self))
         return SegmentMotion(*_leaves(start + (knots - start) / factor, powers * p, powers * q))
 
     def pieces(self, interval: Scalar) -> CubicPiece:
-        """The cubics between knots `interval` and `interval` + 1 (integers of any shape)."""
+        """The cubics between the knots `interval` and `interval` + 1 (integers of any shape)."""
         return CubicPiece(
             self.knots[interval], self.position_coefficients[:, interval], self.quaternion_coefficients[:, interval]
         )
 
     def frames(self, times: ArrayLike) -> Frame:
-        """The frame at times of any shape [s]; its fields have that shape."""
+        """The frame at times [s] of any shape, which its fields then have."""
         t = jnp.asarray(times, self.knots.dtype)
         # `fit` makes the knots uniform, so the interval is found without a search.
         spacing = (self.knots[-1] - self.knots[0]) / (self.knots.shape[0] - 1)
@@ -120,19 +120,19 @@ class SegmentMotion(eqx.Module):
 
 
 def _leaves(*arrays: np.ndarray) -> Iterator[Array]:
-    """In JAX's default float type."""
+    """Arrays in JAX's default float type."""
     return (jnp.asarray(a, dtype=float) for a in arrays)
 
 
 class CubicPiece(eqx.Module):
-    """A segment's cubics between two knots, or many such."""
+    """Cubics of a segment between two knots, or a batch of them."""
 
-    knot: Scalar  # the first [s]
+    knot: Scalar  # time of the first knot [s]
     position_coefficients: Array  # (4, ..., 3)
     quaternion_coefficients: Array  # (4, ..., 4)
 
     def frames(self, times: Scalar) -> Frame:
-        """The frame at a time for each piece [s]."""
+        """The frame at one time [s] per piece."""
         s = (times - self.knot)[..., None]
         p, velocity = _cubic(self.position_coefficients, s)
         u, change = _cubic(self.quaternion_coefficients, s)
@@ -152,10 +152,10 @@ def _cubic(c: Array, s: Scalar) -> tuple[Scalar, Scalar]:
 
 
 class KneeMotion(eqx.Module):
-    """The guided motion of a knee.
+    """Guided motion of a knee.
 
-    `femur` is None where the femur does not move: then the world *is* the femur's frame, the tibia moves in it, and no
-    femoral motion is computed. Gravity has to be given in the world's axes, so in the femur's in that case.
+    `femur` is None if the femur does not move. The world is then the femur frame, in which the tibia moves, and
+    gravity, which is given in world axes, is given in the femur's.
     """
 
     femur: SegmentMotion | None
@@ -166,15 +166,15 @@ class KneeMotion(eqx.Module):
 
     @staticmethod
     def from_poses(femur: PoseSeries | Pose | None, tibia: PoseSeries) -> KneeMotion:
-        """The motion through recorded poses.
+        """Interpolates recorded poses.
 
         Args:
-            femur: its recorded poses in the world; or one fixed pose in the world (the tibia is then re-expressed in
-                the femur's frame); or None: `tibia` is given in the femur's frame already.
-            tibia: its recorded poses, at the same times.
+            femur: recorded poses in the world; or one fixed pose in the world (the tibia is then re-expressed in the
+                femur frame); or None if `tibia` is given in the femur frame.
+            tibia: recorded poses, at the same times.
 
         Raises:
-            InputError: fewer than four frames, uneven times (naming the row), femur and tibia at different times.
+            InputError: fewer than four frames, or times that are not uniform (naming the row) or differ between both.
         """
         moving = None
         if isinstance(femur, PoseSeries):
@@ -183,22 +183,22 @@ class KneeMotion(eqx.Module):
         elif femur is not None:
             tibia = tibia.seen_from(femur)
         if tibia.times.size < _FEWEST_FRAMES:
-            SegmentMotion.fit(tibia)  # refuses
+            SegmentMotion.fit(tibia)  # raises
         times = uniform_times(tibia.times, where=tibia.source)
 
         def fit(poses: PoseSeries) -> SegmentMotion:
             return SegmentMotion.fit(PoseSeries(times, poses.positions, poses.quaternions, source=poses.source))
 
-        # Rounded, so that recordings of one rate share one compiled program.
+        # Rounded, so that recordings with the same rate share one compiled program.
         interval = _rounded((times[-1] - times[0]) / (times.size - 1))
         start = _rounded(times[0])
         return KneeMotion(None if moving is None else fit(moving), fit(tibia), start, interval, times.size)
 
     def at_speed(self, factor: float) -> KneeMotion:
-        """The same poses, passed through so many times as fast (on the host).
+        """The same poses at `factor` times the speed (computed on the host).
 
         Raises:
-            InputError: a factor that is not a positive number.
+            InputError: the factor is not a finite positive number.
         """
         if not (np.isfinite(factor) and factor > 0):
             raise InputError(f"found {factor!r}", where="speed", expected="a positive number, 1 as it was recorded")
@@ -217,26 +217,26 @@ class KneeMotion(eqx.Module):
         return self.start_time + self.frame_interval * np.arange(self.n_frames)
 
     def frame_times(self) -> Array:
-        """`times` for a program, in its float type: start and interval may be traced."""
+        """`times` as a JAX array, for use in programs in which start and interval may be traced."""
         return self.start_time + self.frame_interval * jnp.arange(self.n_frames).astype(float)
 
     def frames(self, times: ArrayLike) -> tuple[Frame | None, Frame]:
-        """Frames of femur (None if it is the world) and tibia at times of any shape [s]."""
+        """Frames of femur (None if it is the world) and tibia at times [s] of any shape."""
         return None if self.femur is None else self.femur.frames(times), self.tibia.frames(times)
 
     def between_frames(self, index: Scalar) -> MotionPiece:
-        """The motion between recorded frames `index` and `index` + 1: for a loop over steps to look things up in."""
+        """The motion between the recorded frames `index` and `index` + 1, for lookups in a loop over steps."""
         return MotionPiece(None if self.femur is None else self.femur.pieces(index), self.tibia.pieces(index))
 
 
 class MotionPiece(eqx.Module):
-    """The guided motion of a knee between two recorded frames."""
+    """Guided motion of a knee between two recorded frames."""
 
     femur: CubicPiece | None
     tibia: CubicPiece
 
     def frames(self, time: Scalar) -> tuple[Frame | None, Frame]:
-        """Frames of femur (None if it is the world) and tibia."""
+        """Frames of femur (None if it is the world) and tibia at a time [s]."""
         return None if self.femur is None else self.femur.frames(time), self.tibia.frames(time)
 
 

@@ -11,21 +11,21 @@ from pftwin.model.motion import KneeMotion, SegmentMotion
 
 
 def tibia_orientation(motion: KneeMotion) -> Quaternion:
-    """Of the tibia in the femur at the recorded frames, (n,) each."""
+    """Orientation of the tibia in the femur at the recorded frames, with components (n,)."""
     q = _orientation(motion.tibia, motion.times)
     return q if motion.femur is None else _orientation(motion.femur, motion.times).conjugate() * q
 
 
 def tibia_position(motion: KneeMotion) -> Floats:
-    """Origin of the tibia's frame in the femur's at the recorded frames, (n, 3) [m]."""
+    """Origin of the tibia frame in the femur frame at the recorded frames, (n, 3) [m]."""
     origin = _spline(motion.tibia, motion.tibia.position_coefficients, motion.times)
     return seen_from_femur(motion, origin[:, None])[:, 0]
 
 
 def seen_from_femur(motion: KneeMotion, points: Floats) -> Floats:
-    """Points of the world (k, 3), or (n, k, 3) at the recorded frames, in the femur's frame [m].
+    """World points (k, 3), or (n, k, 3) at the recorded frames, expressed in the femur frame [m].
 
-    The result is (n, k, 3) where the femur moves; where it is the world, the points are returned unchanged.
+    The result has shape (n, k, 3) if the femur moves; if it is the world, the points are returned unchanged.
     """
     if motion.femur is None:
         return points
@@ -35,7 +35,7 @@ def seen_from_femur(motion: KneeMotion, points: Floats) -> Floats:
 
 
 def first_pose(motion: KneeMotion, body: str) -> tuple[Floats, Floats] | None:
-    """Origin (3,) [m] and axes as columns (3, 3) of "femur" or "tibia" at the first frame; None: it is the world."""
+    """Origin (3,) [m] and axes as columns (3, 3) of "femur" or "tibia" at the first frame; None for the world."""
     segment = motion.femur if body == "femur" else motion.tibia
     if segment is None:
         return None
@@ -45,13 +45,13 @@ def first_pose(motion: KneeMotion, body: str) -> tuple[Floats, Floats] | None:
 
 
 def _orientation(motion: SegmentMotion, times: Floats) -> Quaternion:
-    """The spline's quaternions at times (n,) [s], as `SegmentMotion.frames` has them, in double precision."""
+    """Unit quaternions of the spline at times (n,) [s], as in `SegmentMotion.frames`, in double precision."""
     q = _spline(motion, motion.quaternion_coefficients, times)
     return Quaternion(*(q / np.sqrt(np.einsum("ij,ij->i", q, q))[:, None]).T)
 
 
 def _spline(motion: SegmentMotion, coefficients: object, times: Floats) -> Floats:
-    """A segment's cubics at times (n,): (n, 3) or (n, 4)."""
+    """A segment's cubic spline at times (n,) [s], (n, 3) or (n, 4)."""
     knots, c = (np.asarray(a, dtype=np.float64) for a in (motion.knots, coefficients))
     interval = np.clip(np.searchsorted(knots, times, side="right") - 1, 0, knots.size - 2)
     s, c = (times - knots[interval])[:, None], c[:, interval]

@@ -1,4 +1,4 @@
-"""Where a number is in a scene, and how it is read and written."""
+"""References to numbers in a scene, through which they are read and written."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ if TYPE_CHECKING:
     from pftwin.model.scene import Scene
 
 UNITS = {"strain": "", "force": "N"}  # ways to express a slack length
-TIED = "~"  # between numbers that go together
-TOGETHER = "[:]"  # behind a field of which all numbers go together
-_OWN = ("patella", "start", "motion")  # parts of a scene that are no effects
+TIED = "~"  # separates the names of tied numbers
+TOGETHER = "[:]"  # suffix of a field whose numbers all change together
+_OWN = ("patella", "start", "motion")  # parts of a scene that are not effects
 
 
 class NumberPlace(NamedTuple):
-    """A number in a scene, or all numbers of one field: as they are, or `together`, as one number that is their mean.
+    """Reference to a number in a scene, or to all numbers of a field: as an array, or `together`, as their mean.
 
-    `meaning` is "value" for the number itself. The slack length L0 of a line element may be expressed otherwise,
-    with L its length at the scene's start pose in the first frame: "strain" is (L - L0) / L0, "force" the tension of
-    the line when held at that length.
+    `meaning` is "value" for the number itself. The slack length L0 of a line element may also be expressed as a
+    "strain" (L - L0) / L0, or as a "force", the static tension at the length L, where L is the length of the line at
+    the scene's start pose in the first frame.
 
-    What is `tied`, or `together`, goes with it: in proportion to what the scene has, or, of coordinates, by the same
-    offset.
+    Numbers that are `tied` to it, or `together`, change with it: in proportion to their values in the scene or, for
+    coordinates, by the same offset.
     """
 
-    owner: str  # name of an effect; "patella", "start" or "motion" for the scene's own parts
+    owner: str  # name of an effect, or "patella", "start" or "motion"
     path: tuple[str, ...]
     index: int | None
     meaning: str
@@ -43,46 +43,46 @@ class NumberPlace(NamedTuple):
 
     @property
     def name(self) -> str:
-        """The name as a user may write it."""
+        """The name, as users write it."""
         return TIED.join(self.names)
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Its own name, and those of what is tied to it."""
+        """Its name, followed by those of the numbers tied to it."""
         index = TOGETHER if self.together else "" if self.index is None else f"[{self.index}]"
         ending = "" if self.meaning == "value" else f".{self.meaning}"
         return (".".join([self.owner, *self.path]) + index + ending, *(name for t in self.tied for name in t.names))
 
     @property
     def numbers(self) -> frozenset[tuple[str, tuple[str, ...], int | None]]:
-        """The scene's numbers that it changes, whatever they mean."""
+        """Keys (owner, path, index) of the scene's numbers that it changes, whatever its meaning."""
         return frozenset({(self.owner, self.path, self.index)}.union(*(t.numbers for t in self.tied)))
 
     def overlaps(self, other: NumberPlace) -> bool:
-        """Whether both change one and the same number."""
+        """Whether both change the same number of a scene."""
         pairs = itertools.product(self.numbers, other.numbers)
         return any(a[:2] == b[:2] and (a[2] == b[2] or None in (a[2], b[2])) for a, b in pairs)
 
     def proportions(self, scene: Scene) -> list[float]:
-        """What goes with it in a scene, as shares of itself."""
+        """Values of the numbers that change with it in a scene, divided by its own value."""
         own = float(self.read(scene))
         together = np.ravel(follow(owner_of(scene, self.owner), self.path)).tolist() if self.together else []
         return [value / own for value in (*together, *(float(t.read(scene)) for t in self.tied))]
 
     def unit(self, scene: Scene) -> str:
-        """Its unit; empty for a pure number."""
+        """Its unit; empty if dimensionless."""
         if self.meaning != "value":
             return UNITS[self.meaning]
         declared = named_arrays(scene)[".".join([self.owner, *self.path])].quantity
         return "" if declared is None else declared.unit
 
     def is_coordinate(self, scene: Scene) -> bool:
-        """Whether it is a coordinate of a point, such as an attachment, and so no quantity with a size of its own."""
+        """Whether it is a coordinate of a point such as an attachment, so that scaling it would be meaningless."""
         declared = named_arrays(scene)[".".join([self.owner, *self.path])].quantity
         return declared is not None and declared.frame != "" and declared.unit == "m"
 
     def read(self, scene: Scene) -> Scalar:
-        """The value in a scene."""
+        """Its value in a scene (SI units)."""
         owner = owner_of(scene, self.owner)
         value = follow(owner, self.path)
         if self.together:
@@ -94,7 +94,7 @@ class NumberPlace(NamedTuple):
         return (length - value) / value if self.meaning == "strain" else owner.held_tension(length)
 
     def written(self, scene: Scene, value: Scalar) -> Scene:
-        """The scene with this value there. Pure."""
+        """The scene with the number, and those that change with it, set from `value`; does not modify `scene`."""
         if self.tied:
             own, moved = self.read(scene), self.is_coordinate(scene)
             for other in self.tied:
@@ -114,16 +114,16 @@ class NumberPlace(NamedTuple):
 
 
 class Field(NamedTuple):
-    """An array of numbers in a scene."""
+    """Location, shape and declaration of an array in a scene."""
 
     owner: str
     path: tuple[str, ...]
     shape: tuple[int, ...]
-    quantity: Quantity | None  # its declaration
+    quantity: Quantity | None  # its declared unit and bounds
 
 
 def named_arrays(scene: Scene) -> dict[str, Field]:
-    """Every array of numbers in a scene, by name."""
+    """All numeric arrays of a scene, by name."""
     out = {}
     for owner, value in (*((n, getattr(scene, n)) for n in _OWN), *((e.name, e) for e in scene.effects)):
         for path, leaf, quantity in declarations(value):
@@ -133,12 +133,12 @@ def named_arrays(scene: Scene) -> dict[str, Field]:
 
 
 def start_length(scene: Scene, element: LineElement) -> Scalar:
-    """A line element's length at the scene's start pose in the first frame [m]; one for each line of a group."""
+    """Length of a line element at the scene's start pose in the first frame [m], one per line of a group."""
     return element.line(starting_instant(scene)).length
 
 
 def starting_instant(scene: Scene) -> Instant:
-    """The scene at its start pose in the first frame, at rest."""
+    """The instant of the first frame with the patella at rest in the scene's start pose."""
     start = jnp.asarray(scene.motion.start_time, dtype=float)
     femur, tibia = scene.motion.frames(start)
     patella = Patella.at_rest(scene.start.position, scene.start.orientation)
@@ -146,13 +146,13 @@ def starting_instant(scene: Scene) -> Instant:
 
 
 def owner_of(scene: Scene, name: str) -> Any:
-    """The effect of that name, else the scene's own part."""
+    """The effect named `name`, else the scene's field of that name."""
     effect = next((e for e in scene.effects if e.name == name), None)
     return getattr(scene, name) if effect is None else effect
 
 
 def replaced(scene: Scene, owner: str, path: tuple[str, ...], value: Any) -> Scene:
-    """The scene with another value at a path below an effect or a part of its own."""
+    """The scene with `value` at `path` inside the effect or field `owner`."""
     old = owner_of(scene, owner)
     changed = eqx.tree_at(lambda o: follow(o, path), old, value)
     if any(e is old for e in scene.effects):
@@ -161,7 +161,7 @@ def replaced(scene: Scene, owner: str, path: tuple[str, ...], value: Any) -> Sce
 
 
 def follow(value: Any, path: tuple[str, ...]) -> Any:
-    """What lies at a path below something: names of fields, and indices of tuples."""
+    """The object at `path` inside `value`: a sequence of field names and tuple indices."""
     for part in path:
         value = value[int(part)] if part.isdigit() else getattr(value, part)
     return value

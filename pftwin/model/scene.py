@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 class PatellaBody(eqx.Module):
-    """The patella as a rigid body. Points of the patella are given in the patella's frame."""
+    """The patella as a rigid body. Its points are given in the patella frame."""
 
     mass: Scalar = eqx.field(metadata=quantity("kg", positive=True))
     inertia: Vec3 = eqx.field(metadata=quantity("kg m^2", positive=True))  # principal, about the centre of mass
@@ -34,26 +34,26 @@ class PatellaBody(eqx.Module):
 
 
 class Scene(eqx.Module):
-    """Everything a simulation needs. Parameters are leaves (vmap, jvp and grad reach every one of them); which effects
-    there are, and how many contacts, strands and frames, is structure.
+    """A complete model to simulate. Its parameters are leaves, so vmap, jvp and grad apply to all of them; the kinds of
+    effects and the numbers of contacts, strands and frames are static structure.
     """
 
     patella: PatellaBody
     effects: tuple[Effect, ...]
     motion: KneeMotion
-    start: Pose  # of the patella frame in the world at the first frame: where the search for equilibrium begins
+    start: Pose  # of the patella frame in the world at the first frame: initial guess of the search for equilibrium
     name: str = eqx.field(static=True, default="scene")
-    synthetic: bool = eqx.field(static=True, default=False)  # whether its motion was made up; outputs say so
-    # Measurements of this motion, if any. A treated knee moves differently, so treatments drop them.
+    synthetic: bool = eqx.field(static=True, default=False)  # whether the motion is synthetic, which outputs state
+    # Measurements of this motion, if any. Treatments drop them, since a treated knee moves differently.
     measured: Measured | None = eqx.field(static=True, default=None)
-    limits: Limits | None = eqx.field(static=True, default=None)  # what a knee can be; None: it may be any body
-    bones: DrawnBones | None = eqx.field(static=True, default=None)  # for drawings; None: these show schematic ones
+    limits: Limits | None = eqx.field(static=True, default=None)  # plausible ranges for a knee; None: no limits
+    bones: DrawnBones | None = eqx.field(static=True, default=None)  # for drawings only; None: schematic bones
 
     def effect(self, name: str) -> Effect:
-        """The effect of that name.
+        """The effect named `name`.
 
         Raises:
-            InputError: no such effect.
+            InputError: there is no such effect.
         """
         for effect in self.effects:
             if effect.name == name:
@@ -62,19 +62,19 @@ class Scene(eqx.Module):
         raise InputError(f"no effect {name!r} in scene {self.name!r}", expected=f"one of: {known}")
 
     def index(self, name: str) -> int:
-        """The place of an effect in `effects`."""
+        """Index in `effects` of the effect named `name`."""
         return self.effects.index(self.effect(name))
 
     def reported(self, name: str) -> Reported:
-        """What an effect reports, by "EFFECT.OBSERVABLE": "contact.force_medial".
+        """Looks up an observable by "EFFECT.OBSERVABLE", e.g. "contact.force_medial".
 
         Raises:
-            InputError: no such effect, or one that does not report this.
+            InputError: there is no such effect, or it does not report this observable.
         """
         return Reported.of(name, {e.name: type(e).observables for e in self.effects}, self.name)
 
     def with_effect(self, effect: Effect) -> Scene:
-        """The scene with this effect in place of the one of the same name, or added at the end."""
+        """The scene with `effect` in place of the one with the same name, or appended."""
         names = [e.name for e in self.effects]
         effects = list(self.effects)
         if effect.name in names:
@@ -84,64 +84,64 @@ class Scene(eqx.Module):
         return dataclasses.replace(self, effects=tuple(effects))
 
     def without(self, name: str) -> Scene:
-        """The scene without one effect."""
+        """The scene without the effect named `name`."""
         gone = self.effect(name)
         return dataclasses.replace(self, effects=tuple(e for e in self.effects if e is not gone))
 
     def unnamed(self) -> Scene:
-        """The scene without what no program depends on, as names, measurements and limits: like scenes share one."""
+        """The scene without metadata (name, measurements, limits, bones), so that equal models share one program."""
         return dataclasses.replace(self, name="", synthetic=False, measured=None, limits=None, bones=None)
 
     def with_limits(self, **limits: float) -> Scene:
-        """The scene as a knee, whose numbers `check` keeps within limits; any of them can be set by name.
+        """The scene with limits for a knee, which `check` enforces. Keywords override the default limits.
 
         Raises:
-            InputError: no such limit (`pftwin.model.limits.Limits`).
+            InputError: there is no such limit in `pftwin.model.limits.Limits`, or its value is not a number.
         """
         return dataclasses.replace(self, limits=Limits.of(limits))
 
     @property
     def contact(self) -> Contact | None:
-        """The contact between button and femur that results follow, whatever its geometry; None where there is none."""
+        """The contact between button and femur that results report, of any geometry; None if there is none."""
         return next((role for e in self.effects if (role := e.contact_role()) is not None), None)
 
     @property
     def surface(self) -> Surface | None:
-        """The surface of the contact, or its smooth stand-in; None where there is none."""
+        """Surface of the contact or its smooth substitute (see `Contact.groove_surface`); None if there is none."""
         return None if self.contact is None else self.contact.groove_surface()
 
     def tracked_point(self) -> Vec3:
-        """The point of the patella whose path results show: the button's centre, else the patella's origin."""
+        """Point whose path results show, patella frame [m]: the button's centre or, without contact, the origin."""
         return Vec3.zero() if self.contact is None else self.contact.tracked_point()
 
     def get(self, name: str) -> Any:
-        """A number, an array or a vector (`Vec3`) of the scene by its name: "K1", "quadriceps.origin", "patella.mass".
+        """A parameter by name (number, array or `Vec3`, SI units): "K1", "quadriceps.origin", "patella.mass".
 
         Raises:
-            InputError: no such number, with the nearest name that there is.
+            InputError: there is no such parameter; the message suggests the closest name.
         """
         return get_value(self, name)
 
     def set(self, name: str, value: Any) -> Scene:
-        """The scene with another value under a name, in SI units: of the field's shape; of a vector such as
-        "quadriceps.origin" a `Vec3` or an array (..., 3). Pure: jit, vmap and derivatives apply.
+        """The scene with the parameter `name` set to `value` in SI units. The value has the field's shape; for a vector
+        such as "quadriceps.origin" it is a `Vec3` or an array (..., 3). Supports jit, vmap and differentiation.
 
         Raises:
-            InputError: no such number; a value of another shape.
+            InputError: there is no such parameter, or the value has another shape.
         """
         return with_value(self, name, value)
 
     def center_of_mass_pose(self) -> Pose:
-        """The start pose of the centre of mass."""
+        """Start pose of a frame at the centre of mass, with the patella's axes."""
         return Pose(self.start.apply(self.patella.center_of_mass), self.start.orientation)
 
 
 def check(scene: Scene) -> None:
-    """Refuses a scene whose parameters cannot give a right answer; on the host, before anything is traced.
+    """Validates the parameters of a scene on the host, before tracing.
 
     Raises:
-        InputError: a parameter that is not finite, or not positive where it must be, by its path in the scene; two
-            effects of one name; in a scene that has limits, a number beyond them.
+        InputError: a parameter is not finite or outside its declared bounds (the message gives its path), two effects
+            have the same name, or a scene with limits exceeds one.
     """
     names = [e.name for e in scene.effects]
     for name in names:
@@ -149,7 +149,7 @@ def check(scene: Scene) -> None:
             raise InputError(f"two effects are named {name!r}", where=scene.name, remedy="give each its own name")
     leaves, structure = jax.tree.flatten(scene)
     values = [np.ones(0) if isinstance(a, Tracer) else np.asarray(a, dtype=float).ravel() for a in leaves]
-    # All at once, since this runs before every simulation; only a failure is traced to its parameter.
+    # Checks all values at once, since this runs before every simulation; `_refuse` then finds the wrong parameter.
     fine = bool(np.isfinite(np.concatenate([*values, np.ones(1)])).all())
     for declared, which in bounded_leaves(structure):
         fine = fine and declared.offender(np.concatenate([values[i] for i in which])) is None
@@ -160,7 +160,7 @@ def check(scene: Scene) -> None:
 
 
 def _refuse(scene: Scene) -> None:
-    """Names the first parameter that is wrong."""
+    """Raises an error that names the first invalid parameter."""
     for path, leaf, declared in declarations(scene):
         if isinstance(leaf, Tracer):
             continue

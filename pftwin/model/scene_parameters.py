@@ -1,4 +1,4 @@
-"""Access to the numbers of a scene by readable names: "K1", "quadriceps.slack_length", "patella.mass"."""
+"""Access to the parameters of a scene by name: "K1", "quadriceps.slack_length", "patella.mass"."""
 
 from __future__ import annotations
 
@@ -24,17 +24,16 @@ _INDEXED = re.compile(r"^(.*)\[(\d+)\]$")
 
 
 def find(scene: Scene, name: str) -> list[NumberPlace]:
-    """The places that a name stands for: one, or those of a whole vector.
+    """Resolves a parameter name to the numbers it denotes: one, or one for each element of an array.
 
-    "K1", "L1", "K2" ... are what the scene's elastic line elements (tendons, strands), in their order, declare with
-    these letters: stiffness and slack length. Otherwise "effect.field.field", "patella.field", with an index for an
-    element ("contact.surface.coefficients[3]"), or with "[:]" for all of a field together, in their proportions, told
-    by their mean ("pt.slack_length[:]", "quadriceps.tension[:]"; coordinates: at their distances). "L1.strain" and
-    "L1.force": see `NumberPlace`. Names with "~" between them are of numbers that are tied
-    ("quadriceps.damping~patellar_tendon.damping"): the first is told.
+    - "K1", "L1", "K2", ...: stiffness or slack length of the elastic line elements (tendons, strands), in their order.
+    - "L1.strain", "L1.force": the slack length as a strain or a tension; see `NumberPlace`.
+    - "effect.field.field", "patella.field", "contact.surface.coefficients[3]": a field, or one of its elements.
+    - "pt.slack_length[:]": all elements of a field, scaled together (coordinates: shifted), given by their mean.
+    - "quadriceps.damping~patellar_tendon.damping": numbers tied to the first, which gives the value.
 
     Raises:
-        InputError: no such number in this scene, with the nearest name that there is; a tie of unlike numbers.
+        InputError: there is no such parameter (the message suggests the closest name), or tied numbers are unlike.
     """
     if TIED in name:
         return [_tie(scene, name)]
@@ -64,7 +63,7 @@ def find(scene: Scene, name: str) -> list[NumberPlace]:
 
 
 def _together(scene: Scene, name: str, field: str) -> NumberPlace:
-    """The place of all numbers of a field."""
+    """Resolves "FIELD[:]", all elements of a field together."""
     numbers = named_arrays(scene)
     if field not in numbers:
         raise _unknown(scene, name)
@@ -79,7 +78,7 @@ def _together(scene: Scene, name: str, field: str) -> NumberPlace:
 
 
 def _tie(scene: Scene, name: str) -> NumberPlace:
-    """The place of the first of several numbers, with the others tied to it."""
+    """Resolves "A~B~...": the place of the first number, with the others tied to it."""
     places = [place for part in name.split(TIED) for place in find(scene, part.strip())]
     if len(places) != name.count(TIED) + 1 or any(p.meaning != "value" for p in places):
         raise InputError(f"{name!r}: a vector, or a strain or force", where="free", expected="single numbers")
@@ -96,7 +95,7 @@ def _tie(scene: Scene, name: str) -> NumberPlace:
 
 
 def _expected(full: str, shape: tuple[int, ...]) -> str:
-    """How the numbers of a field are named."""
+    """Names that denote the elements of a field, for error messages."""
     together = f"{full}{TOGETHER} for all together"
     if len(shape) == 1:
         return f"{full}[0] to {full}[{shape[0] - 1}], {full} for each of them, or {together}"
@@ -133,7 +132,7 @@ def with_value(scene: Scene, name: str, value: Any) -> Scene:
 
 
 def _one_place(scene: Scene, name: str) -> NumberPlace:
-    """The place of a name, that of a whole field included."""
+    """The place that a name denotes, which may be a whole array."""
     full, _ = _long_name(scene, name)
     if full in (numbers := named_arrays(scene)) and numbers[full].shape:
         return NumberPlace(numbers[full].owner, numbers[full].path, None, "value")
@@ -141,19 +140,19 @@ def _one_place(scene: Scene, name: str) -> NumberPlace:
 
 
 def _vector(scene: Scene, name: str) -> tuple[str, tuple[str, ...]] | None:
-    """Owner and path of a vector of three fields x, y, z."""
+    """Owner and path of a `Vec3`, if `name` denotes one."""
     found = named_arrays(scene).get(f"{name}.x")
     return None if found is None else (found.owner, found.path[:-1])
 
 
 def numbered_elements(scene: Scene) -> list[ElasticLine]:
-    """The scene's elastic line elements in their order: the first is that of K1 and L1."""
+    """The scene's elastic line elements in order; K1 and L1 belong to the first."""
     lines = (e.line_element() for e in scene.effects)
     return [line for line in lines if line is not None and line.elastic]  # type: ignore[misc]
 
 
 def _long_name(scene: Scene, name: str) -> tuple[str, str]:
-    """A name with short names written out, and its meaning."""
+    """Expands a short name such as "K1"; returns the full name and its meaning ("value", "strain" or "force")."""
     match = _SHORT.match(name)
     if match is None:
         for meaning in UNITS:
@@ -183,7 +182,7 @@ def _long_name(scene: Scene, name: str) -> tuple[str, str]:
 
 
 def _aliases(effect: Effect) -> dict[str, str]:
-    """Fields of an effect by their letters."""
+    """Fields of an effect by the letters of their short names."""
     return {q.alias: field for field, q in effect.quantities().items() if q.alias}
 
 

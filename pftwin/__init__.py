@@ -4,8 +4,8 @@
     result = pftwin.simulate(scene)
     result.to_dataset(), result.save("case2.nc")
 
-Names are imported when first used, so that `import pftwin` costs next to nothing and leaves JAX's settings alone.
-The first that computes sets double precision and fast compilation; `pftwin.configure()` before it is for other choices.
+Names are imported on first use, so that `import pftwin` is fast and does not change JAX's settings. The first use of a
+name that computes sets double precision and fast compilation; call `pftwin.configure()` before for other settings.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
     __version__: str
 
-imported_at = time()  # [s] since the epoch: source that is newer is not what this process runs
+imported_at = time()  # [s] since the epoch; this process does not run source files that are newer
 
 _HOME = {
     "InputError": "base.errors",

@@ -1,1 +1,1 @@
-"""Foundations that all other packages use."""
+"""Basic modules that all other packages use."""

@@ -1,4 +1,4 @@
-"""Types of NumPy's arrays on the host, for annotations; shapes are told where they are used."""
+"""Types of NumPy arrays for annotations; shapes are documented where they are used."""
 
 from __future__ import annotations
 
@@ -6,4 +6,4 @@ import numpy as np
 from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
-Rows = NDArray[np.float32]  # recordings and the like, of which there are many
+Rows = NDArray[np.float32]  # large data such as recordings

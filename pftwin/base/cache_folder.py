@@ -1,7 +1,7 @@
-"""The folder in which programs and derived values persist; off until `use` names one.
+"""Cache folder for compiled programs and derived values; disabled until `use_cache_folder` sets one.
 
-Compiled programs are machine code, which is run: a folder that someone else owns or can write to is not used. Where
-there is none it is made, for its owner alone. Systems without POSIX owners (Windows) rely on the user's profile.
+Compiled programs are machine code that is executed, so a folder that another user owns or can write to is not used. A
+missing folder is created with access for its owner only. Systems without POSIX owners (Windows) rely on the profile.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ from pathlib import Path
 from pftwin.base.errors import OutputError, PftwinWarning
 from pftwin.base.output import written_whole
 
-MOST = 500_000_000  # [bytes] in one kind's folder; beyond, the least recently used files go until half is left
+MOST = 500_000_000  # [bytes] per subfolder; beyond, the least recently used files are deleted until half is left
 _chosen: list[Path] = []  # the folder in use, if any
 
 
 def use_cache_folder(folder: str | os.PathLike[str] | None) -> bool:
-    """Caches in this folder from now on, and makes it where it is not there; None: not at all.
+    """Sets the cache folder and creates it if missing; None disables caching.
 
     Returns:
-        Whether it is used: where it is no folder, cannot be made, or another user owns it or can write to it, a warning
-        says so and nothing is cached.
+        Whether the folder is used. If it is not a folder, cannot be created, or another user owns it or can write to
+        it, this warns and caching is disabled.
     """
     _chosen[:] = [] if folder is None else [Path(folder).absolute()]
     if problem := next(filter(None, map(_problem, _chosen)), None):
@@ -37,13 +37,13 @@ def use_cache_folder(folder: str | os.PathLike[str] | None) -> bool:
 
 
 def _problem(path: Path) -> str | None:
-    """Why nothing can be kept in a folder, and what to do; None where it can, and then it is there."""
+    """Why a folder cannot be used, and what to do; None if it can, after creating it."""
     try:
         if path.exists() and not path.is_dir():
             raise NotADirectoryError
         if unsafe := _unsafe(path):
             return f"{unsafe}; nothing is kept, since the programs in it are run; try: chmod -R go-w on one of your own"
-        for place in (path, compiled_folder(path)):  # JAX would use the default mode
+        for place in (path, compiled_folder(path)):  # JAX would create it with the default mode
             place.mkdir(mode=0o700, parents=True, exist_ok=True)
     except (OSError, ValueError) as error:  # a file, below a file, read-only, a name too long or with a zero byte
         why = "is no folder" if isinstance(error, FileExistsError | NotADirectoryError) else f"cannot be used: {error}"
@@ -52,7 +52,7 @@ def _problem(path: Path) -> str | None:
 
 
 def _unsafe(path: Path) -> str | None:
-    """Why a folder, or one of its existing subfolders, is unsafe."""
+    """Why a folder, or one of its existing subfolders, is unsafe; None if it is safe."""
     for place in (path, path / "programs", path / "values", compiled_folder(path)):
         if hasattr(os, "getuid") and place.exists():
             found = place.stat()
@@ -64,13 +64,13 @@ def _unsafe(path: Path) -> str | None:
 
 
 def chosen() -> Path | None:
-    """The folder; None where nothing is cached."""
+    """The cache folder; None if caching is disabled."""
     return _chosen[0] if _chosen else None
 
 
 @cache
 def compiled_folder(base: Path) -> Path:
-    """Where JAX's cache goes: its keys do not tell processors apart, and a home folder may serve several."""
+    """Folder of JAX's cache for this processor; its keys do not depend on the processor, and homes may be shared."""
     try:
         lines = Path("/proc/cpuinfo").read_text().split("\n\n")[0].splitlines()
         able = [x for x in lines if x.split(":")[0].strip() in ("flags", "Features", "model name")]
@@ -81,19 +81,19 @@ def compiled_folder(base: Path) -> Path:
 
 
 def read(kind: str, key: str) -> bytes | None:
-    """The bytes of a file; None where there is none, or one that was written under another name and moved here."""
+    """The bytes stored under `key`; None if there are none, or if the file was written under another name."""
     base = chosen()
     with contextlib.suppress(OSError):
         if base is not None:
             body, label = (base / kind / key).read_bytes(), _label(kind, key)
             with contextlib.suppress(OSError):
-                os.utime(base / kind / key)  # most recently used
+                os.utime(base / kind / key)  # marks it as recently used
             return body.removeprefix(label) if body.startswith(label) else None
     return None
 
 
 def write(kind: str, key: str, body: bytes) -> None:
-    """Writes a file, whole or not at all. If the folder cannot be written to, a warning says so."""
+    """Stores bytes under `key` atomically; warns if the folder is not writable."""
     base = chosen()
     if base is None:
         return
@@ -110,7 +110,7 @@ def write(kind: str, key: str, body: bytes) -> None:
 
 
 def _label(kind: str, key: str) -> bytes:
-    """What a file begins with: its own name, so that it is not taken for another's."""
+    """Header of a file: its own name, so that it is not mistaken for another one."""
     return f"{kind}/{key}\n".encode()
 
 

@@ -1,24 +1,24 @@
-"""Errors for people: which file, line or field; what was found; what was expected; what to do."""
+"""Exceptions and warnings whose messages say where, what was found, what was expected, and what to do."""
 
 from __future__ import annotations
 
 
 class PftwinWarning(UserWarning):
-    """Something in the input deserves attention, but the answer stands."""
+    """The input is questionable, but the result is valid."""
 
 
 class PftwinError(Exception):
-    """Base of every error that pftwin raises on purpose; its text is meant for the user."""
+    """Base class of all errors that pftwin raises deliberately; the message is for the user."""
 
 
 class InputError(PftwinError, ValueError):
-    """Input that cannot give a right answer.
+    """Invalid input.
 
     Args:
         problem: what was found, in one sentence.
-        where: the file, and within it the line or field ("walk.trc, line 12"); or the argument's name.
-        expected: what would have been right.
-        remedy: what the user can do about it.
+        where: the file and its line or field ("walk.trc, line 12"), or the name of the argument.
+        expected: what would be valid.
+        remedy: what the user can do.
     """
 
     def __init__(
@@ -33,16 +33,16 @@ class InputError(PftwinError, ValueError):
 
 
 class OutputError(PftwinError, OSError):
-    """A result that cannot be written where it was asked for."""
+    """A file or folder cannot be written at the requested path."""
 
 
 class MissingExtraError(PftwinError, ImportError):
-    """A feature whose optional package is not installed.
+    """An optional package that a feature needs is not installed.
 
     Args:
-        package: the package that is missing.
-        extra: the extra of pftwin that brings it.
-        feature: what needs it.
+        package: name of the missing package.
+        extra: pftwin's extra that installs it.
+        feature: name of the feature.
     """
 
     def __init__(self, package: str, *, extra: str, feature: str) -> None:

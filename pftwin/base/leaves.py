@@ -1,5 +1,5 @@
-"""Leaves of pytrees: from the host's numbers and back, with no program compiled for each shape; their tangents; and
-functions of them that JAX traces only once."""
+"""Leaves of pytrees: conversion from and to host arrays without compilation, tangents, and functions that JAX traces
+only once."""
 
 from __future__ import annotations
 
@@ -23,31 +23,31 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 def number(value: ArrayLike) -> Scalar:
-    """A number, or an array of them, in JAX's default float type."""
+    """A JAX array of any shape in JAX's default float type."""
     return jax.device_put(np.array(value, canonicalize_dtype(float)))  # a copy, since JAX may share the memory
 
 
 def vector(values: ArrayLike) -> Vec3:
-    """Vectors along the last axis (..., 3), likewise."""
+    """A `Vec3` from an array (..., 3), in JAX's default float type."""
     return Vec3(*(number(np.asarray(values)[..., k]) for k in range(3)))
 
 
 def host_array(value: Vec3 | Quaternion | Rotation) -> Floats:
-    """What `value.array()` gives, (..., 3), (..., 4) or (..., 3, 3), on the host and in double precision."""
+    """`value.array()`, of shape (..., 3), (..., 4) or (..., 3, 3), on the host in double precision."""
     parts = [getattr(value, field.name) for field in fields(value)]
     return np.stack([host_array(p) if isinstance(p, Vec3) else np.asarray(p, np.float64) for p in parts], axis=-1)
 
 
 def what_changes(values: Tree, changes: Any) -> tuple[Tree, Tree]:
-    """The values for which a rule for derivatives gets changes, and the others; None in place of what is in the other.
+    """Partitions primals into those with a tangent and those whose tangent is None, as `equinox.partition` does.
 
-    A zero for each entry of a table that does not change would be read and copied as the table is.
+    Instantiating zero tangents for large constant tables would cost as much memory traffic as the tables themselves.
     """
     return eqx.partition(values, jax.tree.map(lambda c: c is not None, changes, is_leaf=lambda c: c is None))
 
 
 def all_changes(values: Tree, changes: Any) -> Tree:
-    """Changes of values as a rule for derivatives gets them, with zeros where it is told None: nothing changes."""
+    """Tangents of primals in a derivative rule, with zeros in place of None."""
 
     def known(x: Any, change: Any) -> Any:
         return None if x is None else jnp.zeros_like(x) if change is None else change
@@ -56,20 +56,20 @@ def all_changes(values: Tree, changes: Any) -> Tree:
 
 
 class Fixed(NamedTuple):
-    """The parts of a function's arguments that are not arrays."""
+    """The static parts of a function's arguments: all but the arrays."""
 
     structure: Any
-    leaves: tuple[Hashable, ...]  # of every leaf None, or for one that is no array its type and itself
+    leaves: tuple[Hashable, ...]  # per leaf: None for an array, else its type and value
 
     def with_arrays(self, arrays: Iterable[Any]) -> Any:
-        """The arguments."""
+        """Recombines the static parts with arrays to the arguments."""
         rest = iter(arrays)
         leaves: list[Any] = [next(rest) if leaf is None else cast(tuple[Any, Any], leaf)[1] for leaf in self.leaves]
         return jax.tree.unflatten(self.structure, leaves)
 
 
 def split_arguments(args: Any, is_array: Callable[[Any], bool] = eqx.is_array) -> tuple[Fixed, list[Any]]:
-    """Splits arguments into what determines a program and the arrays that it takes."""
+    """Splits arguments into their static parts, which determine a program, and its input arrays."""
     leaves, structure = jax.tree.flatten(args)
     arrays: list[Any] = []
     fixed: list[Hashable] = []
@@ -82,10 +82,10 @@ def split_arguments(args: Any, is_array: Callable[[Any], bool] = eqx.is_array) -
 
 
 def traced_once(function: F) -> F:
-    """JAX traces the function once for each kind of arguments and reuses the trace wherever else it is called.
+    """Decorator: JAX traces the function once per structure and shapes of the arguments, and reuses the trace.
 
-    The programs are the same. Where contacts are traced this way, a process's second program is traced in half the
-    time.
+    The compiled programs do not change. Contacts use it, so that tracing the second program of a process takes half
+    the time.
     """
 
     @functools.partial(jax.jit, static_argnums=0, inline=True)

@@ -1,4 +1,4 @@
-"""Files written whole or not at all."""
+"""Atomic writing of files, and creation of folders."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from pftwin.base.errors import OutputError
 
 
 def check_place(path: str | os.PathLike[str]) -> Path:
-    """The path, if there is a folder for it and it is not a folder itself.
+    """Checks that a file can be written at `path`, and returns it as a `Path`.
 
     Raises:
-        OutputError: otherwise.
+        OutputError: the path is a folder, or its parent folder does not exist.
     """
     target = Path(path)
     if target.is_dir():
@@ -30,12 +30,13 @@ def check_place(path: str | os.PathLike[str]) -> Path:
 
 @contextmanager
 def written_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """A temporary file beside `path`, of the same suffix, that takes its place when the block ends without an error.
+    """Context manager that writes a file atomically: yields a temporary file, which replaces `path` if no error occurs.
 
-    Its content is on the disk before it takes the place: after a loss of power there is the old file or the new one.
+    The temporary file has the same folder and suffix. It is flushed to disk before it replaces `path`, so that after a
+    power failure either the old or the new file exists.
 
     Raises:
-        OutputError: the folder is missing, the path is a folder, or the place cannot be written to.
+        OutputError: the folder does not exist, the path is a folder, or it is not writable.
     """
     target = check_place(path)
     temporary = None
@@ -48,7 +49,7 @@ def written_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
         _on_disk(temporary)
         temporary.replace(target)
         if os.name == "posix":
-            _on_disk(target.parent)  # the name, too
+            _on_disk(target.parent)  # the directory entry
     except OSError as err:
         raise OutputError(f"{target}: cannot be written: {err.strerror or err}") from err
     finally:
@@ -57,10 +58,10 @@ def written_whole(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 def make_folder(folder: Path, remedy: str = "another folder") -> None:
-    """Makes a folder in one that is there; it may be there already.
+    """Creates a folder if it does not exist; its parent must exist.
 
     Raises:
-        OutputError: there is no folder to make it in, it is a file, or it cannot be made.
+        OutputError: the parent does not exist, the path is a file, or the folder cannot be created.
     """
     try:
         folder.mkdir(exist_ok=True)
@@ -73,15 +74,15 @@ def make_folder(folder: Path, remedy: str = "another folder") -> None:
 
 
 def remove_unfinished(folder: Path, names: re.Pattern[str], older: float = 0.0) -> None:
-    """Removes unfinished files (of `written_whole`) that a killed process left behind.
+    """Removes temporary files of `written_whole` that a killed process left.
 
     Args:
-        folder: where; nothing happens if it is not there.
-        names: what such files are called.
-        older: how long ago they must have been written to [s].
+        folder: folder to clean; nothing happens if it does not exist.
+        names: pattern of the files' names.
+        older: minimum time since their last modification [s].
 
     Raises:
-        OutputError: one cannot be removed.
+        OutputError: a file cannot be removed.
     """
     for path in folder.iterdir() if folder.is_dir() else ():
         if names.match(path.name) and path.is_file():
@@ -95,11 +96,11 @@ def remove_unfinished(folder: Path, names: re.Pattern[str], older: float = 0.0) 
 
 
 def _on_disk(path: Path) -> None:
-    """Waits until changes of a file or folder have reached the disk."""
+    """Flushes a file or folder to disk."""
     try:
         handle = os.open(path, os.O_RDONLY if path.is_dir() else os.O_RDWR)
     except PermissionError:
-        if path.is_dir():  # a folder that may be written to but not listed
+        if path.is_dir():  # a folder that is writable but not readable
             return
         raise
     try:
@@ -112,7 +113,7 @@ def _on_disk(path: Path) -> None:
 
 
 def _default_mode() -> int:
-    """The mode of a file made by open(); temporary files are private otherwise."""
+    """Mode of a file created by open(); `mkstemp` would make it private."""
     mask = os.umask(0)
     os.umask(mask)
     return 0o666 & ~mask

@@ -1,9 +1,8 @@
-"""Programs and values derived from files, cached for later processes (`pftwin.configure(cache_dir=...)`).
+"""Cache of compiled programs and of values derived from files for later processes (`configure(cache_dir=...)`).
 
-A program is stored as `jax.export` writes it, so that another process need not trace it; its machine code lies in JAX's
-own compilation cache. What is stored is found by pftwin's source files, the versions of the libraries, and the
-arguments. The source files do not show what someone assigns to names in pftwin's modules while it runs: who does that
-does it before `configure`, without a folder.
+A program is stored in the format of `jax.export`, so that another process need not trace it; its machine code is in
+JAX's compilation cache. The key consists of pftwin's source files, the versions of the libraries, and the arguments.
+The source files do not reflect monkey-patching of pftwin's modules at run time: do not use a cache folder with it.
 """
 
 from __future__ import annotations
@@ -44,40 +43,40 @@ _DEBUGGING = ("jax_disable_jit", "jax_debug_nans", "jax_debug_infs", "jax_enable
 
 
 class Timed(NamedTuple):
-    """An answer and the time it took."""
+    """Result of a program and the time it took."""
 
     answer: Any
     run: float  # [s]
-    preparation: float  # compiling, or loading what was cached; 0 where neither was needed [s]
+    preparation: float  # time to compile or to load from the cache; 0 if already compiled [s]
 
 
 class _Kind(NamedTuple):
-    """What decides the program for some arguments."""
+    """Key that determines the compiled program for some arguments."""
 
     fixed: Fixed
-    arrays: tuple[Hashable, ...]  # shape, type, and whether that is weak
+    arrays: tuple[Hashable, ...]  # shape, type, and whether the type is weak
     settings: tuple[Any, ...]
 
 
 class Program:
-    """A function of pytrees, compiled once for each kind of argument; compilation is timed apart from running.
+    """A function of pytrees that is compiled once per kind of arguments; compilation and run are timed separately.
 
-    Arrays are its variables; all other leaves and the structure decide the program.
+    The kind comprises the structure, the shapes and types of arrays, all other leaves, and JAX's `settings`.
     """
 
     def __init__(self, function: Callable[..., Any]) -> None:
         self._function, self._jitted = function, eqx.filter_jit(function)
-        self._ready: dict[_Kind, tuple[Callable[..., Any], Any]] = {}  # the program and its answer's structure
-        self._begun: dict[_Kind, Callable[[], None]] = {}  # what compiles those that are traced
-        self._lock = RLock()  # of both
+        self._ready: dict[_Kind, tuple[Callable[..., Any], Any]] = {}  # program and structure of its result
+        self._begun: dict[_Kind, Callable[[], None]] = {}  # functions that compile the traced programs
+        self._lock = RLock()  # guards both
         functools.update_wrapper(self, function)
 
     def __call__(self, *args: Any) -> Any:
-        """The answer."""
+        """Runs the program, and compiles it first if needed."""
         return self.timed(*args).answer
 
     def timed(self, *args: Any) -> Timed:
-        """The answer, which is there when this returns, and what it took."""
+        """Runs the program, waits for the result, and returns it with the times."""
         kind, arrays = _kind_of(args)
         began = prepared = time.perf_counter()
         if any(getattr(jax.config, name) for name in _DEBUGGING) or any(isinstance(a, Tracer) for a in arrays):
@@ -90,16 +89,16 @@ class Program:
         return Timed(jax.tree.unflatten(structure, out), time.perf_counter() - prepared, prepared - began)
 
     def at_hand(self, *args: Any) -> bool:
-        """Whether this process has compiled it for arguments of this kind."""
+        """Whether this process has compiled the program for arguments of this kind."""
         return _kind_of(args)[0] in self._ready
 
     def prepare(self, *args: Any) -> None:
-        """Compiles for arguments of this kind, or loads what was cached. Arrays may be `jax.ShapeDtypeStruct`s."""
+        """Compiles for arguments of this kind, or loads from the cache. Arrays may be `jax.ShapeDtypeStruct`s."""
         self.begin(*args)()
 
     def begin(self, *args: Any) -> Callable[[], None]:
-        """The first part of `prepare`, tracing, by one thread at a time; what it returns does the rest, or waits for
-        another thread that does. Where compiling fails it says so, and the next one tries again."""
+        """Traces the program, in one thread at a time. The returned function compiles it, or waits for another thread
+        that does; it raises if compilation fails, and the next call tries again."""
         kind, arrays = _kind_of(args)
         with self._lock:
             if kind in self._ready:
@@ -109,7 +108,7 @@ class Program:
             return self._begun[kind]
 
     def _traced(self, kind: _Kind, arrays: list[Any], args: Any) -> Callable[[], None]:
-        """What compiles it, once."""
+        """Traces the program; returns a function that compiles it once."""
         shapes = jax.tree.map(lambda a: _shape(a) if _is_array(a) else a, args)
         key = _key(self._function, (shapes, repr(kind.settings), jax.default_backend()))
         lowered, structure = self._lowered(kind, arrays, key)
@@ -127,7 +126,7 @@ class Program:
         return finish
 
     def _lowered(self, kind: _Kind, arrays: list[Any], key: str | None) -> tuple[Any, Any]:
-        """The program before it is compiled, read if it was stored, and its answer's structure."""
+        """The lowered program, from the cache if stored there, and the structure of its result."""
         structures = []
 
         def flat(*arrays: Any) -> list[Any]:
@@ -137,7 +136,7 @@ class Program:
 
         flat.__name__ = self._function.__name__
         if key is not None:
-            with contextlib.suppress(Exception):  # damaged or missing: it is made anew
+            with contextlib.suppress(Exception):  # damaged or missing: traced again
                 stored, example = from_bytes(cache_folder.read("programs", key) or b"")
                 program = jax.jit(jax.export.deserialize(bytearray(stored)).call)
                 return program.lower(*arrays), jax.tree.structure(example)
@@ -151,10 +150,10 @@ class Program:
 
 
 def cached(function: Callable[..., T], *args: Any, files: Sequence[Path]) -> T:
-    """function(*args), or what it once gave for the same arguments, the same content of the files and the same code.
+    """function(*args), or its stored value for the same arguments, content of `files` and source code.
 
-    The value must be plain (`serialization.packed`; others are not stored) and depend on nothing else. What came with
-    a warning is not stored, so that the warning comes again.
+    The value must depend on nothing else. It is stored only if `serialization.to_bytes` supports it, and if the
+    function did not warn, so that warnings occur again.
     """
     key = _key(function, args, files)
     if key is None:
@@ -175,18 +174,18 @@ def cached(function: Callable[..., T], *args: Any, files: Sequence[Path]) -> T:
 
 
 def settings() -> tuple[Any, ...]:
-    """JAX settings that a block of code may change for itself (`with jax.enable_x64(True): ...`)."""
+    """JAX settings that may change locally, e.g. in `with jax.enable_x64(True): ...`."""
     return tuple(getattr(jax.config, name) for name in _SETTINGS)
 
 
 @functools.cache
 def versions() -> str:
-    """Versions of the libraries that determine the numbers."""
+    """Versions of the libraries that affect numerical results."""
     return ", ".join(f"{name} {version(name)}" for name in _LIBRARIES)
 
 
 def _key(function: Callable[..., Any], args: Any, files: Sequence[Path] = ()) -> str | None:
-    """None where there is no folder, or where it cannot be told what the answer depends on."""
+    """Key of a result in the cache; None without a cache folder, or if its dependencies cannot be determined."""
     name = f"{function.__module__}.{function.__qualname__}"
     if cache_folder.chosen() is None or not name.startswith("pftwin.") or "<locals>" in name:
         return None
@@ -200,7 +199,7 @@ def _key(function: Callable[..., Any], args: Any, files: Sequence[Path] = ()) ->
 
 
 def _source() -> str:
-    """A hash of pftwin's source files; refused where one changed after this process had begun to import them."""
+    """Hash of pftwin's source files; raises `NotPlainError` if one changed after pftwin was imported."""
     files = sorted(Path(pftwin.__path__[0]).rglob("*.py"))
     if max(file.stat().st_mtime for file in files) > pftwin.imported_at:
         raise NotPlainError("the source changed after this process began")
@@ -225,8 +224,8 @@ def _shape(array: Any) -> jax.ShapeDtypeStruct:
 
 
 def _kind_of(args: tuple[Any, ...]) -> tuple[_Kind, list[Any]]:
-    """The arguments' kind, and those that are arrays."""
+    """Kind of the arguments, and the arrays among them."""
     fixed, arrays = split_arguments(args, _is_array)
-    # Runs before every call: plain tuples are hashed and compared in a tenth of the time of shapes.
+    # Runs before every call: plain tuples are hashed and compared ten times faster than `ShapeDtypeStruct`s.
     kinds = tuple((a.shape, a.dtype, getattr(a, "weak_type", False)) for a in arrays)
     return _Kind(fixed, kinds, settings()), arrays

@@ -1,9 +1,9 @@
-"""Declarations of an effect's numbers: unit, bounds and short name, beside each field.
+"""Declarations of unit, bounds and short name for the parameters of an effect, as metadata of its fields.
 
     stiffness: Scalar = eqx.field(metadata=quantity("N/m", positive=True, alias="K"))
 
-Checks, fits, scene files and reports read the declaration; none of them goes by a field's name. A
-declaration holds for everything below its field that has none of its own: that of a vector for its three components.
+Checks, fits, scene files and reports depend on the declaration, never on a field's name. A declaration applies to
+everything inside its field that has no declaration, e.g. to the three components of a vector.
 """
 
 from __future__ import annotations
@@ -19,24 +19,24 @@ _KEY = "quantity"
 
 
 class Quantity(NamedTuple):
-    """A physical quantity as a field declares it."""
+    """Declaration of a physical quantity."""
 
-    unit: str  # "" for a pure number
-    lower: float = -np.inf  # smallest meaningful value
-    upper: float = np.inf  # largest
+    unit: str  # "" if dimensionless
+    lower: float = -np.inf  # smallest allowed value
+    upper: float = np.inf  # largest allowed value
     positive: bool = False  # whether 0 is excluded
-    alias: str = ""  # symbol in papers: with the number of its line element a short name, such as K1
-    frame: str = ""  # of a point: "patella", or "body" for that of the effect's field `body`
-    words: str = ""  # for readers; empty where the field's name says it
+    alias: str = ""  # symbol in papers; with the number of the line element it is a short name, such as K1
+    frame: str = ""  # frame of a point: "patella", or "body" for that of the effect's field `body`
+    words: str = ""  # description for readers; empty if the field's name suffices
 
     @property
     def bounded(self) -> bool:
-        """Whether the declaration restricts the numbers."""
+        """Whether the declaration restricts the values."""
         return self.positive or self.lower > -np.inf or self.upper < np.inf
 
     @property
     def expected(self) -> str:
-        """The allowed numbers, in words."""
+        """The allowed values, in words."""
         if self.positive and self.upper == np.inf:
             return "a positive number"
         if self.lower == 0 and self.upper == np.inf:
@@ -47,12 +47,12 @@ class Quantity(NamedTuple):
         return " and ".join(words for words in (low, high) if words)
 
     def holds(self, values: Any) -> Any:
-        """Whether each of the values is allowed; they may be traced."""
+        """Whether each value is allowed; values may be traced."""
         low = values > 0 if self.positive else values >= self.lower
         return low & (values >= self.lower) & (values <= self.upper)
 
     def offender(self, values: np.ndarray) -> float | None:
-        """The value farthest out of bounds; None if all are allowed. NaN is not judged here."""
+        """The smallest or largest value if it is out of bounds, else None. Ignores NaN."""
         if values.size == 0:
             return None
         low, high = float(np.nanmin(values)), float(np.nanmax(values))
@@ -76,15 +76,15 @@ def quantity(
 
 
 class Declared(NamedTuple):
-    """A leaf of a value with what is declared of it."""
+    """A leaf of a pytree with its declaration."""
 
-    path: tuple[str, ...]  # names of fields, and numbers of items
+    path: tuple[str, ...]  # field names and item indices
     leaf: Any
     quantity: Quantity | None
 
 
 def declarations(value: Any) -> list[Declared]:
-    """All leaves of a pytree, in JAX's order, with the nearest declaration above each."""
+    """All leaves of a pytree, in JAX's order, each with the nearest declaration above it."""
     leaves, structure = jax.tree.flatten(value)
     return [Declared(path, leaf, found) for leaf, (path, found) in zip(leaves, _declared(structure), strict=True)]
 
@@ -107,12 +107,12 @@ def _declared_at(root: Any, keys: tuple[Any, ...]) -> tuple[tuple[str, ...], Qua
 
 
 def key_name(key: Any) -> str:
-    """The name of one step in a pytree's path: of a field, an item's number, a key."""
+    """Name of one step in a pytree's path: a field's name, an item's index or a key."""
     return str(getattr(key, "name", getattr(key, "idx", getattr(key, "key", key))))
 
 
 def declared_field(owner: type, name: str) -> Quantity | None:
-    """What a class declares of its field."""
+    """Declaration of a class's field; None if there is none."""
     if not dataclasses.is_dataclass(owner):
         return None
     found = next((f for f in dataclasses.fields(owner) if f.name == name), None)
@@ -121,7 +121,7 @@ def declared_field(owner: type, name: str) -> Quantity | None:
 
 @lru_cache(maxsize=64)
 def bounded_leaves(structure: Any) -> tuple[tuple[Quantity, tuple[int, ...]], ...]:
-    """Numbers of the leaves of a pytree of this structure that have bounds, by their declaration."""
+    """Indices of the bounded leaves in a pytree of this structure, grouped by declaration."""
     groups: dict[Quantity, list[int]] = {}
     for number, (_, found) in enumerate(_declared(structure)):
         if found is not None and found.bounded:
@@ -133,17 +133,17 @@ _READ = {"m": (1e3, "mm"), "rad": (180 / np.pi, "deg")}
 
 
 def as_read(unit: str, *, percent: bool = False) -> tuple[float, str]:
-    """What a number of a unit is multiplied by for people, and the unit then: millimetres and degrees; `percent`: of
-    pure numbers too, which are shares."""
+    """Factor and unit for display: metres in mm, radians in degrees and, with `percent`, dimensionless fractions (unit
+    "1") in %; others unchanged."""
     return (100.0, "%") if percent and unit == "1" else _READ.get(unit, (1.0, unit))
 
 
 def shown(value: float, unit: str, digits: int) -> str:
-    """A number in the unit that people read, with so many digits."""
-    scale, told = as_read(unit)
-    return f"{scale * value:.{digits}g} {told}".removesuffix(" 1")
+    """Formats a number in the unit of `as_read`, with `digits` significant digits."""
+    scale, display_unit = as_read(unit)
+    return f"{scale * value:.{digits}g} {display_unit}".removesuffix(" 1")
 
 
 def about(unit: str, long_name: str) -> dict[str, str]:
-    """Attributes of a variable in a dataset by the CF conventions: its unit, "1" for a pure number, and its name."""
+    """CF attributes of a dataset's variable: its unit ("1" if dimensionless) and long name."""
     return {"units": unit, "long_name": long_name}

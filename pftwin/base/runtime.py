@@ -1,10 +1,10 @@
 """Process-wide settings for speed and precision.
 
 The first use of a public name that computes (`pftwin.rig`, `pftwin.simulate`, ...) sets double precision and the fast
-CPU compilation, unless JAX has already started: then a warning says what is missing. `pftwin.configure()` is for other
-choices, and wins when it is called first. Importing pftwin changes nothing.
+CPU compilation, or warns if JAX has already started without them. Call `pftwin.configure()` before it for other
+settings. Importing pftwin alone changes nothing.
 
-A user's own settings stay: JAX_ENABLE_X64 in the environment, and what XLA_FLAGS says of one of the switches.
+The user's settings take precedence: JAX_ENABLE_X64 in the environment, and values of these switches in XLA_FLAGS.
 """
 
 from __future__ import annotations
@@ -22,18 +22,17 @@ from pftwin.base.errors import InputError, PftwinError, PftwinWarning
 
 # Three switches of XLA's CPU compiler. A time step is a thousand scalar operations with two dozen results. By default
 # XLA compiles one kernel per result, each repeating most of the arithmetic, and runs a loop's kernels one by one
-# through its scheduler. The first switch lets one kernel have many results (batches run 3 times faster), the second
-# compiles a loop into one function however much it holds (a single run is 12 times faster, a batch of 64 twice); both
-# halve the compile time. Such a loop runs on one core, and must store what it puts out as rows (`dynamics.packing`).
-# The third uses the whole width of AVX-512 registers where there are any (batches run 15 to 18 % faster). Answers do
-# not change beyond rounding.
+# through its scheduler. The first switch lets one kernel have many results (batches run 3 times faster). The second
+# compiles a loop of any size into one function (a single run is 12 times faster, a batch of 64 twice). Both halve the
+# compile time. Such a loop runs on one core, and must store its outputs as rows (`dynamics.packing`). The third uses
+# the full width of AVX-512 registers if available (batches run 15 to 18 % faster). Results change only by rounding.
 FAST_CPU = ("xla_cpu_use_multi_output_fusion", "xla_cpu_small_while_loop_byte_threshold=100000000")
 VECTOR_WIDTH = "--xla_cpu_prefer_vector_width=512"
 _OPTION = "--xla_backend_extra_options="
 
 
 def fast_cpu_flags(existing: str = "") -> str:
-    """XLA_FLAGS with the fast CPU switches added to whatever was there; a value that was given stays."""
+    """XLA_FLAGS with the fast CPU switches added to `existing`, whose values take precedence."""
     words = existing.split()
     others = [w for w in words if not w.startswith(_OPTION)]
     if not any(w.split("=")[0] == VECTOR_WIDTH.split("=")[0] for w in others):
@@ -50,7 +49,7 @@ def _options(flags: str) -> list[str]:
     return [o for w in given for o in w.split(",") if o]
 
 
-TESTED = ((0, 10), (0, 11))  # jaxlib's versions known to have the switches, from and below; as in pyproject.toml
+TESTED = ((0, 10), (0, 11))  # jaxlib versions known to have the switches: from, to below; as in pyproject.toml
 _SLOW = "a run takes 26 times longer (112 ms in place of 4.3) and compiling three times longer"
 _FIRST = "call pftwin.configure() before any other use of JAX"
 
@@ -63,19 +62,19 @@ _ON_GPU = (
 
 
 class _Process:
-    """What was set in this process."""
+    """State of the settings in this process."""
 
     settled = False  # by `configure` or by `use_defaults`
-    flags_before: str | None = None  # XLA_FLAGS as they were before `use_defaults` changed them
+    flags_before: str | None = None  # XLA_FLAGS before `use_defaults` changed them
     float64_by_default = False  # set by `use_defaults`
     warned_of_accelerator = False
 
 
 def use_defaults() -> None:
-    """Sets what `configure()` sets, once, for programs that do not call it; does nothing after `configure`.
+    """Applies the defaults of `configure()` once; does nothing if `configure` was called.
 
     Warns:
-        PftwinWarning: JAX has already started, or the user's own settings make it slow or imprecise.
+        PftwinWarning: JAX has already started without them, or the user's settings make it slow or imprecise.
     """
     if _Process.settled:
         return
@@ -106,10 +105,10 @@ def use_defaults() -> None:
 
 
 def warn_of_accelerator(platform: str) -> None:
-    """Says once, where it is computed on an accelerator, that what is done step by step is slow there.
+    """Warns once per process that sequential computations are slow on an accelerator.
 
     Warns:
-        PftwinWarning: it is.
+        PftwinWarning: `platform` is not "cpu".
     """
     if platform != "cpu" and not _Process.warned_of_accelerator:
         _Process.warned_of_accelerator = True
@@ -123,7 +122,7 @@ def _double() -> bool:
 
 
 def _untested() -> str | None:
-    """Why the switches are not set: XLA aborts a process that passes it an unknown switch."""
+    """Why the switches are not set on this jaxlib, if so: XLA aborts the process on an unknown switch."""
     installed = version("jaxlib")
     if TESTED[0] <= tuple(int(n) for n in installed.split(".")[:2]) < TESTED[1]:
         return None
@@ -137,30 +136,29 @@ def configure(
     cache_dir: str | os.PathLike[str] | None = None,
     cpu_devices: int | str | None = None,
 ) -> None:
-    """Sets up the process: double precision, fast CPU compilation, a folder in which things persist, CPU devices.
+    """Configures the process: double precision, fast CPU compilation, cache folder and number of CPU devices.
 
-    Call it before the first JAX computation. Programs that do not call it have the defaults, and no folder.
+    Call it before the first JAX computation. Programs that do not call it use the defaults, without a cache folder.
 
     Args:
-        float64: compute in double precision; False: as JAX is set, which is in single precision by default.
-        fast_cpu: switch on the fast CPU compilation.
-        cache_dir: folder in which compiled programs, and what was derived from files (fitted patches, filtered
-            recordings), are kept for later processes. Programs found in it are run: a folder that another user owns or
-            can write to is not used, and a warning says so; so it is where there can be none (a file, a device). By
-            default nothing is kept.
-        cpu_devices: as how many devices JAX counts the CPU: batches are laid over all of them. "all": one for each
-            core that this process may use. By default JAX's own choice stays, which is one.
+        float64: compute in double precision; False: use JAX's setting, which is single precision by default.
+        fast_cpu: enable the fast CPU compilation.
+        cache_dir: folder that caches compiled programs and data derived from files (fitted patches, filtered
+            recordings) for later processes. As cached programs are executed, a folder that another user owns or can
+            write to is ignored with a warning, and so is a path that cannot be a folder. By default nothing is cached.
+        cpu_devices: number of JAX devices into which the CPU is divided, over which batches are distributed. "all":
+            one per core that this process may use. By default JAX's setting applies, which is one.
 
     Raises:
-        PftwinError: JAX has already started, and `fast_cpu` or `cpu_devices` could have no effect any more.
-        InputError: a number of devices that is none.
+        PftwinError: JAX has already started, so that `fast_cpu` or `cpu_devices` would have no effect.
+        InputError: `cpu_devices` is neither "all" nor a positive integer.
     """
     import jax
 
     _set_flags(fast_cpu)
     if cpu_devices is not None:
         _count_cpu_devices(cpu_devices)
-    gc.freeze()  # the hundred thousand objects of these imports stay: exclude them from garbage collection
+    gc.freeze()  # excludes the hundred thousand permanent objects of these imports from garbage collection
     if float64:
         jax.config.update("jax_enable_x64", True)
     elif _Process.float64_by_default:
@@ -177,12 +175,12 @@ def configure(
 
 
 def cores() -> int:
-    """Processor cores that this process may use."""
+    """Number of processor cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else (os.cpu_count() or 1)
 
 
 def _count_cpu_devices(wanted: int | str) -> None:
-    """Tells JAX, which reads the setting once, as it starts."""
+    """Sets JAX's number of CPU devices, which JAX reads only when it starts."""
     import jax
 
     count = cores() if wanted == "all" else wanted
@@ -202,7 +200,7 @@ def _count_cpu_devices(wanted: int | str) -> None:
 def _set_flags(fast_cpu: bool) -> None:
     given = os.environ.get("XLA_FLAGS", "")
     wanted = fast_cpu_flags(given) if fast_cpu else given if _Process.flags_before is None else _Process.flags_before
-    if set(wanted.split()) == set(given.split()):  # in whatever order
+    if set(wanted.split()) == set(given.split()):  # in any order
         return
     if _jax_has_started():
         raise PftwinError(
@@ -216,7 +214,7 @@ def _set_flags(fast_cpu: bool) -> None:
 
 
 def _jax_has_started() -> bool:
-    """Whether JAX has its devices. It refuses another number of them from then on; asking does not start it."""
+    """Whether JAX has initialised its devices: it then refuses to change their number. The check does not start it."""
     if "jax" not in sys.modules:
         return False
     import jax
@@ -231,7 +229,7 @@ def _jax_has_started() -> bool:
 
 
 def default_cache_dir() -> str:
-    """Where the command line keeps compiled programs: $PFTWIN_CACHE, else the user's cache folder."""
+    """Default cache folder of the command line: $PFTWIN_CACHE, or one in the user's cache folder."""
     base = os.environ.get("PFTWIN_CACHE")
     if base:
         return base
@@ -240,7 +238,7 @@ def default_cache_dir() -> str:
 
 
 def describe() -> dict[str, str | int]:
-    """The setting of a measurement: processor, cores, versions, float type and date."""
+    """Environment of a benchmark: processor, cores, versions, float type and date."""
     import jax
     import jax.numpy as jnp
 

@@ -1,7 +1,7 @@
-"""Values as bytes that hold data only: NumPy's npz for arrays, with a JSON text for everything else.
+"""Serialization of values as data: NumPy's npz format for arrays, and JSON for everything else.
 
-Reading runs no code, as unpickling would: the text names types of pftwin, and of these only dataclasses and named
-tuples are made, by putting their fields in place without calling anything of theirs.
+Unlike unpickling, reading executes no code from the data: the JSON names types of pftwin, and only dataclasses and
+named tuples among them are created, by setting their fields without calling their methods.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ _ARRAYS = {"device": jax.Array, "array": np.ndarray, "number": np.generic}
 
 
 class NotPlainError(Exception):
-    """A value that cannot be stored as data, or not identified in another process."""
+    """The value cannot be serialized as data, or not identified in another process."""
 
 
 def to_bytes(value: Any) -> bytes:
-    """A value of plain types, arrays, and pftwin's own dataclasses and named tuples of these.
+    """Serializes a value of plain types, arrays, and pftwin's dataclasses and named tuples of these.
 
     Raises:
-        NotPlainError: it holds something else.
+        NotPlainError: the value contains something else.
     """
     arrays: list[np.ndarray] = []
     text = json.dumps(_node(value, arrays))
@@ -39,10 +39,10 @@ def to_bytes(value: Any) -> bytes:
 
 
 def from_bytes(body: bytes) -> Any:
-    """The value again, array for array and bit for bit.
+    """Inverse of `to_bytes`; arrays are identical bit for bit.
 
     Raises:
-        Exception: bytes that `packed` did not make or that were damaged; no code of theirs runs.
+        Exception: the bytes are damaged or not from `to_bytes`; no code from them is executed.
     """
     with np.load(io.BytesIO(body), allow_pickle=False) as file:
         arrays = [file[f"arr_{i}"] for i in range(len(file.files))]
@@ -50,16 +50,16 @@ def from_bytes(body: bytes) -> Any:
 
 
 def fingerprint(value: Any) -> str:
-    """A hash that differs for values that differ, in content or in type. Of a `jax.ShapeDtypeStruct` shape and type.
+    """Hash of a value's content and types; for a `jax.ShapeDtypeStruct`, of its shape and type.
 
     Raises:
-        NotPlainError: as `packed`.
+        NotPlainError: as `to_bytes`.
     """
     return hashlib.sha256(to_bytes(value)).hexdigest()
 
 
 def _node(value: Any, arrays: list[np.ndarray]) -> Any:
-    """A value's JSON: numbers and strings as they are, anything else as a list [kind, ...]."""
+    """JSON of a value: numbers and strings unchanged, anything else as a list [kind, ...]."""
 
     def inner(values: Any) -> list[Any]:
         return [_node(v, arrays) for v in values]
@@ -72,7 +72,7 @@ def _node(value: Any, arrays: list[np.ndarray]) -> Any:
     if kind is dict:
         return ["dict", inner(value), inner(value.values())]
     if isinstance(value, tuple(_ARRAYS.values())):
-        weak = getattr(value, "weak_type", False)  # it would lose its weak type; random keys have none
+        weak = getattr(value, "weak_type", False)  # the weak type would be lost; random keys have no such attribute
         if weak or jnp.issubdtype(value.dtype, jax.dtypes.extended) or value.dtype.kind not in "biufcUS":
             raise NotPlainError(f"an array of {'weak ' if weak else ''}{value.dtype}")
         arrays.append(np.asarray(value))
@@ -128,7 +128,7 @@ def _name_of(kind: type) -> str:
 
 
 def _type(name: str, base: type) -> Any:
-    """The type of that name in pftwin; only modules of pftwin are imported for it."""
+    """The type named "MODULE:NAME" in pftwin; imports only modules of pftwin."""
     module, _, own = name.partition(":")
     if module.partition(".")[0] != "pftwin":
         raise TypeError(f"{module} is not pftwin's own")

@@ -1,4 +1,4 @@
-"""A table of text, which the terminal, Markdown pages and reports render alike."""
+"""A text table that renders to the terminal, to Markdown pages and to reports."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ if TYPE_CHECKING:
 
 
 class Sheet(NamedTuple):
-    """A table of text; rows of different groups stand apart."""
+    """A text table; a line separates the groups of rows."""
 
     title: str
     headings: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
-    groups: tuple[str, ...] = ()  # of each row
-    words: tuple[int, ...] | None = None  # columns to the left; None: all
+    groups: tuple[str, ...] = ()  # group of each row
+    words: tuple[int, ...] | None = None  # left-aligned columns; None: all
     notes: tuple[str, ...] = ()
-    keys: int = 1  # number of first columns that say which row it is
+    keys: int = 1  # number of leading columns that identify a row
 
     def tables(self, width: int) -> list[Table]:
-        """For a terminal of that width: one below the other, where the columns do not fit beside each other.
+        """Renders for a terminal of `width` characters, as several tables if the columns do not fit in one.
 
-        No word and no number is broken, unless one is too wide for the terminal beside the first column. Each part
-        begins with the key columns; where several of them leave no room, with the number of the row in their place.
+        Words and numbers are not broken unless one is too wide to fit beside the first column. Each table starts with
+        the key columns or, if several of them leave no room, with the row's number instead.
         """
         texts = zip(self.headings, *self.rows, strict=True)
         columns = [_Column.of(heading, cells, self._left(i)) for i, (heading, *cells) in enumerate(texts)]
@@ -36,7 +36,7 @@ class Sheet(NamedTuple):
         ]
 
     def _numbered(self) -> Sheet:
-        """With the row's number as its only key."""
+        """The table with a row number as its only key column."""
         rows = tuple((str(i), *row) for i, row in enumerate(self.rows, 1))
         words = None if self.words is None else tuple(i + 1 for i in self.words)
         return self._replace(headings=("row", *self.headings), rows=rows, words=words, keys=1)
@@ -66,22 +66,22 @@ class Sheet(NamedTuple):
         return out
 
     def grid(self) -> str:
-        """The table alone, for pages."""
+        """Markdown of the table without title and notes."""
         rule = ["---" if self._left(i) else "---:" for i in range(len(self.headings))]
         rows = [[cell.replace("|", "/") for cell in row] for row in self.rows]
         return "\n".join("| " + " | ".join(cells) + " |" for cells in (self.headings, rule, *rows))
 
     def markdown(self) -> str:
-        """With title and notes."""
+        """Markdown of the table with title and notes."""
         return "\n".join([f"**{self.title}**", "", self.grid(), "", *(f"- {note}" for note in self.notes)]) + "\n"
 
 
 class _Column(NamedTuple):
-    """How wide a column has to be."""
+    """Width requirements of a column."""
 
     heading: str
-    least: int  # without breaking a word, or a number with what stands beside it
-    whole: int  # without a further line
+    least: int  # width without broken words, or numbers separated from their units
+    whole: int  # width without additional line breaks
 
     @staticmethod
     def of(heading: str, cells: list[str], words: bool) -> _Column:
@@ -98,17 +98,17 @@ def _letters(text: str) -> int:
 
 
 def _beside(columns: int) -> int:
-    """What edges and spaces take in a table without a frame."""
+    """Width of edges and spaces in a table without a frame."""
     return 2 * columns + 1
 
 
 def _least(columns: list[_Column]) -> int:
-    """The width of a table that has these columns."""
+    """Minimum width of a table with these columns."""
     return sum(c.least for c in columns) + _beside(len(columns))
 
 
 def _parts(columns: list[_Column], keys: int, width: int) -> list[list[int]]:
-    """Columns of tables that fit a width, each with the keys; a column that does not fit beside them comes alone."""
+    """Column indices of tables that fit a width, each with the keys; a column too wide for it gets its own table."""
     first = list(range(keys))
     parts = [first]
     for i in range(keys, len(columns)):
@@ -121,7 +121,7 @@ def _parts(columns: list[_Column], keys: int, width: int) -> list[list[int]]:
 
 
 def _widths(columns: list[_Column], room: int) -> list[int]:
-    """The least that columns need, and what is left to those that would else have the longest lines to break."""
+    """Column widths: the minimum, plus the remaining room for the columns that would be wrapped the most."""
     widths = [c.least for c in columns]
     while sum(widths) > room and max(widths) > 1:
         widths[widths.index(max(widths))] -= 1

@@ -1,11 +1,11 @@
 """Vectors, rotations and poses as structures of arrays.
 
-`Vec3(x, y, z)` is a pytree of three arrays of one shape, the shape of the batch. Every operation is elementwise, so XLA
-fuses the physics written on it into one vectorised loop. Arrays of shape (..., 3) exist at the edges only (files,
-results): `Vec3.from_array`, `Vec3.array`.
+`Vec3(x, y, z)` is a pytree of three arrays of one shape, that of the batch. Every operation is elementwise, so XLA
+fuses the physics into one vectorised loop. Arrays of shape (..., 3) occur only in input and output (files, results):
+`Vec3.from_array`, `Vec3.array`.
 
-Rotations act from the left and map the rotated frame's coordinates to the parent's: with `X_FP` the pose of the patella
-P in the femur F, `X_FP.apply(p_PQ)` is `p_FQ`. Quaternions are (w, x, y, z), unit, Hamilton's convention.
+Rotations act from the left and map coordinates of the rotated frame to those of its parent: with `X_FP` the pose of the
+patella P in the femur F, `X_FP.apply(p_PQ)` is `p_FQ`. Quaternions are (w, x, y, z), unit, with Hamilton's convention.
 """
 
 from __future__ import annotations
@@ -137,22 +137,22 @@ class Quaternion(eqx.Module):
         return Quaternion(w, k * v.x, k * v.y, k * v.z)
 
     def turned(self, v: Vec3) -> Quaternion:
-        """self * exp(v) for the turn v within one time step: exact to 1e-12 up to 0.3 rad, a rotation for any v.
+        """self * exp(v) for the rotation vector v of one time step [rad]: exact to 1e-12 up to 0.3 rad.
 
-        It avoids the transcendental functions and the square root of the general formulas, for speed.
+        For speed, it avoids the transcendental functions and the square root of the general formulas.
         """
         s = v.squared_norm()
         w = 1 + s * (-1 / 8 + s * (1 / 384 - s * (1 / 46080)))
         k = 0.5 + s * (-1 / 48 + s * (1 / 3840 - s * (1 / 645120)))
         q = self * Quaternion(w, k * v.x, k * v.y, k * v.z)
         size = q.w * q.w + q.x * q.x + q.y * q.y + q.z * q.z
-        # 1 / sqrt(size) near 1, so that rounding does not accumulate from step to step; its derivative is negligible.
+        # 1 / sqrt(size) near 1: keeps rounding errors from accumulating over steps; its derivative is negligible.
         n = 1.5 - 0.5 * jax.lax.stop_gradient(size)
         return Quaternion(n * q.w, n * q.x, n * q.y, n * q.z)
 
     @staticmethod
     def from_rotation(r: Rotation) -> Quaternion:
-        """From a rotation matrix, by the largest of the four components (Shepperd 1978), w >= 0."""
+        """From a rotation matrix, by means of the largest of the four components (Shepperd 1978), with w >= 0."""
         xx, yy, zz = r.ex.x, r.ey.y, r.ez.z
         a, b, c = r.ey.z - r.ez.y, r.ez.x - r.ex.z, r.ex.y - r.ey.x
         d, e, f = r.ex.y + r.ey.x, r.ex.z + r.ez.x, r.ey.z + r.ez.y
@@ -240,7 +240,7 @@ class Pose(eqx.Module):
 
 
 class Twist(eqx.Module):
-    """Velocity of a body: of its reference point, and angular; likewise an acceleration or a small displacement."""
+    """Velocity of a body's reference point and angular velocity; also an acceleration or a small displacement."""
 
     linear: Vec3  # [m/s]
     angular: Vec3  # [rad/s]
@@ -254,7 +254,7 @@ class Twist(eqx.Module):
         return Twist(factor * self.linear, factor * self.angular)
 
     def velocity_at(self, arm: Vec3) -> Vec3:
-        """Velocity of the body's point at `arm` from the reference point."""
+        """Velocity [m/s] of the body's point at the offset `arm` [m] from the reference point."""
         return self.linear + self.angular.cross(arm)
 
 
@@ -266,12 +266,12 @@ class Wrench(eqx.Module):
 
     @staticmethod
     def zero() -> Wrench:
-        """No load."""
+        """Zero force and moment."""
         return Wrench(Vec3.zero(), Vec3.zero())
 
     def __add__(self, o: Wrench) -> Wrench:
         return Wrench(self.force + o.force, self.moment + o.moment)
 
     def power(self, twist: Twist) -> Scalar:
-        """Rate of work on a body that moves with `twist` [W]."""
+        """Power on a body that moves with `twist` [W]."""
         return self.force.dot(twist.linear) + self.moment.dot(twist.angular)

@@ -1,6 +1,6 @@
-"""Text files at the edge: read whole and checked, cells turned to numbers, written in one piece or not at all.
+"""Reading and validation of text files, parsing of their numbers, and atomic writing.
 
-Files may come from anyone: one over its limit is refused before it takes memory.
+Files may come from untrusted sources: one over its size limit is rejected before it is read into memory.
 """
 
 from __future__ import annotations
@@ -21,34 +21,33 @@ from pftwin.base.output import written_whole
 
 MIB = 2**20
 
-# Ten minutes of 60 markers at 100 Hz are 100 MB as TRC; of a gait laboratory's C3D with plates at 1 kHz the half.
+# Ten minutes take 100 MB as TRC (60 markers at 100 Hz) and half of that as C3D with force plates at 1 kHz.
 RECORDING_BYTES = 256 * MIB
-SCENE_BYTES = 4 * MIB  # of scene files; the longest known has 40 kB
-MODEL_BYTES = 64 * MIB  # of OpenSim's models; whole bodies have 3 MB
-JSON_BYTES = 64 * MIB  # of estimates, checkpoints and strands; the checkpoint of 200 members on 50 parameters has 1 MB
-MESH_BYTES = 500_000_000  # of a mesh: two million triangles as text
+SCENE_BYTES = 4 * MIB  # scene files; the longest known has 40 kB
+MODEL_BYTES = 64 * MIB  # OpenSim models; whole bodies have 3 MB
+JSON_BYTES = 64 * MIB  # estimates, checkpoints and strands; the checkpoint of 200 members on 50 parameters has 1 MB
+MESH_BYTES = 500_000_000  # a mesh: two million triangles as text
 MESH_TRIANGLES = 2_000_000  # a hundred times the size of a knee implant's mesh
-RESULT_BYTES = 4_000_000_000  # of a result, in the file or unpacked: 10,000 variants of a second each have 2 GB
-RESULT_PACKED = 200  # largest ratio of unpacked to packed size of a variable; drawings are packed 3 to 20 times
-RESULT_SMALL = 50_000_000  # unpacked bytes of a variable that are allowed at any ratio
+RESULT_BYTES = 4_000_000_000  # a result, compressed or not: 10,000 variants of a second each have 2 GB
+RESULT_PACKED = 200  # largest compression ratio of a variable; that of drawings is 3 to 20
+RESULT_SMALL = 50_000_000  # uncompressed bytes of a variable that are allowed at any ratio
 
 _MISSING = {"", "nan", "-nan", "na", "n/a", "null", "-nan(ind)", "nan(ind)", "-1.#ind", "1.#qnan"}
 _TEXT_CONTROLS = {0x09, 0x0A, 0x0B, 0x0C, 0x0D, 0x1A}
 
 
 def read_bytes(path: str | os.PathLike[str], *, max_bytes: int = RECORDING_BYTES) -> bytes:
-    """A file's content.
+    """Content of a file.
 
     Raises:
-        InputError: missing, a folder, no file of its own (a pipe, a device), unreadable, empty, or larger than
-            `max_bytes`.
+        InputError: the file is missing, a folder, a pipe or device, unreadable, empty, or larger than `max_bytes`.
     """
     file = Path(path)
     try:
         found = file.stat()
         if stat.S_ISDIR(found.st_mode):
             raise InputError("is a folder", where=file, expected="a file")
-        if not stat.S_ISREG(found.st_mode):  # it might never end
+        if not stat.S_ISREG(found.st_mode):  # reading it might never end
             raise InputError("is a device or a pipe", where=file, expected="a file")
         if found.st_size > max_bytes:
             raise InputError(
@@ -72,7 +71,7 @@ def read_bytes(path: str | os.PathLike[str], *, max_bytes: int = RECORDING_BYTES
 
 
 def read_lines(path: str | os.PathLike[str], *, max_bytes: int = RECORDING_BYTES) -> tuple[list[str], bool]:
-    """Lines of a text file without their ends (any convention), and whether the last one ends with a line end.
+    """Lines of a text file without line ends (of any convention), and whether the last line ends with one.
 
     Raises:
         InputError: as `read_bytes`, or the content is not text.
@@ -97,10 +96,10 @@ def read_lines(path: str | os.PathLike[str], *, max_bytes: int = RECORDING_BYTES
 
 
 def csv_cells(line: str, *, path: object, number: int, delimiter: str = ",") -> list[str]:
-    """The cells of one line of a CSV file, `number` (from 1) in it.
+    """Cells of one line of a CSV file; `number` is the line's, from 1.
 
     Raises:
-        InputError: a cell of more characters than Python's reader takes.
+        InputError: a cell exceeds the field size limit of Python's csv reader.
     """
     try:
         return next(csv.reader([line], delimiter=delimiter))
@@ -114,15 +113,15 @@ def csv_cells(line: str, *, path: object, number: int, delimiter: str = ",") -> 
 
 
 def refuse_repeated(names: Sequence[str], what: str, *, where: object) -> None:
-    """Refuse names that are not each there once, since only one of those that share a name could be found by it.
+    """Checks that names are unique, as lookups by name require.
 
     Args:
-        names: any names.
-        what: what bears them ("columns"), for the message.
+        names: the names.
+        what: what they name ("columns"), for the message.
         where: the file, for the message.
 
     Raises:
-        InputError: naming the repeated ones.
+        InputError: names are repeated; the message lists them.
     """
     if repeated := [name for name, times in Counter(names).items() if times > 1]:
         shown = ", ".join(repeated[:8]) + (f" and {len(repeated) - 8} more" if len(repeated) > 8 else "")
@@ -130,15 +129,15 @@ def refuse_repeated(names: Sequence[str], what: str, *, where: object) -> None:
 
 
 def read_json(path: str | os.PathLike[str], *, expected: str) -> Any:
-    """What a JSON file holds.
+    """Content of a JSON file.
 
     Args:
         path: the file.
-        expected: what kind of file it is to be, for messages.
+        expected: description of the expected file, for messages.
 
     Raises:
-        InputError: no such file, more than `JSON_BYTES`, no JSON (naming the line), a name twice in one object, or
-            lists in lists without end.
+        InputError: the file is missing, exceeds `JSON_BYTES`, is not JSON (the message gives the line), repeats a name
+            in an object, or is nested too deeply.
     """
 
     def checked(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
@@ -156,7 +155,7 @@ def read_json(path: str | os.PathLike[str], *, expected: str) -> Any:
         raise InputError("lists within lists without end", where=path, expected=expected) from None
     except InputError:
         raise
-    except ValueError as error:  # no UTF-8, a number of thousands of digits
+    except ValueError as error:  # not UTF-8, or a number of thousands of digits
         raise InputError(f"not readable JSON: {error}", where=path, expected=expected) from None
 
 
@@ -195,12 +194,12 @@ def restored_numbers(value: Any) -> Any:
 
 
 def number(cell: str) -> float:
-    """The number in a cell, NaN where it is empty or says so; ValueError for anything else, infinity included."""
+    """The number in a cell, NaN if the value is missing; raises ValueError for anything else, including infinity."""
     text = cell.strip()
     if text.lower() in _MISSING:
         return float("nan")
     value = float(text)
-    if "_" in text or not np.isfinite(value):  # float() accepts "1_000" and "inf", which are no measurements
+    if "_" in text or not np.isfinite(value):  # float() also accepts "1_000" and "inf"
         raise ValueError(text)
     return value
 
@@ -208,10 +207,10 @@ def number(cell: str) -> float:
 def numbers(
     cells: Sequence[str], name_of: Callable[[int], str], *, path: object, line: int, allow_missing: bool = True
 ) -> list[float]:
-    """The numbers of one line; `name_of(i)` is the name of column i.
+    """Numbers of one line; `name_of(i)` is the name of column i.
 
     Raises:
-        InputError: a cell that is not a number (naming file, line and column).
+        InputError: a cell is not a number; the message gives file, line and column.
     """
     out = []
     for i, cell in enumerate(cells):
@@ -232,10 +231,10 @@ def numbers(
 
 
 def check_row_length(found: int, wanted: int, *, path: object, line: int, broken_off: bool) -> None:
-    """Refuse a row that has too few or too many cells; `broken_off`: it is the last line and has no line end.
+    """Checks the number of cells in a row; `broken_off`: it is the last line and has no line end.
 
     Raises:
-        InputError: naming file and line; a file that breaks off within a row is called truncated.
+        InputError: there are too few or too many cells, or the file is truncated; the message gives file and line.
     """
     if found == wanted:
         return
@@ -250,10 +249,10 @@ def check_row_length(found: int, wanted: int, *, path: object, line: int, broken
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:
-    """Writes a text file, whole or not at all.
+    """Writes a text file atomically.
 
     Raises:
-        OutputError: the place cannot be written to.
+        OutputError: the path is not writable.
     """
     with written_whole(path) as temporary:
         temporary.write_text(text, encoding="utf-8", newline="\n")

@@ -1,6 +1,6 @@
-"""What people write in options and files: amounts ("16 mm", "0.5 N"), numbers by name ("position=2e-4"), axes ("-x").
+"""Parsing of user input in options and files: amounts ("16 mm"), named numbers ("position=2e-4") and axes ("-x").
 
-An amount is a number and, behind it, its unit. An axis without a sign has a plus."""
+An amount is a number followed by its unit. An axis without a sign is positive."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ AXES: dict[str, Direction] = {
     "+z": (0.0, 0.0, 1.0),
     "-z": (0.0, 0.0, -1.0),
 }
-UNITS = {  # by SI unit: the units that an amount may have, with their sizes
+UNITS = {  # by SI unit: the accepted units with their sizes in it
     "m": {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "um": 1e-6},
     "rad": {"deg": math.pi / 180, "rad": 1.0},
     "N": {"N": 1.0, "mN": 1e-3},
@@ -34,7 +34,7 @@ _SMALL = str.maketrans("µμ", "uu")  # micro sign, Greek letter
 
 
 def number_and_unit(text: str) -> tuple[float, str] | None:
-    """The two parts, the unit empty where there is none; None if the text is no finite number with a word behind it."""
+    """Splits an amount into number and unit ("" if none); None if it is not a finite number and an optional unit."""
     match = _WRITTEN.fullmatch(text)
     try:
         number = float(match[1]) if match else math.nan
@@ -44,20 +44,20 @@ def number_and_unit(text: str) -> tuple[float, str] | None:
 
 
 def units_beside(unit: str) -> dict[str, float]:
-    """Units that an amount in this one may be written in, with their sizes in it; none for a unit not in `UNITS`."""
+    """Accepted units for an amount in `unit`, with their sizes in it; empty if `unit` is not in `UNITS`."""
     kind = next((sizes for sizes in UNITS.values() if unit in sizes), {})
     return {name: size / kind[unit] for name, size in kind.items() if name}
 
 
 def amounts_in(parts: list[str], unit: str) -> list[float]:
-    """Numbers in a unit, of which each may have one of its own; the last unit written counts for those without.
+    """Parses amounts; those without a unit have the last unit that is given.
 
     Args:
-        parts: such as "0", "2 cm", "0.4".
-        unit: of the answer, and of parts where none has a unit; empty where none may have one.
+        parts: amounts such as "0", "2 cm", "0.4".
+        unit: unit of the result, and of the parts if none has a unit; empty if units are not allowed.
 
     Returns:
-        An empty list if a part is no finite number or has a unit of another kind.
+        The numbers; an empty list if a part is not a finite number or has an incompatible unit.
     """
     found = [number_and_unit(part) for part in parts]
     last = next((pair[1] for pair in reversed(found) if pair and pair[1]), "")
@@ -67,10 +67,10 @@ def amounts_in(parts: list[str], unit: str) -> list[float]:
 
 
 def listed(text: str, unit: str, where: str) -> list[float]:
-    """Numbers in a unit, from "0,5,10 mm"; an empty list as in `amounts_in`.
+    """Parses comma-separated amounts such as "0,5,10 mm"; see `amounts_in`.
 
     Raises:
-        InputError: "1,5 cm", which may be meant as one number.
+        InputError: the text is like "1,5 cm", which may be one number with a decimal comma.
     """
     if found := _DECIMAL_COMMA.fullmatch(text):
         whole, rest, own = found.groups()
@@ -80,16 +80,16 @@ def listed(text: str, unit: str, where: str) -> list[float]:
 
 
 def amount(text: str, unit: str, where: str, *, least: float = -math.inf, most: float = math.inf) -> float:
-    """One number in a unit, from "16 mm", or "16" in that unit.
+    """Parses one amount such as "16 mm", or "16" for a number in `unit`.
 
     Args:
-        text: as written.
-        unit: of the answer.
+        text: the amount.
+        unit: unit of the result.
         where: the option or field, for messages.
-        least, most: what it may be, in that unit.
+        least, most: bounds of the result, in `unit`.
 
     Raises:
-        InputError: anything else.
+        InputError: the text is not an amount in a compatible unit, or it is out of bounds.
     """
     found = amounts_in([text], unit)
     if not found or not least <= found[0] <= most:
@@ -102,9 +102,9 @@ def amount(text: str, unit: str, where: str, *, least: float = -math.inf, most: 
 
 
 def several_amounts(text: str, where: str, unit: str = "") -> list[float]:
-    """Numbers from "0:20:1" (the end included), "0,5,10" or "7"; with a unit also "0:2:0.5 cm", "0 mm:2 cm:5 mm".
+    """Parses "0:20:1" (end included), "0,5,10" or "7"; with a unit also "0:2:0.5 cm", "0 mm:2 cm:5 mm".
 
-    InputError, which names the option or field, for anything else, and for units where `unit` is empty.
+    Raises InputError, which names the option or field, for other texts, and for units if `unit` is empty.
     """
     parts = amounts_in(text.split(":"), unit) if ":" in text else listed(text, unit, where)
     if not parts or (":" in text and len(parts) not in (2, 3)):
@@ -113,7 +113,7 @@ def several_amounts(text: str, where: str, unit: str = "") -> list[float]:
     if ":" not in text:
         return parts
     first, last = parts[:2]
-    step = parts[2] if len(parts) == 3 else 1.0  # of that unit
+    step = parts[2] if len(parts) == 3 else 1.0  # in `unit`
     if step == 0 or (last - first) * step < 0:
         raise InputError(f"found {text!r}", where=where, expected="a step that leads from the first to the last value")
     span = (last - first) / step
@@ -123,7 +123,7 @@ def several_amounts(text: str, where: str, unit: str = "") -> list[float]:
 
 
 def units_in_words(unit: str) -> str:
-    """For messages: the units that amounts in this one may have, behind what else is expected."""
+    """Accepted units of an amount in `unit`, as the end of an error message."""
     others = units_beside(unit)
     more = f" or with a unit: {', '.join(others)}" if others else ""
     return f", in {unit}{more}" if unit else ""
@@ -136,17 +136,17 @@ def numbers_by_name(
     counts: Sequence[int] = (1,),
     unit: Callable[[str], str] = lambda name: "",
 ) -> dict[str, tuple[float, ...]]:
-    """Numbers by name, from "name=number" or "name=number:number", with units where the name has one: "name=0.2 mm".
+    """Parses "name=number" or "name=number:number", with units if the name has one: "name=0.2 mm".
 
     Args:
-        given: what the user wrote, each time that the option is there.
+        given: values of the option, one for each time it is given.
         option: its name, for messages.
-        expected: what is, for messages, such as 'such as "position=2e-4"'.
-        counts: how many numbers a name may have.
-        unit: of a name's numbers; empty for one whose numbers may have none.
+        expected: description of valid values for messages, e.g. 'such as "position=2e-4"'.
+        counts: allowed numbers of values per name.
+        unit: returns the unit of a name's numbers; empty if they have none.
 
     Raises:
-        InputError: anything else; the same name twice.
+        InputError: a value has another form, or a name occurs twice.
     """
     found: dict[str, tuple[float, ...]] = {}
     for text in given or []:
@@ -162,7 +162,7 @@ def numbers_by_name(
 
 
 def numbers_between_colons(text: str) -> tuple[float, ...]:
-    """Numbers from "0:20"; none, if one of them is no number."""
+    """Parses "0:20"; empty if a part is not a number."""
     try:
         return tuple(float(part) for part in text.split(":"))
     except ValueError:
@@ -170,6 +170,6 @@ def numbers_between_colons(text: str) -> tuple[float, ...]:
 
 
 def axis_named(text: str) -> Direction | None:
-    """The unit vector of "x", "+x" or "-X"; None for any other text."""
+    """Unit vector of "x", "+x" or "-X"; None for any other text."""
     name = text.strip().lower()
     return AXES.get(name if name.startswith(("+", "-")) else f"+{name}")

@@ -1,9 +1,9 @@
-"""Static equilibrium of the patella on guided bodies that stand still.
+"""Static equilibrium of the patella, with guided bodies at rest.
 
 Newton-Raphson (Michaud et al. 2024, section 2.3.3) with a trust region: see docs/physics.md. If the search stalls,
-as on a coarse mesh whose forces jump across edges, the shift grows with every step that increases the residual and
-shrinks with every step that lowers it. `pftwin.dynamics.relaxation` is the fallback. The tangent is taken by central
-differences: as good as automatic differentiation here (relative error 1e-8 in float64) and much quicker to compile.
+e.g. on a coarse mesh whose forces jump across edges, the shift grows with every step that increases the residual, and
+shrinks with every step that reduces it. `pftwin.dynamics.relaxation` is the fallback. The tangent is from central
+differences: as good as automatic differentiation here (relative error 1e-8 in float64), and much faster to compile.
 """
 
 from __future__ import annotations
@@ -23,53 +23,53 @@ from pftwin.dynamics.state import Guide, System
 from pftwin.dynamics.static_load import Surroundings, displaced_pose, look_around, patella_at_rest, residual
 
 REACH = 2e-3  # longest step [m]
-SEARCH_STEPS = 4  # evaluations that turn rough memories into exact ones before the pose moves
+SEARCH_STEPS = 4  # evaluations that refine the rough initial memories before the pose moves
 MOST_ITERATIONS = 200
 PATIENCE = 50  # iterations after which a step that increases the residual makes the next steps shorter
-ROUNDINGS = 12  # roundings in a stretch: see `_rounding`
-RIDGE = 1e-12  # share of the tangent's trace that is added: a direction without stiffness gets derivative zero, not NaN
+ROUNDINGS = 12  # number of roundings in a stretch: see `_rounding`
+RIDGE = 1e-12  # fraction of the trace added to the tangent: gives directions without stiffness derivative 0, not NaN
 MOST_CAUTION = 1e4  # largest factor on the shift
 
 
 class Solution(eqx.Module):
-    """An equilibrium and how well it is met."""
+    """Result of the search for an equilibrium."""
 
     pose: Pose  # of the centre of mass, world
-    memories: tuple[Any, ...]  # the effects', to start a motion with
+    memories: tuple[Any, ...]  # of the effects, to start a motion with
     residual: Scalar  # norm of force and moment / lever [N]
     iterations: Scalar
-    stiffness: Array  # (6, 6) tangent: what force and moment / lever lose per displacement and angle * lever [N/m]
-    rounding: Scalar | float = 0.0  # what the float type's rounding of places makes of the load, see `_rounding` [N]
+    stiffness: Array  # (6, 6) tangent: decrease of force and moment / lever per displacement and angle * lever [N/m]
+    rounding: Scalar | float = 0.0  # error of the load from rounding of positions, see `_rounding` [N]
 
     def tolerance(self) -> Scalar:
-        """Largest residual of a converged equilibrium: what the float type can promise [N]."""
+        """Largest residual of a converged equilibrium, given the float type [N]."""
         return jnp.maximum(jnp.asarray(tolerance_of(self.residual.dtype), self.residual.dtype), self.rounding)
 
     def converged(self) -> Scalar:
-        """Whether the residual is below the tolerance (1e-6 N in float64 but for extreme stiffness)."""
+        """Whether the residual is below the tolerance (1e-6 N in float64 except for extreme stiffness)."""
         return self.residual < self.tolerance()
 
 
 def tolerance_of(dtype: Any) -> float:
-    """Largest residual of a converged equilibrium whose contacts and tendons are not stiffer than usual [N]."""
+    """Largest residual of a converged equilibrium with contacts and tendons of usual stiffness [N]."""
     return 1e-6 if dtype == jnp.float64 else 2e-2
 
 
 def tolerance_on_host(solution: Solution) -> NDArray[np.floating]:
-    """`Solution.tolerance` without a program, of one or a batch [N]."""
+    """`Solution.tolerance` on the host, of one solution or a batch [N]."""
     return np.maximum(tolerance_of(solution.residual.dtype), np.asarray(solution.rounding))
 
 
 def converged_on_host(solution: Solution) -> NDArray[np.bool_]:
-    """`Solution.converged` without a program, of one or a batch."""
+    """`Solution.converged` on the host, of one solution or a batch."""
     return np.asarray(solution.residual) < tolerance_on_host(solution)
 
 
 def place_unknown(solution: Solution) -> float:
-    """How far from the true equilibrium the patella may rest because of the float type's rounding [m]; on the host.
+    """Possible distance of the patella from the true equilibrium due to rounding [m]; on the host.
 
-    What is left of the load, and what of it rounding hides, over the stiffness of the softest direction. 0 where the
-    load is known to the usual tolerance, as it always is in float64 but for extreme stiffness.
+    It is the residual plus the rounding error of the load, divided by the stiffness of the softest direction; 0 if the
+    load is accurate to the usual tolerance, as always in float64 except for extreme stiffness.
     """
     rounding = float(solution.rounding)
     if rounding <= tolerance_of(solution.residual.dtype):
@@ -82,11 +82,11 @@ def place_unknown(solution: Solution) -> float:
 def _rounding(system: System, pose: Pose, there: Surroundings) -> Scalar:
     """Uncertainty of the load due to the rounding of positions [N].
 
-    A stiff term's stretch comes from coordinates of the size L of the patella's place and of the arm to its button's
-    middle, by six independent roundings of eps / 2 * L: the place as it is stored, the arm's rotation (two), the sum of
-    both, the surface's point, the distance to it. A residual has them twice: where the last step was found, and where
-    it leads. With a force k s along g = (direction, moment / lever) it is off by k |g| sqrt(`ROUNDINGS`) eps / 2 * L;
-    the sum of all k |g| is at most the root of that of k times that of k |g|^2.
+    The stretch of a stiff term results from coordinates of size L (position of the patella plus its arm to the button's
+    centre) with six independent roundings of eps / 2 * L: the stored position, the rotation of the arm (two), their
+    sum, the point of the surface, and the distance to it. A residual contains them twice: at the pose where the last
+    step was computed, and at its end. For a force k s along g = (direction, moment / lever), its error is
+    k |g| sqrt(`ROUNDINGS`) eps / 2 * L; the sum of all k |g| is at most sqrt((sum of k) (sum of k |g|^2)).
     """
     arms = [c.tracked_point().norm() for e in system.effects if (c := e.contact_role()) is not None]
     size = pose.position.norm() + (jnp.max(jnp.stack(arms)) if arms else 0.0)
@@ -106,13 +106,13 @@ class _Iterate(NamedTuple):
     caution: Scalar  # factor on the shift
 
     def solution(self) -> Solution:
-        """The solution with strong dtypes, so that before and after the search it has the same structure."""
+        """The solution with strong dtypes, so that it has the same structure before and after the search."""
         whole = Solution(self.pose, self.memories, self.residual, self.count, self.stiffness, self.rounding)
         return jax.tree.map(lambda a: jax.lax.convert_element_type(a, a.dtype), whole)
 
 
 def step_of(matrix: list[list[Scalar]], r: list[Scalar]) -> tuple[list[Scalar], Scalar]:
-    """The step d [m] of matrix d = r [N], and whether its pivots are positive: then it goes downhill."""
+    """The step d [m] from matrix d = r [N], and whether all pivots are positive: then it is a descent direction."""
     d, inverse = eliminate(matrix, r)
     definite = jnp.array(True)
     for p in inverse:
@@ -121,14 +121,14 @@ def step_of(matrix: list[list[Scalar]], r: list[Scalar]) -> tuple[list[Scalar], 
 
 
 def entries(matrix: Array) -> list[list[Scalar]]:
-    """Those of a (6, 6) matrix, row by row."""
+    """Entries of a (6, 6) matrix, row by row."""
     return [[matrix[i, j] for j in range(6)] for i in range(6)]
 
 
 def downhill(there: Surroundings, shift: Scalar) -> list[Scalar]:
-    """Newton's step with the tangent plus a multiple of the identity, where that leads downhill.
+    """Newton's step with the tangent plus `shift` times the identity, if that is a descent direction.
 
-    Elsewhere the stiff terms' own positive semidefinite part takes the tangent's place.
+    Otherwise the positive semidefinite stiffness of the stiff terms replaces the tangent.
     """
     r, tangent = there.residual(), entries(there.tangent())
 
@@ -146,8 +146,8 @@ def _size(r: list[Scalar]) -> Scalar:
 
 
 def _improved(system: System, guide: Guide, at: _Iterate) -> _Iterate:
-    """One Newton iteration; a pose that meets the tolerance stays."""
-    searching = at.count < SEARCH_STEPS  # the pose waits until the memories are right
+    """One Newton iteration; a converged pose does not change."""
+    searching = at.count < SEARCH_STEPS  # the pose does not move until the memories are refined
     there = look_around(system, lambda d: patella_at_rest(guide, displaced_pose(at.pose, d)), at.memories, at.residual)
     r, stiffness = there.residual(), there.tangent()
     size = _size(r)
@@ -158,7 +158,7 @@ def _improved(system: System, guide: Guide, at: _Iterate) -> _Iterate:
     shorter = jnp.minimum(1.0, 2 * REACH / jnp.maximum(length, 1e-12))
     rounding = _rounding(system, at.pose, there)
     tolerance = jnp.maximum(jnp.asarray(tolerance_of(size.dtype), size.dtype), rounding)
-    floor = (size < tolerance) & (size > 0.5 * at.residual)  # rounding: Newton's iteration has no more to give
+    floor = (size < tolerance) & (size > 0.5 * at.residual)  # rounding prevents further improvement
     done = ((size < 0.01 * tolerance) | floor) & ~searching
     scale = jnp.where(done | searching | ~jnp.isfinite(length), 0.0, shorter)
     d = [jnp.where(scale == 0, 0.0, scale * a) for a in d]
@@ -167,28 +167,28 @@ def _improved(system: System, guide: Guide, at: _Iterate) -> _Iterate:
 
 def _start(system: System, guide: Guide, guess: Pose) -> _Iterate:
     x = guess.position.x
-    zero = jnp.where(x > 0, jnp.zeros_like(x), 0)  # batched where the guess is: `vmap` need not trace again to find out
+    zero = jnp.where(x > 0, jnp.zeros_like(x), 0)  # batched if the guess is, which saves `vmap` from tracing again
     memories = system.guess(patella_at_rest(guide, guess))
     stiffness = jnp.broadcast_to(zero, (6, 6))
     return _Iterate(guess, memories, zero + jnp.inf, stiffness, zero, zero.astype(int), zero > 0, zero + 1.0)
 
 
 def initial_solution(system: System, guide: Guide, guess: Pose) -> Solution:
-    """A solution before the search: of the same structure, so that what goes on from one can be compiled ahead."""
+    """A solution before the search, with the final structure, so that programs that use it can be compiled ahead."""
     return _start(system, guide, guess).solution()
 
 
 @eqx.filter_custom_jvp
 def solve_equilibrium(system: System, guide: Guide, guess: Pose) -> Solution:
-    """The equilibrium nearest to a guess, downhill. Jit and vmap apply; derivatives by the implicit function theorem.
+    """Solves for the equilibrium by descent from a guess, the pose of the centre of mass in the world.
 
-    The iteration ends at a hundredth of the tolerance, or below the tolerance once it stops improving (else one member
-    that keeps iterating would hold up its whole batch), or at `MOST_ITERATIONS`. Members whose contacts are found
-    in turns take turns here too: none waits for the slowest.
+    Supports jit, vmap, and differentiation by the implicit function theorem. The iteration ends at a hundredth of the
+    tolerance, or below the tolerance once it stops improving (so that one variant does not delay its batch), or at
+    `MOST_ITERATIONS`. Variants with an effect that is `in_turns` are solved one at a time: none waits for the slowest.
     """
     if not any(e.in_turns for e in system.effects):
         return _searched(system, guide, guess)
-    from pftwin.geometry.bvh.loops import member_by_member  # a scene without meshes imports nothing of theirs
+    from pftwin.geometry.bvh.loops import member_by_member  # imported only for scenes with meshes
 
     return member_by_member(_searched)(system, guide, guess)
 
@@ -215,7 +215,7 @@ def _solve_equilibrium_jvp(primals: Any, tangents: Any) -> tuple[Solution, Solut
         scaled = jax.tree.map(lambda a: factor * a, tuple(tangents[:2]))
         return eqx.filter_jvp(load, (system, guide), scaled)[1]
 
-    # In a loop, and by LAPACK: XLA does not recompute stored results at every use of their entries.
+    # A loop, and LAPACK, store their results, which XLA would otherwise recompute at every use of their entries.
     dr = jax.lax.map(slope, jnp.array([1.0, 0.0], solution.residual.dtype))[0]
     ridge = RIDGE * jnp.trace(solution.stiffness) * jnp.eye(6, dtype=dr.dtype)
     d = list(jnp.linalg.solve(solution.stiffness + ridge, dr))

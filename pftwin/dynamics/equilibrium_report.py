@@ -1,4 +1,4 @@
-"""What is to be known about a static equilibrium: how well it is met, which one it is, what touches."""
+"""Report on a static equilibrium: convergence, stability, loaded facets, and observables."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from pftwin.dynamics.status import RESERVATIONS, Status, status_facts, status_of
 from pftwin.model.limits import not_pulled
 from pftwin.model.scene import Scene
 
-_NEUTRAL = 1e-6  # of the largest stiffness: below, a direction counts as neutral
+_NEUTRAL = 1e-6  # fraction of the largest eigenvalue below which a direction counts as neutral
 Seen = Mapping[str, Mapping[str, Any]]
 
 
@@ -30,8 +30,8 @@ Seen = Mapping[str, Mapping[str, Any]]
 class EquilibriumReport:
     """A static equilibrium of the patella at the first frame.
 
-    Eigenvalues are those of the tangent stiffness over displacements and rotations times a lever of 20 mm, ascending
-    (real parts).
+    Eigenvalues are the real parts, ascending, of those of the tangent stiffness with respect to displacements and to
+    rotations times a lever of 20 mm.
     """
 
     position: NDArray[np.float64]  # (3,) of the patella's origin in the femur [m]
@@ -39,25 +39,24 @@ class EquilibriumReport:
     residual: float  # norm of force and moment / lever [N]
     tolerance: float  # [N]
     iterations: int
-    relaxed: bool  # whether damped relaxation had to help
+    relaxed: bool  # whether it was found by damped relaxation
     eigenvalues: NDArray[np.float64]  # (6,) [N/m]
-    facets: tuple[str, ...]  # of "medial", "lateral": those that carry load
-    moved: float  # of the centre of mass, from the scene's start pose [m]
-    turned: float  # likewise [rad]
-    effects: dict[str, dict[str, NDArray[np.float64]]]  # reports there; a run's: with its bodies moving
-    lines: Status  # what the lines of force have against it
+    facets: tuple[str, ...]  # the loaded ones of "medial", "lateral"
+    moved: float  # displacement of the centre of mass from the scene's start pose [m]
+    turned: float  # rotation from the scene's start pose [rad]
+    effects: dict[str, dict[str, NDArray[np.float64]]]  # observables; for the start of a run, with moving bodies
+    lines: Status  # flags from lines of force
 
     @staticmethod
     def build(
         scene: Scene, solution: Solution, relaxed: bool, *, there: tuple[Pose, Seen, Any] | None = None
     ) -> EquilibriumReport:
-        """The report on a solution.
+        """Builds the report on a solution, which need not have converged: see `converged` and `description`.
 
-        It does not raise: a solution that did not converge says so in `converged` and `description`. `there` are the
-        patella's pose in the femur, observables and the frame's status; by default they are looked up.
+        `there` contains the patella's pose in the femur, observables and the frame's status; computed by default.
         """
         pose, seen, status = on_host(_observe_at(scene.unnamed(), solution.pose) if there is None else there)
-        # Plain numpy from here on: fetched first, no little programs are compiled for a handful of numbers.
+        # Plain NumPy from here on, so that JAX does not compile programs for a few numbers.
         solution, guess, com = on_host((solution, scene.start, scene.patella.center_of_mass))
         turn = host_array(guess.orientation)
         start = host_array(guess.position) + _turned(turn, host_array(com))
@@ -87,7 +86,7 @@ class EquilibriumReport:
 
     @property
     def kind(self) -> str:
-        """Stable, neutral (no stiffness in some direction), saddle (it would leave in some direction), or unknown."""
+        """Stable, neutral (no stiffness in some direction), saddle (unstable in some direction), or unknown."""
         least, most = self.eigenvalues[0], np.abs(self.eigenvalues).max()
         if not np.isfinite(least):
             return "unknown"
@@ -97,7 +96,7 @@ class EquilibriumReport:
 
     @property
     def status(self) -> Status:
-        """What its effects have against it: too deep, beyond the patch, a search without room, an end within a wrap."""
+        """Flags from the effects: too deep, beyond the patch, overflow of a search, or a line's end in its obstacle."""
         found = self.lines
         for report in self.effects.values():
             for name, flag in RESERVATIONS.items():
@@ -107,7 +106,7 @@ class EquilibriumReport:
 
     @property
     def description(self) -> str:
-        """Which equilibrium it is, in a sentence."""
+        """Description of the equilibrium in one sentence."""
         if not self.converged:
             why = f"; {self.status.describe()}" if self.status else ""
             return f"no equilibrium: {self.residual:.3g} N are left after {self.iterations} iterations{why}"
@@ -121,7 +120,7 @@ class EquilibriumReport:
         )
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values, for JSON."""
+        """The report as plain values, for JSON."""
         return {
             "position_m": self.position.tolist(),
             "quaternion": self.quaternion.tolist(),
@@ -143,7 +142,7 @@ class EquilibriumReport:
 
 @Program
 def _observe_at(scene: Scene, pose: Pose) -> tuple[Pose, dict[str, dict[str, Any]], Any]:
-    """The patella's pose in the femur, observables, the lines' status; at rest at a pose of its centre of mass."""
+    """Pose in the femur, observables and flags of lines, of a patella at rest at a pose of its centre of mass."""
     system, guide = System.of(scene), first_guide(scene)
     now = patella_at_rest(guide, pose)
     memories = system.remember(now)
@@ -153,14 +152,14 @@ def _observe_at(scene: Scene, pose: Pose) -> tuple[Pose, dict[str, dict[str, Any
 
 
 def on_host(tree: Any) -> Any:
-    """The same with numpy arrays."""
+    """The pytree with NumPy arrays."""
     if jax.default_backend() != "cpu":
-        return jax.device_get(tree)  # fetches side by side
-    return jax.tree.map(np.asarray, tree)  # looks at the very same memory, in a fifth of the time
+        return jax.device_get(tree)  # fetches all arrays concurrently
+    return jax.tree.map(np.asarray, tree)  # shares the memory, in a fifth of the time
 
 
 def _turned(q: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float64]:
-    """A vector (3,) turned by a unit quaternion (4,)."""
+    """A vector (3,) rotated by a unit quaternion (4,)."""
     (w, x, y, z), (a, b, c) = q, v
     t = np.array([y * c - z * b, z * a - x * c, x * b - y * a])  # q x v
     return v + 2 * (w * t + np.array([y * t[2] - z * t[1], z * t[0] - x * t[2], x * t[1] - y * t[0]]))

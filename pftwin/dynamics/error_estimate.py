@@ -1,14 +1,14 @@
-"""How far off a run's path and forces are, frame by frame: told from runs of the same scene with other steps.
+"""Error estimates of a run's path and forces at every frame, from runs of the same scene with other steps.
 
-Where errors fall with the power p of the step, two runs whose steps have the ratio r are as far apart as r^p - 1 times
-the error of the finer one, and 1 - r^-p times that of the coarser. Contacts that open and close cost part of an
-integrator's order: for paths p is half of what it declares, at most 1. A force jumps where a contact opens, and at a
-single frame it errs with the square root of the step at best, with any integrator: for forces p = 1/2.
+If errors are proportional to the step to the power p, the difference of two runs whose steps have the ratio r is
+r^p - 1 times the error of the finer run, and 1 - r^-p times that of the coarser. Contacts that open and close reduce
+the order of an integrator: for paths, p is half of its declared order, at most 1. A force jumps where a contact opens,
+so with any integrator its error at a single frame falls at best with the square root of the step: for forces, p = 1/2.
 
-Two runs can agree by chance where contacts chatter. So `pftwin.simulate` counts a first estimate double, and has later
-ones borne out by the pair before, of steps twice as long.
+Two runs can agree by chance where contacts chatter. So `pftwin.simulate` doubles a first estimate, and takes later ones
+as at least what the previous pair, of twice the steps, predicts.
 
-Arrays are numpy's on the host and JAX's in a compiled program: `xp` is the module that has them.
+Arrays are NumPy's on the host and JAX's in a compiled program; `xp` is the module to use.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ from pftwin.base.spatial import Vec3
 from pftwin.dynamics.observe import Observation
 from pftwin.dynamics.status import MOST_ERROR_SHARE, MOST_FORCE_ERROR, MOST_PATH_ERROR, Status
 
-REACH = 0.02  # of the patella's points that count, from the tracked one [m]
-FORCE_POWER = 0.5  # with which errors of forces at single frames fall, at worst
+REACH = 0.02  # distance from the tracked point of the patella's points that the path's error covers [m]
+FORCE_POWER = 0.5  # assumed order of convergence of forces at single frames
 LEAST_FORCE = 0.05  # errors of force below this are never flagged [N]
 
 
 class Course(NamedTuple):
-    """Where the patella is at the frames and what presses on it; on the host leading axes of batches are allowed."""
+    """Path and contact forces of the patella at the frames; leading batch axes are allowed on the host."""
 
     center: Any  # (..., n, 3) tracked point, femur frame [m]
     quaternion: Any  # (..., n, 4)
@@ -39,7 +39,7 @@ class Course(NamedTuple):
 
     @classmethod
     def of(cls, seen: Observation, contact: str | None) -> Course:
-        """Of what was observed of a scene whose tracked contact has this name, on the host."""
+        """From observations, on the host; `contact` is the name of the scene's contact, None without one."""
         center, turn = host_array(seen.center), host_array(seen.patella.orientation)
         nothing = np.zeros(center.shape[:-1])
         report: dict[str, Any] = {} if contact is None else seen.effects[contact]
@@ -50,43 +50,43 @@ class Course(NamedTuple):
 
 @dataclass(frozen=True)
 class ErrorEstimate:
-    """Of a run, at every frame (n,); infinite where it is not known. Estimates, not bounds: see above."""
+    """Estimated errors of a run at every frame (n,), infinite if unknown. These are not bounds: see the module."""
 
-    path: Any  # how far the patella's points within 20 mm of the tracked one may be off [m]
-    contact_force: Any  # length of the difference of the contact force [N]
-    medial_facet: Any  # of the size of the force on each facet [N]
+    path: Any  # of the position of any point of the patella within 20 mm of the tracked one [m]
+    contact_force: Any  # norm of the error of the contact force [N]
+    medial_facet: Any  # of the magnitude of the force on each facet [N]
     lateral_facet: Any
-    most_force: Any  # what a force may be off before it is flagged, () [N]
+    most_force: Any  # error of a force above which it is flagged, () [N]
 
     @property
     def _all(self) -> tuple[Any, ...]:
         return self.path, self.contact_force, self.medial_facet, self.lateral_facet
 
     def times(self, path: Any, force: Any) -> ErrorEstimate:
-        """With factors on lengths and on forces."""
+        """The estimate with the errors of path and forces multiplied by factors."""
         length, *forces = self._all
         return ErrorEstimate(path * length, *(force * f for f in forces), most_force=self.most_force)
 
     def with_start(self, off: float) -> ErrorEstimate:
-        """With the path off by so much from its start on [m]."""
+        """The estimate with an error of the initial position `off` [m] added to the path at every frame."""
         return replace(self, path=self.path + off)
 
     @property
     def unknown(self) -> ErrorEstimate:
-        """The same, but infinite at every frame."""
+        """The estimate with infinite errors at every frame."""
         return ErrorEstimate(*(np.full_like(x, np.inf) for x in self._all), most_force=self.most_force)
 
     def or_larger(self, other: ErrorEstimate) -> ErrorEstimate:
-        """At each frame the larger of two."""
+        """The larger of two estimates at each frame."""
         return ErrorEstimate(*map(np.maximum, self._all, other._all), most_force=self.most_force)
 
     @property
     def flags(self) -> Any:
-        """Bits of `Status` that follow (n,)."""
+        """Bits of `Status` for each frame (n,)."""
         return self.flags_beyond(MOST_PATH_ERROR)
 
     def flags_beyond(self, most_path: float) -> Any:
-        """Bits of `Status` (n,) where the path is off by more than this [m], or a force by more than `most_force`."""
+        """Bits of `Status` (n,) for errors of the path above `most_path` [m] or of a force above `most_force`."""
         most = self.most_force
         off = (self.path > most_path) | (self.contact_force > most)
         unshared = (self.medial_facet > most) | (self.lateral_facet > most)
@@ -94,32 +94,32 @@ class ErrorEstimate:
 
     @property
     def largest(self) -> dict[str, Any]:
-        """Of all frames, by quantity."""
+        """The largest error of all frames for each quantity."""
         names = ("path", "contact_force", "medial_facet", "lateral_facet")
         return {name: values.max() for name, values in zip(names, self._all, strict=True)}
 
     def describe(self) -> str:
-        """The largest of all frames, in words."""
+        """The largest errors of all frames, in words."""
         path, force, *facets = self.largest.values()
         return f"{1e3 * path:.2g} mm of path, {force:.2g} N of contact force, {max(facets):.2g} N on one facet"
 
     @property
     def small(self) -> bool:
-        """Whether nothing is flagged."""
+        """Whether no frame is flagged."""
         return not self.flags.any()
 
 
 def error_of(run: Course, other: Course, order: float, ratio: Any, xp: Any = np) -> ErrorEstimate:
-    """Of a run, from another one of the same scene, by an integrator of this order.
+    """Estimates the errors of `run` from another run of the same scene with an integrator of order `order`.
 
-    `ratio` is that of the other's step to the run's: 2 where the other has half as many steps, 1/2 where twice as many.
+    `ratio` is the other's step over the run's: 2 if the other has half as many steps, 1/2 if it has twice as many.
     """
     found = apart(run, other, xp)
     return found.times(1 / abs(ratio ** path_power(order) - 1), 1 / abs(ratio**FORCE_POWER - 1))
 
 
 def apart(a: Course, b: Course, xp: Any = np) -> ErrorEstimate:
-    """How far two runs are apart at every frame; infinite where one is not finite."""
+    """Difference of two runs at every frame; infinite where one is not finite."""
     with np.errstate(over="ignore", invalid="ignore"):
         moved = _length(a.center - b.center, xp)
         cosine = xp.abs(_dot(a.quaternion, b.quaternion))
@@ -133,7 +133,7 @@ def apart(a: Course, b: Course, xp: Any = np) -> ErrorEstimate:
 
 
 def _dot(a: Any, b: Any) -> Any:
-    """Over the last axis, number by number: the last bit of a reduction depends on how many members a call has."""
+    """Dot product over the last axis, term by term: the rounding of a reduction depends on the size of the batch."""
     products = [a[..., i] * b[..., i] for i in range(a.shape[-1])]
     return sum(products[1:], start=products[0])
 
@@ -143,10 +143,10 @@ def _length(a: Any, xp: Any) -> Any:
 
 
 def after_halving(before: ErrorEstimate, order: float) -> ErrorEstimate:
-    """What an error comes down to with half the step."""
+    """The expected error with half the step."""
     return before.times(2 ** -path_power(order), 2**-FORCE_POWER)
 
 
 def path_power(order: float) -> float:
-    """With which errors of the path fall, of an integrator of this order."""
+    """Assumed order of convergence of the path with an integrator of order `order`."""
     return min(1.0, order / 2)

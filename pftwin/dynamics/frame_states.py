@@ -1,4 +1,4 @@
-"""From a scene to the patella's path: one pure function, to be jitted, vmapped and differentiated."""
+"""Time integration from a scene to the patella's states at the recorded frames, as a pure function."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ from pftwin.model.scene import Scene
 
 
 class FrameStates(eqx.Module):
-    """The patella at the recorded frames (leading axis n_frames)."""
+    """States of the patella at the recorded frames (leading axis n_frames)."""
 
     states: State
     ledger: Ledger | None
-    start: Solution  # the equilibrium it started from
+    start: Solution  # initial equilibrium
     step: Scalar  # [s]
-    integrator: Integrator = eqx.field(static=True, default=LinearImplicit())  # it knows what `states.carried` holds
+    integrator: Integrator = eqx.field(static=True, default=LinearImplicit())  # interprets `states.carried`
 
 
 def substeps_for(interval: float, dt: float) -> int:
-    """How many equal steps, none longer than dt, make up the interval between two frames.
+    """Smallest number of equal steps, none longer than `dt` [s], in the interval between two frames [s].
 
     Raises:
-        InputError: a step that is not a positive number.
+        InputError: `dt` is not positive.
     """
     if not dt > 0:
         raise InputError(f"found {dt!r}", where="dt", expected="a positive number of seconds")
@@ -45,30 +45,30 @@ def substeps_for(interval: float, dt: float) -> int:
 
 
 def starting_equilibrium(scene: Scene, guess: Pose | None = None) -> Solution:
-    """The equilibrium at the first frame, from the scene's own start pose or another pose of the patella's frame."""
+    """Equilibrium at the first frame; `guess` is a pose of the patella frame, by default the scene's start pose."""
     start = scene.start if guess is None else guess
     pose = Pose(start.apply(scene.patella.center_of_mass), start.orientation)
     return solve_equilibrium(System.of(scene), first_guide(scene), pose)
 
 
 def start_before_search(scene: Scene) -> Solution:
-    """An unsolved `Solution` of the structure that `starting_equilibrium` returns, without the search."""
+    """An unsolved `Solution` with the same structure as that of `starting_equilibrium`."""
     return initial_solution(System.of(scene), first_guide(scene), scene.center_of_mass_pose())
 
 
 def relaxed_start(scene: Scene) -> Pose:
-    """Where damped motion from the scene's start comes to rest, a pose of the patella's frame to search from."""
+    """Rest pose of damped motion from the scene's start pose, as a pose of the patella frame to search from."""
     rested = relax(System.of(scene), first_guide(scene), scene.center_of_mass_pose())
     return Pose(rested.apply(-scene.patella.center_of_mass), rested.orientation)
 
 
 def first_guide(scene: Scene) -> Guide:
-    """The guided bodies at the first frame, standing still."""
+    """The guided bodies at the first frame, with zero velocities."""
     return Guide.sample(scene.motion, jnp.asarray(scene.motion.start_time, dtype=float)).slowed(0.0)
 
 
 def starting_state(scene: Scene, start: Solution) -> State:
-    """At rest relative to the femur, so that a femur that moves at the first frame does not hit the patella."""
+    """Initial state at rest relative to the femur, so that a femur that moves at the first frame causes no impact."""
     state = System.of(scene).at_rest(start.pose, start.memories)
     if scene.motion.femur is None:
         return state
@@ -78,7 +78,7 @@ def starting_state(scene: Scene, start: Solution) -> State:
 
 
 def _parts(now: Carry) -> tuple[Any, Any]:
-    """What is stored of a frame, in two parts: the second is never computed where only poses are used."""
+    """The stored values of a frame in two parts, of which the second is not computed where only poses are used."""
     state, books = now
     return (state.position, state.orientation), (state.velocity, state.spin, state.memories, state.carried, books)
 
@@ -91,20 +91,20 @@ def frame_states(
     start: Solution | None = None,
     ledger: bool = False,
 ) -> FrameStates:
-    """The patella's path through the recorded frames, from static equilibrium.
+    """States of the patella at the recorded frames, from static equilibrium.
 
     Args:
-        scene: any leaf of it may be traced.
+        scene: any of its leaves may be traced.
         integrator: see `pftwin.dynamics.integrators`.
-        substeps: steps between two recorded frames. A traced number leaves the program unchanged but excludes reverse
-            mode; 0 stays at the equilibrium.
-        start: an equilibrium to start from; by default it is solved for.
-        ledger: whether to keep the energy ledger.
+        substeps: number of steps between two recorded frames. If traced, one program serves all numbers, but without
+            reverse mode; 0 stays at the equilibrium.
+        start: initial equilibrium; solved for by default.
+        ledger: whether to compute the energy ledger.
 
     Raises:
-        InputError: an effect that the integrator has no answer for.
+        InputError: the integrator does not support an effect.
 
-    Pure: jit, vmap, jvp and grad apply. Reverse mode keeps one state per frame and repeats the steps between.
+    Supports jit, vmap, jvp and grad. Reverse mode stores one state per frame and recomputes the steps in between.
     """
     run = _run(scene, integrator, substeps, start, ledger)
 
@@ -127,19 +127,19 @@ def scan_observations(
     start: Solution | None = None,
     ledger: bool = False,
 ) -> tuple[Any, Solution, Scalar]:
-    """Evaluates look(state, ledger, frame) at every recorded frame during the motion; no states are kept.
+    """Evaluates look(state, ledger, frame) at every recorded frame during the motion, without storing states.
 
-    `look` is pure and gives a tree of arrays. A batch then stores a tenth as much and takes half the time where it is
-    cheap. Options as in `frame_states`.
+    `look` is a pure function that returns a pytree of arrays. If it is cheap, a batch stores a tenth as much and takes
+    half the time. See `frame_states` for the other arguments.
 
     Returns:
-        The values of `look` (n_frames, ...), the equilibrium at the start, and the step [s].
+        The values of `look` (n_frames, ...), the initial equilibrium, and the step [s].
     """
     run, n = _run(scene, integrator, substeps, start, ledger), scene.motion.n_frames
     layout = Layout.of(look, *run.carry, jnp.zeros((), int))
 
     def one_frame(now: Carry, index: Scalar) -> tuple[Carry, Array]:
-        # `look` appears once in the program, before the step; the step after the last frame is not used.
+        # With `look` before the step it occurs only once in the program; the last iteration's step is not used.
         return run.next_frame(now, jnp.minimum(index, n - 2)), layout.row(look(*now, index))
 
     _, rows = jax.lax.scan(one_frame, run.carry, jnp.arange(n))
@@ -147,14 +147,14 @@ def scan_observations(
 
 
 class _Run(NamedTuple):
-    """A prepared motion that advances from frame to frame."""
+    """A prepared time integration that advances from frame to frame."""
 
     carry: Carry
     start: Solution
     step: Scalar
-    next_frame: Callable[[Carry, Scalar], Carry]  # from a frame and its number
-    rows_of: Callable[[Carry], tuple[Array, Array]]  # what is stored of a frame
-    whole: Callable[[tuple[Array, Array]], Carry]  # and back, from rows of all frames
+    next_frame: Callable[[Carry, Scalar], Carry]  # (values at a frame, its index) -> values at the next frame
+    rows_of: Callable[[Carry], tuple[Array, Array]]  # packs the values at a frame into rows
+    whole: Callable[[tuple[Array, Array]], Carry]  # unpacks rows of all frames
 
 
 def _run(scene: Scene, chosen: Integrator, substeps: int | Scalar, start: Solution | None, ledger: bool) -> _Run:

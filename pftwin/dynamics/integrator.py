@@ -1,4 +1,4 @@
-"""What an integrator is: a way to take one step from state to state, and what it tells of its steps."""
+"""Base class of integrators, which advance the state by one step and report diagnostics."""
 
 from __future__ import annotations
 
@@ -15,69 +15,69 @@ from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.state import Guide, GuideAt, State, System
 from pftwin.model.effects.base import Effect
 
-Books = Ledger | None  # None where no account is kept
+Books = Ledger | None  # None: no energy ledger
 Carry = tuple[State, Books]
 
 
 class Diagnostics(NamedTuple):
-    """What an integrator tells of its steps so far; None where it tells nothing."""
+    """Diagnostics of an integrator's steps so far; None for those it does not report."""
 
-    residual: Scalar | None = None  # what is left of a step's equations where they are not solved, else 0
+    residual: Scalar | None = None  # residual of a step's equations if they are not solved, else 0
     drift: Scalar | None = None  # largest violation of a constraint so far [m]
-    snaps: Scalar | None = None  # how often the patella has left its equilibrium for another
+    snaps: Scalar | None = None  # number of times the patella has snapped to another equilibrium
 
 
 @dataclasses.dataclass(frozen=True)
 class Integrator(ABC):
-    """A way to take one step: a value with its options, which can be compared and hashed.
+    """Base class of integrators. Instances hold options, and can be compared and hashed.
 
-    Derive from it for one of your own: `advance` and `order`, a class attribute or a property, and `begin` where a step
-    needs more of the last one than the state holds, which goes into `State.carried`. Fields in there that are called as
-    in `Diagnostics` are told.
+    A subclass implements `advance` and `order` (class attribute or property), and `begin` if a step needs more from the
+    previous one than the state contains, which it stores in `State.carried`. Fields of `State.carried` with names from
+    `Diagnostics` are reported.
     """
 
-    name: ClassVar[str]  # by which the command line and files call it
-    inertia: ClassVar[bool] = True  # whether the motion has any: else nothing is in its velocities
+    name: ClassVar[str]  # name on the command line and in files
+    inertia: ClassVar[bool] = True  # whether the motion has inertia; without it there is no kinetic energy
 
     @property
     @abstractmethod
     def order(self) -> int:
-        """Of the error in the step."""
+        """Order of convergence in the step."""
 
     @abstractmethod
     def advance(
         self, system: System, state: State, guide_at: GuideAt, step: Scalar, ledger: Ledger | None
     ) -> tuple[State, Ledger | None]:
-        """The state one step later, and the energy ledger where one is kept.
+        """Returns the state one step later, and the energy ledger if there is one.
 
         Args:
-            system: what moves, and the effects that act on it.
-            state: at the step's start.
-            guide_at: the guided bodies at a part of the step, 0 its start and 1 its end.
-            step: its length [s].
-            ledger: work and heat so far [J]; None where no account is kept.
+            system: the patella's mass and inertia, and the effects.
+            state: state at the start of the step.
+            guide_at: returns the guided bodies at a fraction of the step, 0 its start and 1 its end.
+            step: length of the step [s].
+            ledger: energy ledger so far; None if it is not needed.
         """
 
     def begin(self, system: System, state: State, guide: Guide, step: Scalar) -> State:
-        """The state before the first step, with what this integrator carries."""
+        """The state before the first step, with `State.carried` initialised."""
         return state
 
     def diagnostics(self, state: State) -> Diagnostics:
-        """What it tells: the fields of these names in what a state carries."""
+        """Diagnostics: the fields of these names in `State.carried`."""
         return Diagnostics(*(getattr(state.carried, name, None) for name in Diagnostics._fields))
 
     @property
     def text(self) -> str:
-        """As the command line and files write it: its name, and the options that are not the default ones."""
+        """Its text on the command line and in files: the name, and options that differ from the defaults."""
         given = (f for f in dataclasses.fields(self) if getattr(self, f.name) != f.default)
         options = ",".join(f"{f.name}={_written(getattr(self, f.name))}" for f in given)
         return f"{self.name}:{options}" if options else self.name
 
     def refuse_unfit(self, effects: tuple[Effect, ...]) -> None:
-        """Refuses effects that it has no answer for.
+        """Checks that the integrator supports the effects.
 
         Raises:
-            InputError: without inertia, an effect whose force jumps, which need not have an equilibrium anywhere.
+            InputError: without inertia, an effect's force is discontinuous, so that equilibrium may not exist.
         """
         jumping = [] if self.inertia else [e.name for e in effects if e.jumps]
         if jumping:
@@ -88,12 +88,12 @@ class Integrator(ABC):
             )
 
     def with_residual_cleared(self, state: State) -> State:
-        """The state before the first step of a frame: earlier frames have told their own residuals."""
+        """The state with the residual reset, before the first step of a frame, as each frame reports its own."""
         left = self.diagnostics(state).residual
         return state if left is None else self._with_residual(state, jnp.zeros_like(left))
 
     def with_worst_residual(self, state: State, before: State) -> State:
-        """The state after a step of a frame, with the larger residual of this step and those before it."""
+        """The state after a step, with the largest residual of the steps of this frame so far."""
         left, worst = self.diagnostics(state).residual, self.diagnostics(before).residual
         return state if left is None or worst is None else self._with_residual(state, jnp.maximum(left, worst))
 
@@ -102,7 +102,7 @@ class Integrator(ABC):
 
 
 def with_carried(state: State, carried: Any) -> State:
-    """The state with what an integrator carries to the next step."""
+    """The state with `State.carried` replaced."""
     return eqx.tree_at(lambda s: s.carried, state, carried, is_leaf=lambda x: x is None)
 
 

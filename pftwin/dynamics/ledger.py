@@ -1,15 +1,15 @@
-"""The running sums of the energy budget: work put in, heat of damping, and what all forces do on the patella.
+"""Running sums of the energy budget: external work, heat of damping, and work of all forces on the patella.
 
-Forces and powers are those at the end of each step, summed by trapezoids. Forces that have a potential do their work
-along the step's own displacement, whatever its velocities are, so what they do is what they store less. With T kinetic
-and V stored energy,
+Forces and powers at the ends of the steps are integrated by the trapezoidal rule. The work of forces with a potential
+is computed along the step's displacement, not from velocities, so that it matches the stored energy that they lose.
+With T the kinetic and V the stored energy,
 
     numerical dissipation = work done on the patella - (T - T at the start),
     remainder = (T + V) - (T + V at the start) - work + heat + numerical dissipation.
 
-The first is what the step's own formula takes, the second the trapezoids' own error: see docs/physics.md. Heat is the
-power of dashpots alone, both of whose forces, damped and elastic, are of one instant: of two, heat would contain what
-springs store in between.
+The first is the dissipation by the integration formula, the second the error of the trapezoidal rule: see
+docs/physics.md. Heat is the power of dashpots alone. Their damped and elastic force are taken at the same instant, as
+otherwise heat would contain the energy that springs store in between.
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ from pftwin.model.effects.base import Load
 
 
 class Powers(NamedTuple):
-    """The powers of an instant."""
+    """Powers of all loads at an instant."""
 
-    work: Scalar  # of guided bodies and known pulls [W]
+    work: Scalar  # of guided bodies and prescribed tensions [W]
     heat: Scalar  # of damping between bodies [W]
-    lossy: Scalar  # on the patella, of what has no potential: known pulls and damping [W]
-    potential: Wrench  # what has one: force in world axes [N], moment in patella axes [N m]
-    inner: Scalar  # heat inside of effects, which give its mean over the step [W]
+    lossy: Scalar  # on the patella, of loads without a potential: prescribed tensions and damping [W]
+    potential: Wrench  # load with a potential: force in world axes [N], moment in patella axes [N m]
+    inner: Scalar  # heat inside effects, as its mean over the step [W]
 
     @staticmethod
     def of(loads: Sequence[Load], looked: Twist, velocity: Twist) -> Powers:
-        """The powers of loads with their forces at the patella's velocity; `looked` is the one that they were told."""
+        """Powers of loads at the twist `velocity` of the patella; `looked` is the twist at which they were computed."""
         zero = jnp.zeros_like(velocity.linear.x)
         work, heat, lossy, inner, potential = zero, zero, zero, zero, _no_load(zero)
         for load in loads:
@@ -75,25 +75,25 @@ class Powers(NamedTuple):
 class Ledger(eqx.Module):
     """Running sums since the start [J], and the powers at the end of the last step."""
 
-    work: Scalar  # of guided bodies and known pulls
+    work: Scalar  # of guided bodies and prescribed tensions
     heat: Scalar  # of damping
-    done: Scalar  # by all forces on the patella
+    done: Scalar  # work of all forces on the patella
     last: Powers
-    begun: Scalar  # 0 before the first step, whose powers at the start are not known, then 1
-    approach: Scalar  # the fastest so far at which something one-sided, a contact, came nearer and pushed [m/s]
+    begun: Scalar  # 0 before the first step, when `last` is unknown, then 1
+    approach: Scalar  # largest approach speed so far of a unilateral force (contact) that pushes [m/s]
 
     @staticmethod
     def opened(like: Scalar) -> Ledger:
-        """Nothing yet, in the float type of `like`."""
+        """An empty ledger, in the float type of `like`."""
         zero = jnp.zeros_like(like)
         return Ledger(zero, zero, zero, Powers(zero, zero, zero, _no_load(zero), zero), zero, zero)
 
     def entered(
         self, before: State, after: State, loads: Sequence[Load], step: Scalar, looked: Twist | None = None
     ) -> Ledger:
-        """The ledger after one more step [s], from the loads at its end, with the forces that they have there.
+        """The ledger after one more step of length `step` [s], from the loads at its end.
 
-        `looked` are the patella's velocities that the loads were told; by default those of `after`.
+        `looked` is the twist of the patella at which the loads were computed, by default that of `after`.
         """
         end = Twist(after.velocity, after.spin)
         looked = end if looked is None else looked
@@ -109,10 +109,7 @@ class Ledger(eqx.Module):
         return Ledger(*sums, now, jnp.ones_like(known), self.approach_until(before, loads, looked))
 
     def approach_until(self, before: State, loads: Sequence[Load], looked: Twist) -> Scalar:
-        """`approach` after one more step; its arguments are those of `entered`.
-
-        Of one-sided forces that push, with the velocities at the step's start.
-        """
+        """`approach` after one more step, from the velocities at its start. Arguments as in `entered`."""
         lost = looked.plus(-1.0, Twist(before.velocity, before.spin))
         fastest = jnp.zeros_like(lost.linear.x)
         for term in (term for load in loads for term in load.stiff if term.unilateral):
@@ -121,7 +118,7 @@ class Ledger(eqx.Module):
         return jnp.maximum(self.approach, fastest)
 
     def numerical_dissipation(self, kinetic: Scalar) -> Scalar:
-        """Of a ledger over the frames, by the patella's kinetic energy there, (n,) each [J]."""
+        """Numerical dissipation at the frames, from the patella's kinetic energy there, (n,) each [J]."""
         return self.done - (kinetic - kinetic[0])
 
 

@@ -1,4 +1,4 @@
-"""Observables of a motion: poses in the femur's frame, what each effect reports, energies, and a status per frame."""
+"""Observables of a motion: poses in the femur frame, reports of the effects, energies, and a status per frame."""
 
 from __future__ import annotations
 
@@ -25,28 +25,28 @@ from pftwin.model.scene import Scene
 
 
 class Observation(eqx.Module):
-    """Arrays over the recorded frames (leading axis n), or those of one frame, without what needs the whole motion."""
+    """Observables at the recorded frames (leading axis n), or at one frame, without what needs the whole motion."""
 
-    patella: Pose  # patella frame in the femur's
-    center: Vec3  # the button's sphere centre (else the patella's origin) in the femur's frame [m]
+    patella: Pose  # patella frame in the femur frame
+    center: Vec3  # centre of the button (without contact, the patella's origin) in the femur frame [m]
     effects: dict[str, dict[str, Array]]
     kinetic_energy: Scalar  # [J]
-    potential_energy: dict[str, Scalar]  # stored by each effect that stores any [J]
+    potential_energy: dict[str, Scalar]  # by name, for effects that store energy [J]
     status: Array  # (n,) int, bits of `Status`
-    drift: Array | None = None  # (n,) largest violation of a constraint so far, where the integrator has any [m]
+    drift: Array | None = None  # (n,) largest constraint violation so far, if the integrator has constraints [m]
 
 
 def observe(scene: Scene, path: FrameStates) -> Observation:
-    """The observables of every recorded frame. Pure: jit and vmap apply."""
+    """Observables at every recorded frame. Supports jit and vmap."""
     look, guides = _frame_observer(scene, path.integrator)
-    told = path.integrator.diagnostics(path.states)
-    # A loop compiles as quickly as a single frame.
+    diagnostics = path.integrator.diagnostics(path.states)
+    # A loop compiles as fast as a single frame.
     seen = map_rows(lambda at: look(at[0], at[1], path.step), (path.states, guides))
     energies = None
     if path.ledger is not None:
         energies = seen.kinetic_energy, seen.potential_energy, path.ledger.work
-    flags = status_of_all(seen.status, path.start, energies, path.step, told.snaps)
-    return replace(seen, status=flags, drift=told.drift)
+    flags = status_of_all(seen.status, path.start, energies, path.step, diagnostics.snaps)
+    return replace(seen, status=flags, drift=diagnostics.drift)
 
 
 def observe_on_the_way(
@@ -58,12 +58,12 @@ def observe_on_the_way(
     start: Solution | None = None,
     ledger: bool = False,
 ) -> tuple[Any, Array, Solution]:
-    """Simulates and keeps what `kept` selects of a frame's observation. Pure; it halves the time of a batch.
+    """Simulates and stores only what `kept` returns from the observation of each frame, which halves a batch's time.
 
-    Options as in `frame_states`.
+    A pure function. See `frame_states` for the other arguments.
 
     Returns:
-        What is kept (n_frames, ...), the status (n_frames,), and the equilibrium at the start.
+        The values of `kept` (n_frames, ...), the status (n_frames,), and the initial equilibrium.
     """
     look, guides = _frame_observer(scene, integrator)
     step = scene.motion.frame_interval / jnp.maximum(substeps, 1).astype(float)
@@ -80,7 +80,7 @@ def observe_on_the_way(
 
 
 def instant_and_frame(scene: Scene, state: State, guide: Guide) -> tuple[Instant, Pose, Vec3]:
-    """The instant that effects take, the patella's frame in the femur's, and the tracked point there [m]."""
+    """The instant for effects, the pose of the patella frame in the femur frame, and the tracked point there [m]."""
     now, turn = guide.instant(state.patella(), 0.0), state.orientation
     origin = now.femur.to_local(state.position - turn.rotate(scene.patella.center_of_mass))
     femur_to_world = Quaternion.identity() if guide.femur is None else Quaternion.from_rotation(guide.femur.rotation)
@@ -89,9 +89,9 @@ def instant_and_frame(scene: Scene, state: State, guide: Guide) -> tuple[Instant
 
 
 def tracked_center(scene: Scene, states: State) -> Vec3:
-    """The button's centre (without a contact: the patella's origin) in the femur's frame, at the recorded frames [m].
+    """Centre of the button (without contact, the patella's origin) in the femur frame at the recorded frames [m].
 
-    Nothing else of what `observe` returns is computed.
+    Computes none of the other observables.
     """
     center = states.position + states.orientation.rotate(scene.tracked_point() - scene.patella.center_of_mass)
     femur = scene.motion.femur
@@ -99,9 +99,9 @@ def tracked_center(scene: Scene, states: State) -> Vec3:
 
 
 def _frame_observer(scene: Scene, chosen: Integrator) -> tuple[Callable[[State, Guide, Scalar], Observation], Guide]:
-    """A function of (state, guided bodies, step) to a frame's observables; and the guided bodies at all frames."""
+    """A function from (state, guided bodies, step) to observables of a frame; and the guided bodies at all frames."""
     system = System.of(scene)
-    # Exact frame times, so that the last frame is not extrapolated by rounding.
+    # Exact frame times, so that rounding does not move the last frame beyond the last knot.
     times = scene.motion.frame_times()
 
     def look(state: State, guide: Guide, step: Scalar) -> Observation:

@@ -1,7 +1,7 @@
-"""The outputs of a loop, packed into one row per iteration.
+"""Packing of a loop's outputs into one row per iteration.
 
-A loop that stores dozens of scalars per iteration spends more time storing than computing, because each store is an
-operation of its own on an array as long as the loop. Storing one row of all of them is a single operation.
+A loop that stores dozens of scalars per iteration spends more time storing than computing, because each store is a
+separate operation on an array as long as the loop. Storing one row of all of them is a single operation.
 """
 
 from __future__ import annotations
@@ -15,23 +15,23 @@ from jaxtyping import Array
 
 
 class Layout(NamedTuple):
-    """How the leaves of a value lie in a row."""
+    """Arrangement of the leaves of a pytree in a row."""
 
     structure: Any
     leaves: list[jax.ShapeDtypeStruct]
 
     @staticmethod
     def of(function: Callable[..., Any], *args: Any) -> Layout:
-        """The layout of function(*args); nothing is computed."""
+        """Layout of the result of function(*args), without computing it."""
         leaves, structure = jax.tree.flatten(jax.eval_shape(function, *args))
         return Layout(structure, leaves)
 
     def row(self, value: Any) -> Array:
-        """All leaves in a row, in JAX's default float type: exact for flags and small integers too."""
+        """All leaves in a row (k,), in JAX's default float type, which is exact for flags and small integers too."""
         return jnp.concatenate([jnp.ravel(leaf).astype(float) for leaf in jax.tree.leaves(value)])
 
     def unpacked(self, table: Array) -> Any:
-        """The value back from rows (n, k): every leaf with a leading axis n."""
+        """Inverse of `row` for rows (n, k): every leaf has a leading axis n."""
         values, begin = [], 0
         for leaf in self.leaves:
             end = begin + leaf.size
@@ -41,6 +41,6 @@ class Layout(NamedTuple):
 
 
 def map_rows(function: Callable[[Any], Any], xs: Any) -> Any:
-    """`jax.lax.map(function, xs)`, stored row by row."""
+    """`jax.lax.map(function, xs)`, with outputs stored as rows."""
     layout = Layout.of(function, jax.tree.map(lambda a: a[0], xs))
     return layout.unpacked(jax.lax.map(lambda x: layout.row(function(x)), xs))

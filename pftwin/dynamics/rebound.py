@@ -1,12 +1,12 @@
-r"""What an integrator's steps leave of a contact's restitution: a free patella thrown against a plate.
+r"""Restitution of a contact as an integrator resolves it, from a simulated impact of a free patella on a plate.
 
-The law F = k d^p (1 + x dd/dt) alone leaves, of an approach at v, the speed u of
+With the exact law F = k d^p (1 + x dd/dt), an approach at speed v rebounds at the speed u given by
 
     x v - ln(1 + x v) = -x u - ln(1 - x u),
 
-whatever mass, k and p are: m s ds / (1 + x s) = -k d^p dd has its variables apart, and the way in is as deep as the way
-out. Steps that are not short against the impact give another speed: it then lasts a step or two, in which their own
-damping is all that acts. What they give is found by letting the integrator itself make them.
+for any mass, k and p: m s ds / (1 + x s) = -k d^p dd is separable, and compression and rebound cover the same depth.
+Steps that are not short compared with the impact give a different speed: the impact then lasts a step or two, and only
+the numerical damping acts. Running the integrator on the impact gives that speed.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ from pftwin.model.effects.contact_law import ContactLaw
 from pftwin.model.motion import Frame
 from pftwin.model.scene import Scene
 
-PHASES = 16  # places within a step at which the plate is reached
-LASTS = 10.0  # impacts: how long is waited for the rebound
-MOST_OFF = 0.05  # share of the approach's speed by which steps may miss the law's rebound before it is remarked
+PHASES = 16  # number of different phases of the impact within a step
+LASTS = 10.0  # duration of the simulation, in impact times
+MOST_OFF = 0.05  # accepted error of the rebound's speed, as a fraction of the approach speed
 
 
 class Plate(Effect):
@@ -42,11 +42,11 @@ class Plate(Effect):
     law: ContactLaw
 
     def remember(self, now: Instant) -> Any:
-        """No contact has begun yet."""
+        """Initial memory: no contact has begun."""
         return self.law.no_contact_yet(now.patella.position.x, 1)
 
     def load(self, now: Instant, memory: Any) -> tuple[Load, Any]:
-        """The law's force upwards."""
+        """See `Effect`: the law's force along +z."""
         zero = jnp.zeros_like(now.patella.position.z)
         up, no_moment = Vec3(zero, zero, zero + 1), Vec3(zero, zero, zero)
         depth, rate = -now.patella.position.z, -now.patella.velocity.z
@@ -54,27 +54,27 @@ class Plate(Effect):
 
 
 def rebound_of_law(law: ContactLaw, speed: float) -> float:
-    """The share of an approach's speed [m/s] that the law returns: see above."""
+    """Coefficient of restitution of the law at an approach speed [m/s]: see the module."""
     x = law.damping_factor(jnp.asarray(speed))
     y = 0.0 if x is None else float(x) * speed
-    if y < 1e-6:  # nothing is lost
+    if y < 1e-6:  # no loss
         return 1.0
     spent = y - np.log1p(y)
-    # Of a strongly damped approach the way out is the terminal speed, 1 - z far below rounding.
+    # After a strongly damped approach the rebound has the terminal speed, with 1 - z far below rounding.
     most = 1 - 1e-15
     return (most if -most - np.log1p(-most) < spent else brentq(lambda z: -z - np.log1p(-z) - spent, 0, most)) / y
 
 
 def impact_time(law: ContactLaw, mass: float, speed: float) -> float:
-    """How long the undamped impact lasts, nearly [s]: three times its depth over its speed (2.94 for p = 3/2)."""
+    """Approximate duration of the undamped impact [s]: three times depth over speed (exactly 2.94 for p = 3/2)."""
     p = float(law.hertz_exponent)
     return 3 * ((p + 1) * mass * speed**2 / (2 * float(law.contact_stiffness))) ** (1 / (p + 1)) / speed
 
 
 def rebound_in_steps(law: ContactLaw, mass: float, speed: float, step: float, integrator: Integrator) -> np.ndarray:
-    """The share of an approach's speed [m/s] that an integrator's steps [s] leave to a mass [kg] after the impact.
+    """Coefficients of restitution (PHASES,) with an integrator, one per phase of the impact within a step.
 
-    (PHASES,), by where the plate lies in a step.
+    The arguments are the law, the mass [kg], the approach speed [m/s], the step [s] and the integrator.
     """
     count = int(np.ceil(LASTS * impact_time(law, mass, speed) / step)) + 2 * PHASES
     law = jax.tree.map(lambda a: jnp.asarray(a, dtype=float) if eqx.is_array(a) else a, law)
@@ -86,7 +86,7 @@ def rebound_in_steps(law: ContactLaw, mass: float, speed: float, step: float, in
 
 @Program
 def _thrown(plate: Plate, mass: Scalar, speed: Scalar, step: Scalar, integrator: Integrator, count: Array) -> Array:
-    """Velocities away from the plate at the end."""
+    """Final velocities away from the plate, (PHASES,) [m/s]."""
     zero = jnp.zeros_like(mass)
     still = Guide(None, Frame.world(), zero)
     system = System(mass, Vec3(mass, mass, mass), (plate,))
@@ -107,21 +107,21 @@ def _thrown(plate: Plate, mass: Scalar, speed: Scalar, step: Scalar, integrator:
 
 @dataclass(frozen=True)
 class Impact:
-    """The hardest approach of a run, and what a contact of a free patella returns of it."""
+    """The fastest approach of a run, and restitution at that speed for a free patella."""
 
-    speed: float  # [m/s]
-    slow: float  # below this speed the law's restitution does not act [m/s]
-    law: float  # share of the speed that the law returns
-    steps: float  # and that the run's steps return, on average over where in a step the contact begins
+    speed: float  # approach speed [m/s]
+    slow: float  # speed below which the law's restitution does not matter [m/s]
+    law: float  # coefficient of restitution of the law
+    steps: float  # coefficient of restitution with the run's steps, averaged over the phase of the impact in a step
     step: float  # [s]
 
     @property
     def unresolved(self) -> bool:
-        """Whether the steps are too long for the law's restitution, where that acts."""
+        """Whether the steps are too long for the law's restitution, if that matters."""
         return self.speed > self.slow and abs(self.law - self.steps) > MOST_OFF
 
     def describe(self) -> str:
-        """In a sentence."""
+        """Description in one sentence."""
         if self.speed <= self.slow:
             return f"contacts close at {self.speed:.2g} m/s at most, too slow for it to act (below {self.slow:.2g} m/s)"
         return (
@@ -131,16 +131,16 @@ class Impact:
 
 
 def impact_of(scene: Scene, integrator: Integrator, step: float, approach: float) -> Impact | None:
-    """What an integrator's steps [s] make of the hardest approach of a run [m/s]: see `Ledger.approach`.
+    """Restitution with an integrator's step [s] at the fastest approach of a run [m/s]: see `Ledger.approach`.
 
-    None where a scene has no contact with a law, where nothing approached, and without inertia.
+    None if the scene has no contact with a normal law, if there was no approach, or without inertia.
     """
     contact = scene.contact
     law = None if contact is None else contact.normal_law()
     if law is None or not integrator.inertia or not (np.isfinite(approach) and approach > 0):
         return None
-    slow, due = law.slow_approach(), rebound_of_law(law, approach)
-    left = due
+    slow, exact = law.slow_approach(), rebound_of_law(law, approach)
+    in_steps = exact
     if approach > slow:
-        left = float(rebound_in_steps(law, float(scene.patella.mass), approach, step, integrator).mean())
-    return Impact(approach, slow, due, left, step)
+        in_steps = float(rebound_in_steps(law, float(scene.patella.mass), approach, step, integrator).mean())
+    return Impact(approach, slow, exact, in_steps, step)

@@ -1,4 +1,4 @@
-"""Where heavily damped motion comes to rest: the fallback when the search for an equilibrium fails."""
+"""Damped dynamic relaxation to a rest pose, the fallback when the search for an equilibrium fails."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from pftwin.model.effects.damping import LinearDamping
 
 STEPS = 1500
 STEP = 2e-3  # [s]
-RATE = 20.0  # [1/s]: overdamped against the tendons' slow modes, settled well within the time given
-THROWN = 0.07  # [m] a patella that ends farther from its start was thrown off by too deep a contact
+RATE = 20.0  # [1/s]: overdamps the tendons' slow modes, and settles well within `STEPS`
+THROWN = 0.07  # [m]: a patella that ends farther from its start was thrown off by too deep a contact
 
-BURST_STEP, BURST_STEPS = 5e-3, 4000  # of a burst [s], and how many at most
-AWAY = 100  # fewest steps of a burst: motion starts slowly where an equilibrium has just ceased to exist
-QUIET = 1e-5  # [m/s] the patella rests when it has become as slow as that
+BURST_STEP, BURST_STEPS = 5e-3, 4000  # step of a burst [s], and the largest number of steps
+AWAY = 100  # minimum number of steps of a burst: motion starts slowly where an equilibrium has just ceased to exist
+QUIET = 1e-5  # [m/s]: speed below which the patella is at rest
 
 
 def _damped(system: System) -> System:
@@ -43,15 +43,15 @@ def relax(system: System, guide: Guide, pose: Pose) -> Pose:
 
 
 def ended_far_away(before: Pose, after: Pose) -> np.ndarray:
-    """Whether relaxation ended too far away, or not finite, to be a start. Runs on the host."""
+    """Whether relaxation ended too far from its start, or not finite, to be usable. Runs on the host."""
     displacement = np.asarray(after.position.array()) - np.asarray(before.position.array())
     return ~(np.linalg.norm(displacement, axis=-1) < THROWN)
 
 
 def come_to_rest(system: System, state: State, guide: Guide, moves: Scalar) -> State:
-    """Where the patella rests if it is let go where it is, on guided bodies that stand still.
+    """Releases the patella from rest at its pose, on guided bodies at rest, until it stops; returns the rest state.
 
-    Whatever an integrator carries stays. Where it does not move at all, by `moves`, the state stays as it is.
+    What the integrator carries is unchanged. Where `moves` is False, the state is returned unchanged.
     """
     damped = _damped(system)
     step = jnp.asarray(BURST_STEP, dtype=state.position.x.dtype)

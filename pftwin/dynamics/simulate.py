@@ -1,4 +1,4 @@
-"""`simulate` and `equilibrium`: the verbs of the library, on the host."""
+"""`simulate` and `equilibrium`, the library's main functions, which run on the host."""
 
 from __future__ import annotations
 
@@ -62,13 +62,13 @@ def _run(
 
 
 def settle_first_frame(scene: Scene) -> tuple[Timed, bool]:
-    """The equilibrium at the first frame, and whether the damped relaxation helped to find it."""
+    """Equilibrium at the first frame with the time it took, and whether it was found by damped relaxation."""
     found = _solve.timed(scene)
     if converged_on_host(found.answer):
         return found, False
     tried = [found, _relaxed.timed(scene)]
     if not ended_far_away(scene.start, tried[-1].answer):
-        # A scene that starts there is one of the same structure: nothing is compiled again.
+        # Replacing the start pose keeps the scene's structure, so nothing is compiled again.
         tried.append(_solve.timed(eqx.tree_at(lambda s: s.start, scene, tried[-1].answer)))
     run, preparation = (sum(t[i] for t in tried) for i in (1, 2))
     helped = len(tried) > 2 and bool(converged_on_host(tried[-1].answer))
@@ -76,14 +76,14 @@ def settle_first_frame(scene: Scene) -> tuple[Timed, bool]:
 
 
 def prepare_relaxation(scene: Scene) -> None:
-    """Compiles the fallback of `settle_first_frame` for scenes of this structure ahead of time."""
+    """Compiles the fallback of `settle_first_frame` ahead of time for scenes of this structure."""
     _relaxed.prepare(scene.unnamed())
 
 
 def compiled_aside(scene: Scene, integrator: Integrator | None = None, energy: bool = True) -> Callable[[], object]:
-    """Traces what `simulate` runs and compiles it in other threads; what this returns waits for them.
+    """Traces the programs of `simulate` and compiles them in other threads; the returned function waits for them.
 
-    Where its first program is at hand the rest is too, as a rule: nothing is traced then.
+    If the first program is already compiled, so are the others as a rule, and this does nothing.
     """
     if _solve.at_hand(scene):
         return lambda: None
@@ -91,7 +91,7 @@ def compiled_aside(scene: Scene, integrator: Integrator | None = None, energy: b
     threads = ThreadPoolExecutor(2)
     try:
         if threads.submit(jax_settings).result() != jax_settings():
-            return lambda: None  # those of a `with jax.enable_x64(...)` are this thread's own
+            return lambda: None  # settings of a `with jax.enable_x64(...)` apply to this thread only
         longer = threads.submit(_run.begin(scene, start, integrator or BDF2(), jnp.asarray(1), energy))
         other = threads.submit(_solve.begin(scene))
         return lambda: (longer.result(), other.result())
@@ -107,30 +107,31 @@ def simulate(
     tolerance: str | float | None = None,
     energy_budget: bool = True,
 ) -> Result:
-    """The patella's motion and forces through the recorded frames, starting from static equilibrium.
+    """Simulates the patella's motion and forces over the recorded frames, starting from static equilibrium.
 
-    Without `dt` and `tolerance` the step is 1 ms, or a half or a quarter of it where the estimated error of path or
-    force is large. Every result holds these estimates (`Result.error`), from runs of the same scene with other steps,
-    and flags the frames where they are large: see `pftwin.dynamics.error_estimate`.
+    Without `dt` and `tolerance`, the step is 1 ms, or a half or a quarter of it if the estimated error of path or force
+    is large. Every result contains error estimates (`Result.error`) from runs of the same scene with other steps, and
+    flags the frames where they are large: see `pftwin.dynamics.error_estimate`.
 
     Args:
-        scene: what is there.
+        scene: the model.
         integrator: `pftwin.BDF2()` (default), of second order; `LinearImplicit()`, of first order at the same cost,
-            with more damping of its own; `Newmark()`, iterated, with options as in `Newmark(rho=0.8)`;
+            with more numerical damping; `Newmark()`, iterated, with options as in `Newmark(rho=0.8)`;
             `QuasiStatic()`, without inertia; `ALI3P()`, the paper's formulation in natural coordinates;
-            `SymplecticEuler()`, explicit; `Diffrax("Tsit5")` and the like.
-        dt: longest step [s], which is kept to; the step used is the largest that divides the interval between frames.
-        tolerance: instead of `dt`, how far off the path or the contact force may be, such as "0.05 mm" or "0.5 N": see
-            `pftwin.dynamics.tolerance`. The result's settings say which step was chosen and what error is left by
-            estimate.
-        energy_budget: keep account of work and heat at every step.
+            `SymplecticEuler()`, explicit; `Diffrax("Tsit5")` and other solvers of diffrax.
+        dt: maximum step [s], not refined; the step is the largest up to it that divides the interval between frames.
+        tolerance: instead of `dt`, the accepted error of the path or the contact force, such as "0.05 mm" or "0.5 N":
+            see `pftwin.dynamics.tolerance`. The result's settings contain the step and its estimated error.
+        energy_budget: compute work and heat at every step.
+
+    Returns:
+        The result at the recorded frames.
 
     Raises:
-        InputError: a parameter of the scene, the step or the integrator that cannot give a right answer; a scene that
-            is traced, by jit, grad or vmap.
+        InputError: a parameter of the scene, the step or the integrator is invalid, or the scene is traced.
 
     Warns:
-        PftwinWarning: JAX's default is an accelerator, which is slow at this; once.
+        PftwinWarning: JAX's default device is an accelerator, which is slow for a single motion; once per process.
     """
     _refuse_traced(scene, "simulate")
     warn_of_accelerator(jax.default_backend())
@@ -152,7 +153,7 @@ def simulate(
 
 
 def _refuse_traced(scene: Scene, verb: str) -> None:
-    """Refuses a scene within a transformation, before anything is compiled."""
+    """Raises an error for a scene inside a JAX transformation, before compilation."""
     if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(scene)):
         raise InputError(
             "a scene inside jit, grad, vmap or another transformation of JAX",
@@ -163,10 +164,10 @@ def _refuse_traced(scene: Scene, verb: str) -> None:
 
 
 class _Runs:
-    """Runs of one scene with different numbers of steps, by one program, from one equilibrium."""
+    """Runs of one scene with different numbers of steps, with the same program and initial equilibrium."""
 
     def __init__(self, scene: Scene, integrator: Integrator, energy: bool) -> None:
-        """Finds the equilibrium; compiles what is not compiled yet."""
+        """Compiles the programs if needed, and solves for the equilibrium."""
         self._scene, self._plain, self._integrator, self._energy = scene, scene.unnamed(), integrator, energy
         contact = scene.contact
         self._contact = None if contact is None else contact.name
@@ -179,7 +180,7 @@ class _Runs:
         self._preparation = self._time = 0.0
 
     def __call__(self, substeps: int) -> Tried[Timed]:
-        """The run with so many steps between two frames."""
+        """The run with `substeps` steps between two frames."""
         ran = _run.timed(self._plain, self._start.answer, self._integrator, jnp.asarray(substeps), self._energy)
         self._preparation += ran.preparation
         self._time += ran.run
@@ -188,7 +189,7 @@ class _Runs:
         return Tried(ran, Course.of(seen, self._contact), not leapt)
 
     def result(self, choice: Choice[Timed]) -> Result:
-        """What is handed out of the run that was chosen."""
+        """The result of the chosen run."""
         from pftwin.results.result import Result
 
         seen, ledger = choice.run.answer
@@ -221,14 +222,14 @@ class _Runs:
 
 
 def equilibrium(scene: Scene) -> EquilibriumReport:
-    """The static equilibrium at the scene's first frame, nearest to its start pose, downhill.
+    """Solves for the static equilibrium at the scene's first frame, by descent from the start pose.
 
     Returns:
-        Pose, residual, which of several equilibria it is, what touches and what every effect reports there. Where the
-        search fails the report says so (`converged`), it does not raise.
+        A report with the pose, residual, kind of equilibrium, loaded facets, and observables of every effect. If the
+        search fails, `converged` is False; no error is raised.
 
     Raises:
-        InputError: a parameter of the scene that cannot give a right answer.
+        InputError: a parameter of the scene is invalid, or the scene is traced.
     """
     from pftwin.dynamics.equilibrium_report import EquilibriumReport
 

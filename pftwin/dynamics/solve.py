@@ -1,13 +1,13 @@
-"""Small systems of linear equations, and derivatives of what such systems define.
+"""Small systems of linear equations, and derivatives of implicitly defined functions.
 
-`factor`, `solve` and `eliminate` are unrolled into scalar operations, which XLA keeps in registers. None pivots:
-callers pass matrices that are positive definite, or nearly so. `inverse_with_pivots` loops over the pivots instead: XLA
-recomputes the result of an unrolled version wherever it is used, and a call to LAPACK keeps it from compiling a loop of
-time steps as one function.
+`factor`, `solve` and `eliminate` are unrolled into scalar operations, which XLA keeps in registers. They do not pivot,
+as callers pass matrices that are positive definite or nearly so. `inverse_with_pivots` loops over the pivots instead:
+XLA would recompute the result of an unrolled version at every use, and a call to LAPACK would prevent it from compiling
+a loop of time steps as one function.
 
-Derivatives of the solution x(p) of six equations r(x, p) = 0, however it was found: dx = -(dr/dx)^-1 (dr/dp) dp. XLA
-recomputes scalar results for every entry of an array that they are stacked into. So the columns of dr/dx pass through
-the numbers that a loop carries, which stores them, and right-hand sides are never stacked.
+The solution x(p) of six equations r(x, p) = 0 has the derivative dx = -(dr/dx)^-1 (dr/dp) dp, however it was computed.
+XLA recomputes scalars for every entry of an array into which they are stacked. So the columns of dr/dx pass through the
+carry of a loop, which stores them, and right-hand sides are never stacked.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ Lower = list[list[Scalar]]  # row i holds columns 0..i
 
 
 def add_outer(a: Lower, g: Sequence[Scalar], weight: Scalar) -> Lower:
-    """a + w g g^T; entries with a leading axis (a group of terms) are summed over it."""
+    """a + w g g^T, summed over the leading axis of a group of terms, if any."""
     if jnp.ndim(weight):
-        # Sums rather than a matrix product: XLA does not fuse a step that holds a matrix product into one loop.
+        # Sums instead of a matrix product, which would keep XLA from fusing a step into one loop.
         rows = [jnp.broadcast_to(x, weight.shape) for x in g]
         weighted = [weight * x for x in rows]
         return [[entry + jnp.sum(weighted[i] * rows[j]) for j, entry in enumerate(row)] for i, row in enumerate(a)]
@@ -38,9 +38,9 @@ def add_outer(a: Lower, g: Sequence[Scalar], weight: Scalar) -> Lower:
 
 
 def factor(a: Lower) -> tuple[Lower, list[Scalar]]:
-    """LDL^T without pivoting: unit lower triangle (its diagonal left out) and the inverse of the diagonal D.
+    """LDL^T factorisation without pivoting: unit lower triangle L (without its diagonal), and 1 / D.
 
-    A diagonal entry of D that is not positive shows that the matrix is not positive definite.
+    The matrix is not positive definite if an entry of D is not positive.
     """
     n = len(a)
     low: Lower = [[] for _ in range(n)]
@@ -61,7 +61,7 @@ def factor(a: Lower) -> tuple[Lower, list[Scalar]]:
 
 
 def solve(low: Lower, inverse: Sequence[Scalar], b: Sequence[Scalar]) -> list[Scalar]:
-    """x with L D L^T x = b, from `factor`'s answer."""
+    """Solves L D L^T x = b for x, with the result of `factor`."""
     n = len(b)
     y = list(b)
     for i in range(n):
@@ -75,9 +75,9 @@ def solve(low: Lower, inverse: Sequence[Scalar], b: Sequence[Scalar]) -> list[Sc
 
 
 def eliminate(a: Sequence[Sequence[Scalar]], b: Sequence[Scalar]) -> tuple[list[Scalar], list[Scalar]]:
-    """x with a x = b by Gaussian elimination, and the inverse pivots.
+    """Solves a x = b by Gaussian elimination without pivoting; returns x and the inverse pivots.
 
-    Where `a` is symmetric, a pivot that is not positive shows that it is not positive definite.
+    A symmetric matrix is not positive definite if a pivot is not positive.
     """
     n, rows, t = len(b), [list(row) for row in a], list(b)
     inverse: list[Scalar] = []
@@ -95,10 +95,10 @@ def eliminate(a: Sequence[Sequence[Scalar]], b: Sequence[Scalar]) -> tuple[list[
 
 
 def inverse_with_pivots(matrix: Array) -> tuple[Array, Scalar]:
-    """The inverse of an (n, n) matrix that is definite or nearly so, and whether all its pivots are positive.
+    """Inverse of an (n, n) matrix that is definite or nearly so, and whether all its pivots are positive.
 
-    The largest pivot left on the diagonal comes first. Where the matrix is symmetric, positive pivots show that it is
-    positive definite; where a pivot is zero, the answer is not finite.
+    Pivots are taken from the diagonal, the largest remaining one first. A symmetric matrix with positive pivots is
+    positive definite; if a pivot is zero, the result is not finite.
     """
     n = matrix.shape[0]
 
@@ -109,7 +109,7 @@ def inverse_with_pivots(matrix: Array) -> tuple[Array, Scalar]:
         row = jnp.sum(jnp.where(here[:, None], a, 0.0), axis=0)
         column = jnp.sum(jnp.where(here[None, :], a, 0.0), axis=1)
         pivot = jnp.sum(jnp.where(here, row, 0.0))
-        # With the pivot's row and column set like this, one formula updates all entries.
+        # Sets the pivot's row and column such that one formula updates all entries.
         row, column = jnp.where(here, 1.0, row) / pivot, jnp.where(here, -1.0, column)
         rest = jnp.where(here[:, None] | here[None, :], 0.0, a)
         return rest - column[:, None] * row[None, :], used | here, positive & (pivot > 0)
@@ -119,33 +119,33 @@ def inverse_with_pivots(matrix: Array) -> tuple[Array, Scalar]:
     return inverse, positive
 
 
-Six = list[Scalar]  # of a force and a moment, or of a displacement and a turn
+Six = list[Scalar]  # components of a force and moment, or of a displacement and rotation
 
 
 def six(a: Vec3, b: Vec3) -> Six:
-    """Components of two vectors."""
+    """The components of two vectors."""
     return [a.x, a.y, a.z, b.x, b.y, b.z]
 
 
 def tangent_of(residual: Callable[[Six], Six], x: Six) -> Array:
-    """(6, 6), dr_i/dx_j in row i: one derivative after the other."""
+    """Jacobian (6, 6), dr_i/dx_j in row i and column j, computed one column at a time."""
 
     def one(last: Six, direction: Array) -> tuple[Six, Array]:
         change = jax.jvp(residual, (x,), ([direction[i] for i in range(6)],))[1]
         return change, jnp.stack(last)
 
-    directions = jnp.eye(7, 6, dtype=x[0].dtype)  # one row more: each column is stored while the next one is computed
+    directions = jnp.eye(7, 6, dtype=x[0].dtype)  # an additional row, as each column is stored in the next iteration
     return jax.lax.scan(one, [jnp.zeros_like(a) for a in x], directions)[1][1:].T
 
 
 def changed_by(function: Callable[[Any], Any], values: Any, changes: Any) -> Any:
-    """The change of function(values) for given changes of the values; None marks a value that does not change."""
+    """Tangent of function(values) for tangents of the values; None marks a constant value."""
     moving, still = what_changes(values, changes)
     return jax.jvp(lambda m: function(eqx.combine(m, still)), (moving,), (changes,))[1]
 
 
 def solution_changes(tangent: Array, right: Six) -> Six:
-    """-(dr/dx)^-1 times a change of the residual at unchanged x."""
+    """Tangent of the solution: -(dr/dx)^-1 times the tangent of the residual at constant x."""
     inverse, _ = inverse_with_pivots(tangent)
     rows = [[inverse[i, j] * r for j, r in enumerate(right)] for i in range(6)]
     return [-sum(row[1:], start=row[0]) for row in rows]

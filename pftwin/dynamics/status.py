@@ -1,4 +1,4 @@
-"""How far each frame of a motion can be trusted: the flags, their texts, and the conditions that raise them."""
+"""Flags for the reliability of each frame of a motion, their descriptions, and the conditions that raise them."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ from pftwin.model.scene import Scene
 if TYPE_CHECKING:
     from pftwin.dynamics.equilibrium import Solution
 
-FARTHEST = 0.25  # share of the button's radius; a longer displacement within one step may jump over a contact
-MOST_TURN = 0.3  # [rad] within one step: up to here the orientation's update is exact
-MOST_CREATED = 0.02  # created energy as a share of the largest change of energy; for steps above 1 ms, per ms
-MOST_SO_FAR = 0.2  # and as a share of the largest change so far
-LEAST_CREATED = 1e-6  # smaller amounts are ignored [J]
-ALLOWED_PATH_ERROR = 1e-3  # of a frame that is not flagged [m]
-MOST_PATH_ERROR = ALLOWED_PATH_ERROR / 2  # estimates above this are flagged: the error may be twice what is estimated
-MOST_FORCE_ERROR, MOST_ERROR_SHARE = 5.0, 0.2  # [N]; and as a share of the largest contact force
-DEEPEST = 0.05  # an indentation beyond this share of the button's radius is no small deformation any more
+FARTHEST = 0.25  # fraction of the button's radius; a longer displacement within one step may skip a contact
+MOST_TURN = 0.3  # largest rotation within one step for which the update of the orientation is exact [rad]
+MOST_CREATED = 0.02  # created energy as a fraction of the largest change of energy; for steps above 1 ms, per ms
+MOST_SO_FAR = 0.2  # created energy as a fraction of the largest change so far
+LEAST_CREATED = 1e-6  # smaller amounts of created energy are ignored [J]
+ALLOWED_PATH_ERROR = 1e-3  # error of a frame that is not flagged [m]
+MOST_PATH_ERROR = ALLOWED_PATH_ERROR / 2  # larger estimates are flagged, as the error may be twice the estimate
+MOST_FORCE_ERROR, MOST_ERROR_SHARE = 5.0, 0.2  # [N], and as a fraction of the largest contact force
+DEEPEST = 0.05  # fraction of the button's radius; a deeper indentation is not a small deformation
 
 
 class Status(enum.IntFlag):
-    """How far a frame can be trusted; 0 is a clean frame."""
+    """Flags for the reliability of a frame; 0 means no objection."""
 
     OK = 0
     NO_CONTACT = 1
@@ -48,7 +48,7 @@ class Status(enum.IntFlag):
     END_WITHIN_WRAP = 2048
 
     def describe(self) -> str:
-        """The status in words."""
+        """Description of the flags."""
         if not self:
             return "ok"
         return "; ".join(_WORDS[flag] for flag in Status if flag in self)
@@ -81,13 +81,13 @@ FLAGS = tuple(flag for flag in Status if flag)
 
 
 def status_facts(flags: ArrayLike) -> dict[str, Any]:
-    """What every command's JSON says of trust, from the flags of frames (n,): words, and how many frames have each."""
+    """Entries on reliability for a command's JSON, from flags of frames (n,): description, and frames per flag."""
     found = np.asarray(flags, dtype=np.int64)
     return status_facts_of_counts([np.count_nonzero(found & int(flag)) for flag in FLAGS])
 
 
 def status_facts_of_counts(counts: ArrayLike) -> dict[str, Any]:
-    """The same from how many frames have each of `FLAGS`, (flags,)."""
+    """As `status_facts`, from the number of frames with each of `FLAGS`, (flags,)."""
     frames = {flag: int(count) for flag, count in zip(FLAGS, np.asarray(counts), strict=True)}
     return {
         "status": Status(sum(flag for flag, count in frames.items() if count)).describe(),
@@ -95,7 +95,7 @@ def status_facts_of_counts(counts: ArrayLike) -> dict[str, Any]:
     }
 
 
-RESERVATIONS = {  # the flag that an observable raises where it is positive
+RESERVATIONS = {  # flags of observables, raised where these are positive
     "off_patch": Status.LEFT_PATCH,
     "at_rim": Status.LEFT_PATCH,
     "overflow": Status.SEARCH_OVERFLOW,
@@ -110,16 +110,16 @@ def status_of_all(
     step: Scalar,
     snaps: Array | None,
 ) -> Array:
-    """The status of every frame (n,), including what follows from the start and from earlier frames.
+    """Status of every frame (n,), including flags that follow from the start and from other frames.
 
     Args:
-        status: of each frame by itself (n,).
-        start, step: the equilibrium it started from; [s].
-        energies: kinetic, stored by each effect, and the work done (n,), where they are accounted for [J].
-        snaps: since the start (n,), of integrators that count them.
+        status: status of each frame alone (n,).
+        start, step: initial equilibrium, and the step [s].
+        energies: kinetic energy, energy stored by each effect, and work, (n,) each [J]; None without a ledger.
+        snaps: number of snaps since the start (n,), if the integrator counts them.
     """
     badly_started = jnp.where(start.converged(), 0, int(Status.START_NOT_IN_EQUILIBRIUM))
-    # If the start was finite and all loads are known, only too long a step can have made the motion infinite.
+    # If the start is finite and all loads are known, only too long a step can make the motion infinite.
     lost, unknown = ((status & int(flag)) > 0 for flag in (Status.NOT_FINITE, Status.SEARCH_OVERFLOW))
     blown_up = lost & ~lost[0] & ~unknown.any()
     flags = status | badly_started | jnp.where(blown_up, int(Status.STEP_TOO_LONG), 0)
@@ -132,9 +132,9 @@ def status_of_all(
 
 
 def _created(kinetic: Scalar, stored: dict[str, Scalar], work: Scalar, step: Scalar) -> Array:
-    """(n,): whether by a frame kinetic and stored energy, less the work done, have risen above what was left of them.
+    """Whether kinetic plus stored energy minus work has risen above an earlier value by a frame, (n,).
 
-    Heat only lowers them, so its account plays no part; that of work is of second order in the step.
+    Heat can only reduce it, so that its sum is not needed; the error of the work is of second order in the step.
     """
     changes = [kinetic, work, *(energy - energy[0] for energy in stored.values())]
     total = sum(stored.values(), start=kinetic)
@@ -143,7 +143,7 @@ def _created(kinetic: Scalar, stored: dict[str, Scalar], work: Scalar, step: Sca
     moving, size = (
         jnp.where(jnp.isfinite(x), x, 0.0) for x in (jnp.abs(jnp.stack(changes)).max(axis=0), jnp.abs(total))
     )
-    # A share of the largest change of all frames; where the motion blows up later, of the largest change so far.
+    # A fraction of the largest change of all frames or, if the motion blows up later, of the largest change so far.
     most = jnp.minimum(MOST_CREATED * moving.max(), MOST_SO_FAR * jax.lax.cummax(moving))
     rounding = 1000 * jnp.finfo(left.dtype).eps * jax.lax.cummax(size)
     return jax.lax.cummax(rise) > jnp.maximum(1.0, step / 1e-3) * most + rounding + LEAST_CREATED
@@ -152,9 +152,9 @@ def _created(kinetic: Scalar, stored: dict[str, Scalar], work: Scalar, step: Sca
 def status_of_frame(
     scene: Scene, seen: dict[str, dict[str, Array]], state: State, step: Scalar, residual: Scalar | None
 ) -> Array:
-    """The flags that follow from one frame alone, () int, bits of `Status`: from reports by the effects' names.
+    """Flags of one frame alone, () int, bits of `Status`; `seen` contains the reports of the effects by name.
 
-    `residual` is that of the step's equations, where the integrator reports it.
+    `residual` is that of the step's equations, if the integrator reports it.
     """
     too_long = step * state.spin.norm() > MOST_TURN
     if residual is not None:
@@ -183,7 +183,7 @@ def status_of_frame(
 
 
 def status_of_lines(system: System, now: Instant) -> Array:
-    """The flag of lines that run straight through what they wrap over at an instant, () int; 0 where none wraps."""
+    """Flag of lines that run straight through their obstacle at an instant, () int; 0 if there are none."""
     lines = [line for e in system.effects if (line := e.line_element()) is not None and line.wrap is not None]
     flags = jnp.zeros((), int)
     for line in lines:
@@ -193,7 +193,7 @@ def status_of_lines(system: System, now: Instant) -> Array:
 
 
 def reservations(report: dict[str, Array]) -> Array:
-    """Bits of `Status` that follow from an effect's report alone."""
+    """Bits of `Status` from an effect's report."""
     flags = jnp.zeros((), int)
     for name, flag in RESERVATIONS.items():
         if name in report:

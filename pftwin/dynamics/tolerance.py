@@ -1,8 +1,8 @@
-"""How long steps may be on a scene, found by doubling their number on that very scene.
+"""Choice of the step for a scene from error estimates, by doubling the number of steps.
 
 `accurate_enough` starts from a step and halves it until the estimated errors of path and contact force are small.
-`coarsest` looks for the longest step that holds a tolerance, of the path (the root of the mean square over all frames)
-or of the contact force (the largest of all frames). Estimates: `pftwin.dynamics.error_estimate`.
+`coarsest` finds the longest step that meets a tolerance of the path (root mean square over all frames) or of the
+contact force (largest error of all frames). Estimates: `pftwin.dynamics.error_estimate`.
 """
 
 from __future__ import annotations
@@ -23,49 +23,49 @@ Run = TypeVar("Run")
 
 MOST_SUBSTEPS = 256
 UNCONFIRMED = 2.0  # factor on an estimate from the first pair of runs
-HALVINGS = 2  # of the first step, at most, where no step was asked for
+HALVINGS = 2  # largest number of halvings of the default step
 
 
 class Tolerance(NamedTuple):
-    """How far off a run may be."""
+    """Accepted error of a run."""
 
     value: float
-    unit: str  # "m" of the path, "N" of the contact force
+    unit: str  # "m" for the path, "N" for the contact force
 
     def measure(self, error: ErrorEstimate) -> float:
-        """The one number of an estimate that has to stay within it."""
+        """The number of an estimate that is compared with the tolerance."""
         if self.unit == "N":
             return float(np.max(error.contact_force))
         return float(np.sqrt(np.mean(np.square(error.path))))
 
     def text(self, value: float) -> str:
-        """A number of its kind, for people."""
+        """Formats a value with the tolerance's kind of unit."""
         return f"{value:.3g} N" if self.unit == "N" else f"{1e3 * value:.3g} mm"
 
 
 class Tried(NamedTuple, Generic[Run]):
-    """A run that was made."""
+    """A completed run."""
 
-    run: Run  # what is kept of it
+    run: Run  # its output
     course: Course
-    sound: bool  # whether its steps were short enough for it to count at all
+    sound: bool  # whether its steps were short enough to use it in an estimate
 
 
 @dataclass(frozen=True)
 class Choice(Generic[Run]):
-    """A number of steps between two frames, and what is known of its error."""
+    """The chosen number of steps between two frames, with its run and error estimate."""
 
-    run: Run  # what was computed with it
+    run: Run  # output of the run with it
     substeps: int
     error: ErrorEstimate
-    settings: dict[str, Any] = field(default_factory=dict)  # what a result should say of it, beside the steps
+    settings: dict[str, Any] = field(default_factory=dict)  # additional settings for the result
 
 
 def parse_tolerance(given: str | float) -> Tolerance:
-    """From "0.05 mm" or "0.5 N", or a number of metres.
+    """Parses "0.05 mm" or "0.5 N", or a number in metres.
 
     Raises:
-        InputError: no positive length or force.
+        InputError: it is not a positive length or force.
     """
     written = number_and_unit(given) if isinstance(given, str) else (given, "m")
     number, unit = written or (math.nan, "m")
@@ -81,9 +81,9 @@ def parse_tolerance(given: str | float) -> Tolerance:
 
 
 def with_estimate(run: Callable[[int], Tried[Run]], n: int, order: float) -> Choice[Run]:
-    """A run of n steps between two frames, with the estimate of its error from one of half as many.
+    """A run with n steps between two frames, and its error estimate from a run with half as many.
 
-    Where that says that it is large, it may be the other run that is wrong: one of twice as many then decides.
+    If this estimate is large, possibly only the coarser run is inaccurate: a run with twice as many then decides.
     """
     here = run(n)
     if n > 1:
@@ -96,9 +96,9 @@ def with_estimate(run: Callable[[int], Tried[Run]], n: int, order: float) -> Cho
 
 
 def accurate_enough(run: Callable[[int], Tried[Run]], n: int, order: float) -> Choice[Run]:
-    """From n steps between two frames, an even number: as many as it takes for a small error, at most `HALVINGS` on.
+    """Doubles n steps between two frames (an even number) until the error is small, at most `HALVINGS` times.
 
-    An estimate from the first pair counts double; later ones are not below what the estimate before leads to expect.
+    The estimate from the first pair of runs is doubled; later ones are at least what the previous estimate predicts.
     """
     coarse, here = run(n // 2), run(n)
     error = pair = _error_of(here, coarse, order, 2.0)
@@ -113,12 +113,12 @@ def accurate_enough(run: Callable[[int], Tried[Run]], n: int, order: float) -> C
 
 
 def coarsest(run: Callable[[int], Tried[Run]], order: float, tolerance: Tolerance) -> Choice[Run]:
-    """The fewest steps between two frames, of 1, 2, 4, ..., that hold the tolerance.
+    """Smallest number of steps between two frames, of 1, 2, 4, ..., that meets the tolerance.
 
-    Its settings tell the tolerance, the estimate of what is to stay within it, and whether it does.
+    The settings of the choice contain the tolerance, the estimated error, and whether it meets the tolerance.
 
-    Warns where none holds it: the finest that an error is known of is then the choice. Raises InputError: a tolerance
-    of the contact force where there is none.
+    Warns if none does; the choice is then the largest number with an error estimate. Raises InputError for a tolerance
+    of the contact force if there is no contact force.
     """
     n, here = 1, run(1)
     while True:
@@ -142,11 +142,11 @@ def coarsest(run: Callable[[int], Tried[Run]], order: float, tolerance: Toleranc
             PftwinWarning,
             stacklevel=4,
         )
-    told = {f"tolerance_{tolerance.unit}": tolerance.value, f"estimated_error_{tolerance.unit}": found}
-    return Choice(here.run, n, error, {**told, "tolerance_held": held})
+    settings = {f"tolerance_{tolerance.unit}": tolerance.value, f"estimated_error_{tolerance.unit}": found}
+    return Choice(here.run, n, error, {**settings, "tolerance_held": held})
 
 
 def _error_of(run: Tried[Any], other: Tried[Any], order: float, ratio: float) -> ErrorEstimate:
-    """As `error_of`, infinite where one of the runs does not count."""
+    """As `error_of`, but infinite if one of the runs is not sound."""
     error = error_of(run.course, other.course, order, ratio)
     return error if run.sound and other.sound else error.unknown

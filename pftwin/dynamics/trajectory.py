@@ -1,4 +1,4 @@
-"""`trajectory`: the patella's motion and forces as a pure function of a scene, to be jitted, mapped and differentiated.
+"""`trajectory`: the patella's motion and forces as a pure function of a scene, for jit, vmap and differentiation.
 
 path = pftwin.trajectory(scene, integrator=pftwin.BDF2(), dt=5e-3)
 jax.grad(lambda s: pftwin.trajectory(s).contact_force.norm().max())(scene)
@@ -27,28 +27,28 @@ DEFAULT_STEP = 1e-3  # [s]
 
 
 class Trajectory(eqx.Module):
-    """A motion at the recorded frames: arrays with the frames' axis, n, in front. `units` has the unit of each field.
+    """A motion at the n recorded frames, the leading axis of all arrays. `units` contains the unit of each field.
 
-    Places and forces are in the femur's frame: x proximal, y lateral, z anterior.
+    Positions and forces are in the femur frame: x proximal, y lateral, z anterior.
     """
 
     times: Scalar  # (n,)
-    center: Vec3  # of the button's sphere; in a scene without contact the patella's origin
-    patella: Pose  # the patella's frame in the femur's
+    center: Vec3  # of the button's sphere; without contact, the patella's origin
+    patella: Pose  # patella frame in the femur frame
     knee: TibiofemoralAngles  # of the tibia in the femur
-    effects: dict[str, dict[str, Array]]  # all that effects report, by effect and observable
+    effects: dict[str, dict[str, Array]]  # all observables, by effect and name
     contact_force: Vec3  # on the patella; zero without a contact
-    contact_force_medial: Scalar  # size on each facet; zero without a contact
+    contact_force_medial: Scalar  # magnitude on each facet; zero without a contact
     contact_force_lateral: Scalar
-    tensions: dict[str, Array]  # of tendons, strands and muscles, by name; of a group the sum
-    lengths: dict[str, Array]  # of those that report it
+    tensions: dict[str, Array]  # of tendons, strands and muscles, by name; summed over a group
+    lengths: dict[str, Array]  # of those that report a length, by name
     kinetic_energy: Scalar
     stored_energy: dict[str, Scalar]  # by effect
-    work: Scalar | None  # put in by guided bodies and known pulls since the start; None where no account was kept
-    heat: Scalar | None  # taken out by damping since the start
-    numerical_dissipation: Scalar | None  # taken out by the steps themselves since the start; negative: put in
-    flags: Array  # (n,) int, bits of `pftwin.Status`: 0 is a frame that may be trusted
-    start_residual: Scalar  # () of the equilibrium at the start
+    work: Scalar | None  # of guided bodies and prescribed tensions since the start; None without an energy budget
+    heat: Scalar | None  # dissipated by damping since the start
+    numerical_dissipation: Scalar | None  # by the integrator since the start; negative if it adds energy
+    flags: Array  # (n,) int, bits of `pftwin.Status`; 0 for a reliable frame
+    start_residual: Scalar  # () of the initial equilibrium
     units: ClassVar[dict[str, str]] = {
         "times": "s",
         **dict.fromkeys(("center", "position", "shift", "lengths"), "m"),
@@ -60,17 +60,17 @@ class Trajectory(eqx.Module):
 
     @property
     def position(self) -> Vec3:
-        """The patella's origin (n,)."""
+        """Origin of the patella frame in the femur frame, (n,) [m]."""
         return self.patella.position
 
     @property
     def angles(self) -> PatellarAngles:
-        """Flexion, rotation (internal positive) and tilt (lateral positive) of the patella in the femur, (n,)."""
+        """Flexion, rotation (internal positive) and tilt (lateral positive) of the patella in the femur, (n,) [rad]."""
         return patellar_angles(self.patella.orientation)
 
     @property
     def shift(self) -> Scalar:
-        """Medial-lateral place of the button's centre, lateral positive (n,)."""
+        """Medial-lateral position of the button's centre, lateral positive, (n,) [m]."""
         return self.center.y
 
 
@@ -82,23 +82,25 @@ def trajectory(
     start: Solution | None = None,
     energy_budget: bool = False,
 ) -> Trajectory:
-    """The patella's motion and forces through the recorded frames, from static equilibrium. Pure.
+    """The patella's motion and forces over the recorded frames, from static equilibrium, as a pure function.
 
-    `jax.jit`, `vmap`, `jvp`, `grad` and the like apply to every number of the scene. Where none is traced the program
-    is compiled once for scenes of one structure. Unlike `pftwin.simulate` it does not check the scene, nor try harder
-    where the search for the equilibrium fails: see `flags`.
+    JAX's transformations (`jit`, `vmap`, `jvp`, `grad`, ...) apply to every parameter of the scene. If none is traced,
+    the program is compiled once for all scenes of the same structure. Unlike `pftwin.simulate`, it neither checks the
+    scene nor falls back on relaxation if the search for the equilibrium fails: see `flags`.
 
     Args:
-        scene: any number of it may be traced.
+        scene: the model; its parameters may be traced.
         integrator: `pftwin.BDF2()` by default; see `pftwin.Integrator`.
-        dt: longest step [s]; the step used is the largest that divides the interval between frames. It is kept, and
-            nothing tells its error: `pftwin.simulate` does.
-        start: an equilibrium to start from; by default it is solved for, and derivatives go through it.
-        energy_budget: keep account of work and heat at every step.
+        dt: maximum step [s]; the step is the largest up to it that divides the interval between frames. It is not
+            refined, and its error is not estimated, unlike in `pftwin.simulate`.
+        start: initial equilibrium; by default it is solved for and differentiated through.
+        energy_budget: compute work and heat at every step.
+
+    Returns:
+        The motion at the recorded frames.
 
     Raises:
-        InputError: a step that is not positive, something that is no integrator, or an effect that the integrator has
-            no answer for.
+        InputError: the step is not positive, `integrator` is not one, or it does not support an effect.
     """
     chosen = BDF2() if integrator is None else checked_integrator(integrator, "trajectory")
     substeps = substeps_for(scene.motion.frame_interval, dt)
@@ -106,10 +108,10 @@ def trajectory(
 
 
 def checked_integrator(given: object, where: str) -> Integrator:
-    """What was given, if it is an integrator.
+    """Returns `given` if it is an integrator.
 
     Raises:
-        InputError: something else; for a name that the command line would take, the object is named.
+        InputError: otherwise; for a name as on the command line, the message gives the corresponding object.
     """
     if isinstance(given, Integrator):
         return given
@@ -159,7 +161,7 @@ def _computed(
 
 
 def knee_angles(scene: Scene) -> TibiofemoralAngles:
-    """Of the tibia in the femur at the recorded frames, (n,) [rad]. Pure."""
+    """Angles of the tibia in the femur at the recorded frames, (n,) [rad]; a pure function."""
     femur, tibia = scene.motion.frames(scene.motion.frame_times())
     turn = Quaternion.from_rotation(tibia.rotation)
     if femur is not None:

@@ -1,7 +1,7 @@
-"""The knee's bodies in natural coordinates (patella, tibia, femur where it moves): masses, forces and their slopes.
+"""Bodies of the knee in natural coordinates (patella, tibia, moving femur): masses, forces and their derivatives.
 
-Guided bodies have the patella's mass and moments of inertia, about their frames' origins: a scene knows none of theirs,
-and their motion does not depend on them, while masses of one size keep the step's matrices well conditioned.
+Guided bodies have the patella's mass and moments of inertia, about the origins of their frames. A scene does not give
+their actual ones, which do not affect their motion, and equal masses keep the matrices of a step well conditioned.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ from pftwin.model.motion import Frame
 
 
 def masses(system: System) -> Array:
-    """(12,) the constant mass matrix of each body, which is diagonal [kg].
+    """Diagonal (12,) of the constant mass matrix of each body [kg].
 
-    Along the vectors: integrals of rho x^2 = (I_y + I_z - I_x) / 2 and so on, over L^2.
+    For the three vectors these are the integrals of rho x^2 = (I_y + I_z - I_x) / 2 etc., divided by L^2.
     """
     i = system.inertia
     half = 0.5 * (i.x + i.y + i.z)
@@ -41,7 +41,7 @@ def masses(system: System) -> Array:
 
 
 def guided_coordinates(guide: Guide) -> tuple[Array, Array]:
-    """Coordinates of the bodies that recorded motions drive, and their rates (n, 12): zeros for the first body."""
+    """Natural coordinates and rates of the guided bodies, (n, 12) each; zeros for the first body, the patella."""
     frames = [guide.tibia] if guide.femur is None else [guide.tibia, guide.femur]
     place = [coordinates(f.origin, f.rotation) for f in frames]
     rate = [rates(f.velocity, f.angular_velocity, f.rotation) for f in frames]
@@ -50,7 +50,7 @@ def guided_coordinates(guide: Guide) -> tuple[Array, Array]:
 
 
 def driven_targets(guide_at: GuideAt, step: Scalar) -> Driven:
-    """What the bodies are to follow at the step's end."""
+    """Prescribed motion of the guided bodies at the end of the step."""
 
     end = jnp.ones_like(step)
     (place, rate), (_, change) = jax.jvp(lambda part: guided_coordinates(guide_at(part)), (end,), (end,))
@@ -58,22 +58,22 @@ def driven_targets(guide_at: GuideAt, step: Scalar) -> Driven:
 
 
 class Bodies(eqx.Module):
-    """What acts on them at an instant."""
+    """Forces on the bodies at an instant."""
 
     system: System
     memories: tuple[Any, ...]
     time: Scalar
-    step: Scalar  # until the next look [s]
+    step: Scalar  # time until the next evaluation [s]
 
     def instant(self, q: Array, twists: list[Twist]) -> Instant:
-        """What effects see, made of nothing but the coordinates (n, 12) and what `twist_of` says of their rates."""
+        """The instant for effects, from coordinates (n, 12) and the bodies' twists (see `twist_of`)."""
         own, *others = ((Vec3.from_array(a[:3]), axes_of(a), twist) for a, twist in zip(q, twists, strict=True))
         tibia, *femur = (Frame(at, axes, by.linear, axes.apply(by.angular)) for at, axes, by in others)
         patella = Patella(own[0], own[1], own[2].linear, own[2].angular)
         return Guide(femur[0] if femur else None, tibia, self.time).instant(patella, self.step)
 
     def state(self, q: Array, dq: Array, last: State) -> State:
-        """The patella's; its quaternion has the sign that goes on from the last one."""
+        """State of the patella; the quaternion has the sign that is closer to the last one."""
         axes, twist = axes_of(q[0]), twist_of(q[0], dq[0])
         turn = Quaternion.from_rotation(axes).array()
         sign = jnp.where(turn @ last.orientation.array() < 0, -1.0, 1.0).astype(q.dtype)
@@ -81,11 +81,11 @@ class Bodies(eqx.Module):
         return State(Vec3.from_array(q[0, :3]), turn, twist.linear, twist.angular, self.memories, last.carried)
 
     def forces(self, q: Array, dq: Array) -> tuple[Array, list[Load], tuple[Any, ...]]:
-        """Generalised forces (n, 12) on all bodies, the loads that they come from, and the memories that these leave.
+        """Generalised forces (n, 12) on all bodies, the loads, and the memories after them.
 
-        A load says what acts on the patella. What it does to guided bodies is in the rates of its stiff terms, bed and
-        drag, which are linear in those bodies' motion: by the principle of virtual power they feel minus the force
-        times the rate's derivative. A load that is a wrench alone acts from nowhere: gravity, and known tensions.
+        A load contains the force on the patella. Its reaction on guided bodies follows from the rates of its stiff
+        terms, foundation and drag, which are linear in the motion of those bodies: by the principle of virtual power it
+        is minus the force times the derivative of the rate. A wrench (gravity, prescribed tensions) has no reaction.
         """
         own, *others = (twist_of(a, b) for a, b in zip(q, dq, strict=True))
 
@@ -102,9 +102,9 @@ class Bodies(eqx.Module):
         return jnp.stack([wrench_map(a) @ row for a, row in zip(q, rows, strict=True)]), loads, memories
 
     def metric(self, q: Array, loads: list[Load], by_velocity: Scalar, by_place: Scalar) -> Array:
-        """M + by_velocity C + by_place K (n, 12, 12): K and C are the loads' own slopes, on the patella.
+        """M + by_velocity C + by_place K, (n, 12, 12), with K and C the stiffness and damping of loads on the patella.
 
-        Slopes against the guided bodies' coordinates are left out: their constraints determine these wholly.
+        Derivatives with respect to guided bodies' coordinates are omitted, as constraints determine these completely.
         """
         slope, terms = jnp.zeros((6, 6), q.dtype), [term for load in loads for term in load.stiff]
         if terms:
@@ -124,19 +124,19 @@ class Bodies(eqx.Module):
 
 
 def _columns(term: StiffTerm) -> Array:
-    """(6, k) wrench directions of a group of k terms."""
+    """Wrench directions (6, k) of a group of k terms."""
     return jnp.stack([jnp.atleast_1d(x) for x in six(term.direction, term.moment)])
 
 
 def _rates_of_parts(load: Load) -> list[Array]:
-    """The rates at which a load's parts give way."""
+    """Rates of the parts of a load: of stiff terms, foundation and drag."""
     parts = [part for part in (load.bed, load.drag) if part is not None]
     twists = [jnp.concatenate([part.velocity.array(), part.spin.array()]) for part in parts]
     return [term.rate for term in load.stiff] + twists
 
 
 def _forces_of_parts(load: Load) -> list[Array]:
-    """The forces against them, in the same order."""
+    """Forces conjugate to `_rates_of_parts`, in the same order."""
     wrenches = [part.wrench() for part in (load.bed, load.drag) if part is not None]
     pushes = [-jnp.concatenate([w.force.array(), w.moment.array()]) for w in wrenches]
     return [term.force for term in load.stiff] + pushes

@@ -1,13 +1,13 @@
-r"""The equations of one step of ALI3-P (see `step`), solved by Newton's iteration with multipliers, and projections.
+r"""Solver for the equations of one step of ALI3-P (see `step`): Newton's method with multipliers, and projections.
 
-Velocities and accelerations are projected on the constraints: the nearest, in a metric W, that fulfil them.
+Velocities and accelerations are projected to the closest ones, in a metric W, that satisfy the constraints J x = b:
 
     (W + s J^T J) x = W x* + J^T (s b - sigma),      sigma <- sigma + s (J x - b),
 
-iterated to rounding: each turn leaves the share |W| / s of what the constraints J x = b still miss. With W = M + gamma
-h C + beta h^2 K and s = beta h^2 alpha the matrix is that of the step's own Newton iteration. Source: Bayo & Ledesma
-1996, Nonlinear Dyn 9:113; Cuadrado et al. 1997, Mech Mach Theory 32:187; with multipliers: Dopico et al. 2014, J Comput
-Nonlinear Dyn 9:041006.
+iterated to rounding error: each iteration reduces the violation of the constraints by the factor |W| / s. With
+W = M + gamma h C + beta h^2 K and s = beta h^2 alpha the matrix is that of the step's Newton iteration. Source: Bayo &
+Ledesma 1996, Nonlinear Dyn 9:113; Cuadrado et al. 1997, Mech Mach Theory 32:187; with multipliers: Dopico et al. 2014,
+J Comput Nonlinear Dyn 9:041006.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from pftwin.model.effects.base import Load
 
 GAMMA, BETA = 0.5, 0.25  # Newmark's average acceleration
 MOST_ITERATIONS = 20
-FARTHEST = LENGTH  # that one iteration moves the coordinates [m]
-SETTLED = {"float64": 1e-9, "float32": 1e-4}  # last change of the rates at a step's end [m/s]
-PENALTY = {"float64": 1e6, "float32": 1e3}  # beta h^2 alpha by the patella's mass, where none is chosen
-TURNS = 4  # of a projection
+FARTHEST = LENGTH  # largest displacement of the coordinates in one iteration [m]
+SETTLED = {"float64": 1e-9, "float32": 1e-4}  # largest last change of the rates of a converged step [m/s]
+PENALTY = {"float64": 1e6, "float32": 1e3}  # default of beta h^2 alpha, divided by the patella's mass
+TURNS = 4  # iterations of a projection
 
 
 def with_penalty(metric: Array, jac: Array, scale: Array) -> Array:
@@ -41,19 +41,19 @@ def with_penalty(metric: Array, jac: Array, scale: Array) -> Array:
 
 
 def solved(matrix: Array, right: Array) -> Array:
-    """x with matrix x = right, for each body: (n, 12, 12), (n, 12)."""
+    """Solves matrix x = right for each body; shapes (n, 12, 12) and (n, 12)."""
     return cho_solve((cho_factor(matrix, lower=True)[0], True), right[..., None])[..., 0]
 
 
 @partial(jax.custom_jvp)
 def constrained(metric: Array, jac: Array, scale: Array, right: Array, wanted: Array) -> tuple[Array, Array]:
-    """x and multipliers sigma with W x + J^T sigma = right and J x = wanted, for each body.
+    """Solves W x + J^T sigma = right and J x = wanted for x and the multipliers sigma, for each body.
 
     Args:
-        metric: W (n, 12, 12), symmetric, positive definite where J vanishes.
+        metric: W (n, 12, 12), symmetric, and positive definite on the null space of J.
         jac: J (n, 12, 12); rows may be zero.
-        scale: s; it changes how fast this converges and nothing else.
-        right, wanted: (n, 12).
+        scale: s, which affects only the speed of convergence.
+        right, wanted: right-hand sides (n, 12).
     """
     factor = cho_factor(with_penalty(metric, jac, scale), lower=True)[0]
     sigma = jnp.zeros_like(wanted)
@@ -67,7 +67,7 @@ def constrained(metric: Array, jac: Array, scale: Array, right: Array, wanted: A
 
 @constrained.defjvp
 def _constrained_jvp(primals: Any, tangents: Any) -> tuple[Any, Any]:
-    """Both equations, differentiated at their solution, are the same ones with other right-hand sides."""
+    """Differentiated at the solution, both equations are the same with other right-hand sides."""
     metric, jac, scale, _, _ = primals
     d_metric, d_jacobian, _, d_right, d_wanted = tangents
     x, sigma = constrained(*primals)
@@ -77,18 +77,18 @@ def _constrained_jvp(primals: Any, tangents: Any) -> tuple[Any, Any]:
 
 
 class Predicted(eqx.Module):
-    """One step's givens."""
+    """Inputs of a step."""
 
     bodies: Bodies
-    place: Array  # (n, 12) where the step ends without acceleration there
+    place: Array  # (n, 12) coordinates at the end for zero acceleration there
     rate: Array
-    second_rate: Array  # a first guess
-    multipliers: Array  # likewise
-    to: Driven  # what guided bodies are to follow at the end
+    second_rate: Array  # initial guess
+    multipliers: Array  # initial guess
+    to: Driven  # prescribed motion of guided bodies at the end
     penalty: float = eqx.field(static=True)
 
     def motion(self, second_rate: Array) -> tuple[Array, Array]:
-        """Coordinates and rates at the end, with an acceleration there."""
+        """Coordinates and rates at the end for an acceleration there."""
         h = self.bodies.step
         return self.place + BETA * h * h * second_rate, self.rate + GAMMA * h * second_rate
 
@@ -111,7 +111,7 @@ class Predicted(eqx.Module):
 
 @eqx.filter_custom_jvp
 def solved_step(given: Predicted) -> tuple[Array, Array, Scalar]:
-    """d2q/dt2 and multipliers at the step's end; the last change of the rates, where it has not become small."""
+    """d2q/dt2 and multipliers at the end of the step, and the last change of the rates if not converged, else 0."""
     h, scale = given.bodies.step, given.scale()
     settled, alpha = SETTLED[str(h.dtype)], scale / (BETA * h * h)
 
@@ -138,10 +138,10 @@ def solved_step(given: Predicted) -> tuple[Array, Array, Scalar]:
 
 @solved_step.def_jvp
 def _solved_step_jvp(primals: Any, tangents: Any) -> tuple[Any, Any]:
-    """At the solution both equations hold, whatever tangent the iteration used; six unknowns are left of them.
+    """At the solution both equations hold, whatever tangent the iteration used, and reduce to six unknowns.
 
-    Guided bodies are where they are to be, and the patella's coordinates change along its six rigid displacements B
-    only, to which no J^T lambda has a component: B^T of the first equation is six equations for them.
+    Guided bodies follow their prescribed motion, and the patella's coordinates change only along its six rigid
+    displacements B, to which J^T lambda is orthogonal: B^T times the first equation gives six equations for them.
     """
     (given,) = primals
     second_rate, multipliers, left = solved_step(given)

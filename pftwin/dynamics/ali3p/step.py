@@ -1,12 +1,12 @@
-r"""ALI3-P, the paper's formulation: augmented Lagrangian of index 3 in natural coordinates, with projections.
+r"""ALI3-P, the formulation of Michaud et al. 2024: index-3 augmented Lagrangian, natural coordinates, projections.
 
-At a step's end, with Newmark's average acceleration, dq/dt and d2q/dt2 follow from q, which solves
+At the end of a step dq/dt and d2q/dt2 follow from q by Newmark's average acceleration method, and q solves
 
     M d2q/dt2 + J^T (alpha Phi + lambda) = Q,        lambda <- lambda + alpha Phi
 
-by Newton's iteration with the tangent M + gamma h C + beta h^2 (J^T alpha J + K); J = dPhi/dq. Rigid bodies and guided
-ones are constraints Phi(q, t) = 0 alike (`natural_coordinates`). Then velocities and accelerations are projected on
-dPhi/dt = 0 and d2Phi/dt2 = 0 with the same matrix (`newton`). Source: Michaud et al. 2024, section 2.3.1;
+by Newton's method with the tangent M + gamma h C + beta h^2 (J^T alpha J + K), where J = dPhi/dq. The constraints
+Phi(q, t) = 0 keep bodies rigid and drive guided ones (`natural_coordinates`). Then velocities and accelerations are
+projected to dPhi/dt = 0 and d2Phi/dt2 = 0 with the same matrix (`newton`). Source: Michaud et al. 2024, section 2.3.1;
 Bayo & Ledesma 1996, Nonlinear Dyn 9:113; Cuadrado et al. 2004, Multibody Syst Dyn 12:1; Dopico et al. 2014, J Comput
 Nonlinear Dyn 9:041006.
 """
@@ -39,26 +39,26 @@ from pftwin.dynamics.state import Guide, GuideAt, State, System
 
 
 class ALI3PStep(NamedTuple):
-    """What ALI3-P carries from step to step; bodies are patella, tibia, and the femur where it moves."""
+    """What ALI3-P carries from step to step; the n bodies are patella, tibia, and the femur if it moves."""
 
     place: Array  # q (n, 12) [m]
     rate: Array  # dq/dt, projected
     second_rate: Array  # d2q/dt2, projected
-    multipliers: Array  # lambda (n, 12): 6 of rigid constraints, then force and moment / LENGTH that hold the body [N]
-    drift: Scalar  # largest constraint that any step so far has left [m]
-    residual: Scalar  # last change of the velocity, where it has not become small [m/s]
+    multipliers: Array  # lambda (n, 12): 6 of rigid constraints, then driving force and moment / LENGTH [N]
+    drift: Scalar  # largest violation of a constraint in any step so far [m]
+    residual: Scalar  # last change of the velocity if the iteration has not converged, else 0 [m/s]
 
 
 @dataclass(frozen=True)
 class ALI3P(Integrator):
-    """The paper's formulation: see above. A step whose equations are not solved says so, and leaves rigid bodies.
+    """The formulation of Michaud et al. 2024. Unsolved steps report a residual, and keep the bodies rigid.
 
     Args:
-        penalty: beta h^2 alpha as a multiple of the patella's mass: how fast the multipliers converge, not to what. 0:
-            one that fits the float type.
+        penalty: beta h^2 alpha as a multiple of the patella's mass. It affects only the speed of convergence of the
+            multipliers. 0: a default for the float type.
 
     Raises:
-        InputError: a penalty below 10.
+        InputError: the penalty is below 10 and not 0.
     """
 
     penalty: float = 0.0
@@ -72,10 +72,10 @@ class ALI3P(Integrator):
             )
 
     def begin(self, system: System, state: State, guide: Guide, step: Scalar) -> State:
-        """The state with its natural coordinates, and the accelerations and multipliers that solve its equations.
+        """See `Integrator`: natural coordinates, and accelerations and multipliers that solve the equations of motion.
 
-        Guided bodies start without a second rate of their frames' coordinates, which is not known here: the first step
-        comes to the same result with any.
+        The second rate of the guided bodies' prescribed coordinates is unknown here and taken as zero; it does not
+        affect the first step.
         """
         place, rate = guided_coordinates(guide)
         axes = state.orientation.rotation()
@@ -106,7 +106,7 @@ class ALI3P(Integrator):
         second_rate, multipliers, residual = solved_step(given)
         place, rate = given.motion(second_rate)
         drift = jnp.maximum(last.drift, jnp.abs(constraints(place, to)).max())
-        # An unsolved step keeps its bodies rigid and the rates they had, so that nothing blows up.
+        # An unsolved step keeps bodies rigid and their rates unchanged, so that nothing blows up.
         failed, nothing = residual > 0, jnp.zeros_like(place)
         place, rate = jnp.where(failed, as_rigid(place, to), place), jnp.where(failed, last.rate, rate)
         second_rate, multipliers = jnp.where(failed, nothing, second_rate), jnp.where(failed, nothing, multipliers)
@@ -116,7 +116,7 @@ class ALI3P(Integrator):
         scale = given.scale()
 
         def projected(value: Array, wanted: Array) -> Array:
-            # By what has to be added: solved for the whole, the large penalty's rounding would be paid on all of it.
+            # Solves only for the correction, so that rounding errors from the large penalty affect only that.
             missing = wanted - jnp.einsum("nki,ni->nk", j, value)
             return value + constrained(metric, j, scale, jnp.zeros_like(value), missing)[0]
 

@@ -1,1 +1,1 @@
-"""Many scenes at once, over all devices: which devices, how members lie on them, and what comes back."""
+"""Simulation of many variants in one batch, distributed over all devices."""

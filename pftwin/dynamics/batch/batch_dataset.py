@@ -1,4 +1,4 @@
-"""A batch as an xarray Dataset: what came out of each member, with units, and how far to trust it."""
+"""The result of a batch as an xarray Dataset: outcomes of each variant with units, and status flags."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ Variables = dict[str, tuple[tuple[str, ...], Any, dict[str, Any]]]
 
 
 def dataset(groups: list[Group], parts: list[Found], values: Any, settings: dict[str, Any]) -> Dataset:
-    """The dataset of all members, or of some, in the order in which they were given."""
+    """Dataset of all variants, or some, in the order given; `parts` are the results of each group."""
     from xarray import Dataset
 
     from pftwin import __version__
@@ -61,7 +61,7 @@ def dataset(groups: list[Group], parts: list[Found], values: Any, settings: dict
     variables: Variables = {}
 
     def known(values: NDArray[Any]) -> NDArray[Any]:
-        """NaN for members that failed, where there is such a number."""
+        """The values with NaN for failed variants, if their type has NaN."""
         if not np.issubdtype(values.dtype, np.inexact):
             return values
         return np.where(failed.reshape(-1, *[1] * (values.ndim - 1)), np.nan, values)
@@ -89,7 +89,7 @@ def dataset(groups: list[Group], parts: list[Found], values: Any, settings: dict
 
 
 def summed_up(found: Dataset) -> dict[str, Any]:
-    """The attributes that count members."""
+    """Attributes of a batch's dataset that count variants."""
     names = list(dict.fromkeys(found["scene"].values.tolist()))
     some = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
     again = found["recomputed"].values
@@ -107,16 +107,16 @@ def _trust(gathered: Any, frames: NDArray[Any], status: NDArray[Any], failed: ND
         "flag_descriptions": [f.describe() for f in FLAGS],
     }
     ways = {"flag_values": np.arange(len(WAYS), dtype=np.int8), "flag_meanings": " ".join(WAYS)}
-    said = "no equilibrium to start from, not finite, or a parameter that makes no sense"
+    why = "no equilibrium to start from, not finite, or an invalid parameter"
     return {
-        "status": (("variant",), status, {**about("1", "what is said of any frame; 0: no reservation"), **masks}),
+        "status": (("variant",), status, {**about("1", "flags that are raised in any frame; 0: none"), **masks}),
         "status_frames": (("variant", "flag"), frames, about("1", "recorded frames with each status")),
-        "recomputed": (("variant",), gathered("recomputed"), {**about("1", "whether and how done again"), **ways}),
-        "failed": (("variant",), failed, about("1", said)),
+        "recomputed": (("variant",), gathered("recomputed"), {**about("1", "whether and how recomputed"), **ways}),
+        "failed": (("variant",), failed, about("1", why)),
         "equilibrium_residual": (
             ("variant",),
             gathered("equilibrium_residual"),
-            about("N", "force left over in the equilibrium that the motion starts from"),
+            about("N", "residual force of the equilibrium that the motion starts from"),
         ),
     }
 
@@ -132,7 +132,7 @@ def _coordinates(
     }
     if values is not None:
         given = np.asarray(values, float)[variants]
-        out["values"] = (("variant", "number"), given, {"long_name": "what the change was given"})
+        out["values"] = (("variant", "number"), given, {"long_name": "numbers given to the change"})
     if parts[0]["courses"]:
         axis = {"long_name": "femur axis: x proximal, y lateral, z anterior", "units": "1"}
         out["time"] = (("time",), groups[0].scene.motion.times, about("s", "time"))

@@ -1,10 +1,10 @@
-"""Many variants side by side, in pieces that suit the processor.
+"""`vmap` in pieces of a size that suits the processor.
 
-A step reads and writes hundreds of arrays as long as a piece, which lie one after the other in memory. A piece of about
-a hundred variants fits a core's second-level cache, and pieces run one after the other. If the length is a large power
-of two, the same element of all arrays maps to the same few cache lines (4 KiB aliasing), so such pieces are padded with
-a few unused members. An accelerator has lanes by the thousand and starts every operation of a step anew: on an H200 a
-step of 131,000 variants takes four times as long as one of 2,000.
+A step reads and writes hundreds of arrays of the length of a piece, which are consecutive in memory. A piece of about a
+hundred variants fits into a core's second-level cache, and pieces run one after the other. If the length is a large
+power of two, the same element of all arrays maps to the same few cache lines (4 KiB aliasing), so such pieces are
+padded with a few unused variants. An accelerator has thousands of lanes and launches every operation of a step
+separately: on an H200 a step of 131,000 variants takes four times as long as one of 2,000.
 """
 
 from __future__ import annotations
@@ -15,18 +15,18 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
-PIECE = 120  # most variants of a piece
+PIECE = 120  # largest number of variants in a piece
 ACCELERATED = 131_072  # the same on an accelerator
-ALIASING = 64  # elements: multiples of it are avoided
-FILL = 8  # members added: one vector register of float64
+ALIASING = 64  # sizes that are multiples of this are avoided
+FILL = 8  # number of variants added to such a size: one vector register of float64
 
 
 def good_sizes(n: int, platform: str | None = None) -> tuple[int, int]:
-    """The number of pieces for a batch of n, and their size; together they hold at least n members.
+    """Number and size of the pieces for a batch; together they contain at least n variants.
 
     Args:
-        n: members.
-        platform: of the devices; by default JAX's.
+        n: number of variants.
+        platform: platform of the devices; by default JAX's.
     """
     on_cpu = (platform or jax.default_backend()) == "cpu"
     pieces = max(1, -(-n // (PIECE if on_cpu else ACCELERATED)))
@@ -35,7 +35,7 @@ def good_sizes(n: int, platform: str | None = None) -> tuple[int, int]:
 
 
 def batched(function: Callable[..., Any]) -> Callable[..., Any]:
-    """`jax.vmap(function)` over the leading axis of every array of every argument, in pieces of a good size. Pure."""
+    """`jax.vmap(function)` over the leading axis of all arrays in all arguments, in pieces of a suitable size."""
 
     def run(*args: Any) -> Any:
         n = jax.tree.leaves(args)[0].shape[0]

@@ -1,6 +1,6 @@
-"""The devices that a batch uses, and the processes that work on it.
+"""Devices that a batch uses, and communication between the processes that compute it.
 
-JAX counts a whole CPU as one device unless it is configured before it starts.
+JAX treats a whole CPU as one device unless configured otherwise before it starts.
 """
 
 from __future__ import annotations
@@ -20,35 +20,35 @@ from pftwin.base.errors import InputError
 from pftwin.base.runtime import configure, cores
 
 Devices = str | int | Sequence[Any]
-# What `live_devices` raises where a process was lost in its block: until JAX 0.10.0 the one, then the other.
+# Errors of `live_devices` when a process is lost in its block: the first until JAX 0.10.0, then the second.
 _LOST = (ValueError, getattr(multihost_utils, "ProcessFailureError", ValueError))
 
 
 def use_cpu_devices(count: int | None = None) -> int:
-    """Has JAX count the CPU as several devices, one core each. Call it before the first JAX computation.
+    """Divides the CPU into several JAX devices, one core each. Call it before the first JAX computation.
 
     Args:
-        count: how many; None: as many as there are cores for this process.
+        count: number of devices; None: the number of cores that this process may use.
 
     Returns:
-        How many there are now.
+        The number of CPU devices.
 
     Raises:
         PftwinError: JAX has already started with another number.
-        InputError: not a whole number, at least 1.
+        InputError: `count` is not a positive integer.
     """
     configure(float64=False, fast_cpu=False, cpu_devices="all" if count is None else count)
     return len(jax.local_devices(backend="cpu"))
 
 
 def chosen_devices(devices: Devices = "all") -> tuple[Any, ...]:
-    """The devices that are meant, of this process: each of several processes lays its own members over its own devices.
+    """Resolves a choice of devices to devices of this process; each process uses only its own.
 
     Args:
-        devices: "all" of JAX's default kind, the first so many of them, or a list of devices of one kind.
+        devices: "all" devices of JAX's default platform, the number of devices to use, or devices of one platform.
 
     Raises:
-        InputError: none of these, more devices than there are, or a device of another process.
+        InputError: another value, more devices than there are, or a device of another process.
     """
     there = jax.local_devices()
     if isinstance(devices, str) and devices == "all":
@@ -87,20 +87,20 @@ def chosen_devices(devices: Devices = "all") -> tuple[Any, ...]:
 
 
 def feeding_threads(devices: Devices) -> int:
-    """How many threads may feed the devices that are meant: all cores where "all" is a CPU that JAX takes for one.
+    """Number of threads that dispatch to the devices: one per core if "all" is a single CPU device, else one.
 
-    Each of several processes gets one: which cores belong to which process is unknown here.
+    With several processes it is one each, since it is unknown which cores belong to which process.
     """
     whole = isinstance(devices, str) and [d.platform for d in chosen_devices(devices)] == ["cpu"]
     return cores() if whole and jax.process_count() == 1 else 1
 
 
 class Processes:
-    """The processes that work on one batch, as `jax.distributed` joins them; without it this one alone.
+    """The processes of `jax.distributed` that compute one batch, or this process alone.
 
-    They meet by `live_devices`, which goes by every process's heartbeats: a meeting waits for whoever lives, however
-    long, and for nobody else. A collective alone would do neither: Gloo's gives up after half an hour, and none goes on
-    without a process that died. So texts are exchanged by a collective among the CPUs of those who have just met.
+    They synchronise by `live_devices`, which relies on heartbeats: it waits for every live process without a timeout,
+    and not for dead ones. A collective alone would do neither: Gloo's times out after half an hour, and none continues
+    without a dead process. So texts are exchanged by a collective among the CPUs of the processes that are alive.
     """
 
     def __init__(self) -> None:
@@ -110,9 +110,9 @@ class Processes:
             _last_to_leave()
 
     def gathered(self, text: str) -> dict[int, str]:
-        """What each process that is still there has to say, by its index. Waits for all of them.
+        """Exchanges texts: waits for all live processes and returns the text of each, by its index.
 
-        From then on `alive` are those: all processes agree on it.
+        Also sets `alive` to these processes; all processes agree on it.
         """
         if self.count == 1:
             return {self.index: text}
@@ -124,7 +124,7 @@ class Processes:
             except jax.errors.JaxRuntimeError as error:
                 failure = error
             before, live = live, _barrier()
-            if live == before:  # otherwise one was lost meanwhile, and the others talk again
+            if live == before:  # otherwise a process was lost meanwhile, and the others repeat the exchange
                 if failure is not None:
                     raise failure
                 self.alive = tuple(said)
@@ -132,9 +132,9 @@ class Processes:
 
 
 def _barrier() -> dict[int, Any]:
-    """Waits for all processes that live: a CPU device of each, by its index, the same for all who have met."""
+    """Waits for all live processes; returns a CPU device of each by its index, the same in all processes."""
     while True:
-        with contextlib.suppress(*_LOST):  # a context, which meets as its block ends, and says so if one was lost
+        with contextlib.suppress(*_LOST):  # the block's end synchronises, and raises an error if a process was lost
             with multihost_utils.live_devices(jax.devices("cpu")) as found:
                 pass
             break
@@ -143,7 +143,7 @@ def _barrier() -> dict[int, Any]:
 
 
 def _gather_texts(devices: dict[int, Any], text: str) -> dict[int, str]:
-    """Each process's text, by its index."""
+    """Text of each process, by its index."""
     own = np.frombuffer(text.encode(), np.uint8)
     sizes = _rows(devices, np.array([own.size], np.int32))[:, 0]
     padded = np.zeros(sizes.max(), np.uint8)
@@ -153,7 +153,7 @@ def _gather_texts(devices: dict[int, Any], text: str) -> dict[int, str]:
 
 
 def _rows(devices: dict[int, Any], row: np.ndarray) -> np.ndarray:
-    """The rows of all processes, in the order of the devices; all are of one length."""
+    """Rows of all processes, in the order of the devices; all have the same length."""
     mesh = Mesh(np.array(list(devices.values())), ("process",))
     rows = jax.make_array_from_process_local_data(NamedSharding(mesh, PartitionSpec("process")), row[None])
     everywhere = jax.jit(lambda x: x, out_shardings=NamedSharding(mesh, PartitionSpec()))(rows)
@@ -162,9 +162,9 @@ def _rows(devices: dict[int, Any], row: np.ndarray) -> np.ndarray:
 
 @cache
 def _last_to_leave() -> None:
-    """The coordination service lives in process 0, and who is still there when it goes is ended.
+    """Makes process 0, which runs the coordination service, exit last: its exit ends all other processes.
 
-    JAX itself has processes leave together, but not where they may outlive each other (jax_enable_recoverability).
+    JAX itself makes processes exit together, except with jax_enable_recoverability.
     """
     if getattr(jax.config, "jax_enable_recoverability", False):
         atexit.register(_barrier)

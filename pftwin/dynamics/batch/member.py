@@ -1,4 +1,4 @@
-"""What is computed of one member: its equilibrium, its motion, and what is kept of it. Pure; mapped over members."""
+"""Pure functions that compute one variant of a batch, its equilibrium and motion, for mapping over all variants."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ Outcome = Callable[[Scene, Observation], dict[str, Array]]
 
 
 class Task(NamedTuple):
-    """What all members share. Functions, names and switches decide the program; arrays do not."""
+    """What all variants share. Functions, names and flags determine the program; arrays do not."""
 
     scene: Scene
     change: Callable[[Scene, Any], Scene]
@@ -37,16 +37,16 @@ class Task(NamedTuple):
     energy: bool
     courses: bool
     outcome: Outcome | None
-    estimate: bool = False  # whether the error of the steps is told from a second run
+    estimate: bool = False  # whether to estimate the error of the steps from a second run
 
 
 def member_equilibrium(task: Task, row: Any) -> Solution:
-    """The equilibrium nearest to the member's own start pose."""
+    """Equilibrium of a variant, by descent from its start pose."""
     return starting_equilibrium(task.change(task.scene, row))
 
 
 def settled_after_relaxing(task: Task, row: Any) -> Solution:
-    """As `pftwin.simulate` does it where the search fails: from where damped motion comes to rest, if that is near."""
+    """Equilibrium of a variant from the end of a damped relaxation, if close; the fallback as in `pftwin.simulate`."""
     scene = task.change(task.scene, row)
     pose = relaxed_start(scene)
     near = (pose.position - scene.start.position).norm() < THROWN
@@ -54,17 +54,17 @@ def settled_after_relaxing(task: Task, row: Any) -> Solution:
 
 
 def member_motion(task: Task, row: Any, start: Solution) -> dict[str, Any]:
-    """The member's motion from an equilibrium, as `batch_dataset` names it."""
+    """Motion of a variant from its equilibrium, as a dictionary of results for `batch_dataset`."""
     scene = task.change(task.scene, row)
     options: Any = {"integrator": task.integrator, "start": start, "ledger": task.energy}
 
-    def run(substeps: Array) -> tuple[_Kept, Array, Observation | None]:  # a traced number: one program for all steps
+    def run(substeps: Array) -> tuple[_Kept, Array, Observation | None]:  # traced, so that one program serves all steps
         if task.outcome is None:
             seen, status, _ = observe_on_the_way(
                 scene, lambda frame: _Kept.of(scene, frame), substeps=substeps, **options
             )
             return seen, status, None
-        whole = observe(scene, frame_states(scene, substeps=substeps, **options))  # an outcome may look at anything
+        whole = observe(scene, frame_states(scene, substeps=substeps, **options))  # an outcome may use all of it
         return _Kept.of(scene, whole), whole.status, whole
 
     largest: dict[str, Array] = {}
@@ -93,9 +93,9 @@ def member_motion(task: Task, row: Any, start: Solution) -> dict[str, Any]:
 def run_with_error(
     run: Callable[[Array], Found], course: Callable[[Found], Course], substeps: Array, order: float
 ) -> tuple[Found, ErrorEstimate]:
-    """A run and the error of its steps, told from a second run in twice the step, or half where it has but one.
+    """A run with the estimated error of its steps, from a second run with twice the step, or half for a single substep.
 
-    `run` computes by steps between two frames and is compiled once; `course` is what the estimate compares.
+    `run` takes the number of steps between two frames and is compiled once; `course` extracts what is compared.
     """
     others = jnp.where(substeps > 1, substeps // 2, 2)
     both = jax.lax.map(run, jnp.stack([substeps, others]))
@@ -105,33 +105,33 @@ def run_with_error(
 
 
 def frames_with_flags(status: Array) -> Array:
-    """How many frames have each of `pftwin.dynamics.status.FLAGS`, (flags,), from the status of each (n,)."""
+    """Number of frames with each of `pftwin.dynamics.status.FLAGS`, (flags,), from their status (n,)."""
     return jnp.stack([jnp.sum((status & int(flag)) != 0) for flag in FLAGS])
 
 
 class _Kept(NamedTuple):
-    """What is kept of a frame, or of all (leading axis n)."""
+    """The stored observables of a frame, or of all frames (leading axis n)."""
 
     patella: Pose
     center: Vec3
-    force: Scalar | None  # of contact, where there is any [N]
-    push: tuple[Scalar, ...]  # of contact: x, y, z; sizes on the medial and the lateral facet [N]
+    force: Scalar | None  # contact force; None without a contact [N]
+    push: tuple[Scalar, ...]  # contact force: x, y, z; magnitudes on the medial and the lateral facet [N]
 
     @staticmethod
     def of(scene: Scene, seen: Observation) -> _Kept:
-        """Of what is seen."""
+        """Selects them from an observation."""
         contact, nothing = scene.contact, jnp.zeros_like(seen.center.x)
         report = {} if contact is None else seen.effects[contact.name]
         push = (report.get(f"force_{part}", nothing) for part in ("x", "y", "z", "medial", "lateral"))
         return _Kept(seen.patella, seen.center, report.get("force"), tuple(push))
 
     def course(self) -> Course:
-        """What an estimate of the error compares."""
+        """Path and forces for an error estimate."""
         force = jnp.stack(self.push[:3], axis=-1)
         return Course(self.center.array(), self.patella.orientation.array(), force, *self.push[3:])
 
     def summary(self) -> dict[str, Scalar]:
-        """Of the whole motion."""
+        """Summary of the whole motion; names as in `batch_dataset.SUMMARY`."""
         angles = patellar_angles(self.patella.orientation)
         found = {
             "mean_tilt": jnp.mean(angles.tilt),
@@ -147,7 +147,7 @@ class _Kept(NamedTuple):
         return found
 
     def courses(self, status: Array) -> dict[str, Array]:
-        """Frame by frame."""
+        """Time courses; names as in `batch_dataset.COURSES`."""
         return {
             "sphere_center": self.center.array(),
             "patella_position": self.patella.position.array(),
@@ -157,7 +157,7 @@ class _Kept(NamedTuple):
 
 
 def scene_is_valid(scene: Scene) -> Array:
-    """What `pftwin.model.scene.check` asks for, of a scene that is traced."""
+    """Whether a traced scene has finite parameters within their bounds, as `pftwin.model.scene.check` requires."""
     leaves, structure = jax.tree.flatten(scene)
     good = [jnp.all(jnp.isfinite(a)) for a in leaves if eqx.is_inexact_array(a)]
     for quantity, which in bounded_leaves(structure):

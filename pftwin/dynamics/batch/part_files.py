@@ -1,10 +1,10 @@
-"""A batch's folder: `batch.json`, which says what batch it is, and a NetCDF file for each unit of it that is done.
+"""Files in the folder of a batch: `batch.json`, which identifies the batch, and a NetCDF file per completed unit.
 
     batch.json        key and features of the batch, its units
-    part_00000.nc     members of the first unit, as `simulate_batch` gives them, with key, number and checksum
+    part_00000.nc     variants of the first unit as from `simulate_batch`, with key, number and checksum
     part_00001.nc     ...
 
-Every file appears whole or not at all (`pftwin.base.output.written_whole`), and no file is ever changed.
+Files are written atomically (`pftwin.base.output.written_whole`) and never changed.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ NAME = "batch.json"
 FORMAT = "pftwin batch in parts 1"
 _EXPECTED = f"a file of {FORMAT!r}, as pftwin.simulate_batch writes it"
 _UNFINISHED = re.compile(r"^\.(?:batch\.[a-z0-9_]{8}\.json|part_\d+\.[a-z0-9_]{8}\.nc)$")
-_LEFT = 3600.0  # [s] since the last write, after which an unfinished file counts as abandoned
-SHOWN = 60.0  # [s] that a network file system may take to show one machine what another has written
-MARKS = ("part_key", "part", "part_sha256")  # attributes that a part's file has and a batch has not
+_LEFT = 3600.0  # time since the last write after which a temporary file counts as abandoned [s]
+SHOWN = 60.0  # time that a network file system may take to show a file to other machines [s]
+MARKS = ("part_key", "part", "part_sha256")  # attributes that only a part's file has
 _ANEW = "the same call again recomputes this part; delete it first if it comes from elsewhere"
 
 
@@ -40,20 +40,20 @@ class BatchIndex(NamedTuple):
 
     key: str
     features: dict[str, str]
-    units: list[int]  # members of each
+    units: list[int]  # number of variants in each
 
 
 def part_file(folder: Path, unit: int) -> Path:
-    """Where a unit's members are."""
+    """Path of a unit's file."""
     return folder / f"part_{unit:05d}.nc"
 
 
 def prepare_folder(folder: Path, index: BatchIndex) -> None:
-    """Makes the folder ready for a batch, which may have been begun before.
+    """Prepares the folder of a new batch, or of one that was started before.
 
     Raises:
-        InputError: it holds another batch, or parts of which nobody says what they are.
-        OutputError: it cannot be made or written to.
+        InputError: it contains another batch, or parts without a `batch.json`.
+        OutputError: it cannot be created or written to.
     """
     make_folder(folder)
     if (folder / NAME).exists():
@@ -80,10 +80,10 @@ def prepare_folder(folder: Path, index: BatchIndex) -> None:
 
 
 def check_seen(folder: Path, index: BatchIndex, wait: float) -> None:
-    """Refuses a folder that is not the one which another process has begun, before anything is computed.
+    """Checks that this process sees the folder that another process has prepared.
 
     Raises:
-        InputError: the batch is not in it, or does not appear within `wait` [s].
+        InputError: the batch does not appear in the folder within `wait` [s].
     """
     _await(folder / NAME, wait)
     if not (folder / NAME).is_file() or read_index(folder).key != index.key:
@@ -95,10 +95,10 @@ def check_seen(folder: Path, index: BatchIndex, wait: float) -> None:
 
 
 def read_index(folder: Path) -> BatchIndex:
-    """What batch a folder is of.
+    """Reads `batch.json` of a folder.
 
     Raises:
-        InputError: it does not say.
+        InputError: the file is missing or invalid.
     """
     path = folder / NAME
     content = read_json(path, expected=_EXPECTED)
@@ -112,10 +112,10 @@ def read_index(folder: Path) -> BatchIndex:
 
 
 def write_part(folder: Path, unit: int, key: str, members: Dataset) -> None:
-    """Writes a unit's members.
+    """Writes the variants of a unit.
 
     Raises:
-        OutputError: the disk is full, or the folder cannot be written to.
+        OutputError: the disk is full, or the folder is not writable.
     """
     from pftwin.files.result_files import save_dataset
 
@@ -124,12 +124,12 @@ def write_part(folder: Path, unit: int, key: str, members: Dataset) -> None:
 
 
 def read_part(folder: Path, unit: int, index: BatchIndex, wait: float = 0.0, like: Dataset | None = None) -> Dataset:
-    """A unit's members; its file may take the time `wait` to appear [s].
+    """Reads the variants of a unit, waiting up to `wait` [s] for its file.
 
-    `like` is another part, most likely with the same variables: what need not be looked up makes reading fast.
+    `like` is another part, probably with the same variables, which makes reading faster.
 
     Raises:
-        InputError: it is not there, damaged, or of another batch.
+        InputError: the file is missing, damaged, or belongs to another batch.
     """
     from pftwin.files.result_files import load_dataset
 
@@ -163,11 +163,11 @@ def _await(path: Path, wait: float) -> None:
     while not path.is_file() and time.monotonic() < until:
         time.sleep(0.1)
         if path.parent.is_dir():
-            list(path.parent.iterdir())  # has a network file system look again
+            list(path.parent.iterdir())  # makes a network file system refresh
 
 
 def checksum(data: Dataset) -> str:
-    """A hash of all names, shapes and numbers, however a file packs them."""
+    """Hash of all names, shapes and values of a dataset, independent of a file's compression."""
     total = hashlib.sha256()
     for name in sorted(map(str, data.variables)):
         variable = data[name].variable
@@ -181,13 +181,13 @@ def checksum(data: Dataset) -> str:
 
 
 def numbers_like(like: Dataset, path: Path) -> Dataset | None:
-    """A file's members, as a dataset with the variables, units and attributes of another one.
+    """Reads a file as a dataset with the variables, units and attributes of `like`; None if it has other variables.
 
-    xarray takes a fifth of a second to learn what a file holds, ten times what the numbers take. Whether it was right
-    to expect the same again, the checksum says: None, or another checksum, and it has to be read in full.
+    xarray takes a fifth of a second to read the structure of a file, ten times as long as for the values. The caller
+    verifies the assumption of an equal structure by the checksum, and else reads the file completely.
 
     Raises:
-        InputError: a file that is too large, or damaged where `check_netcdf` looks.
+        InputError: the file is too large, or `check_netcdf` finds damage.
     """
     import h5py
     from xarray import Dataset

@@ -1,4 +1,4 @@
-"""Reads a batch that was computed in parts: the whole, or the parts that exist."""
+"""Reading of a batch that was computed in parts, completely or as far as parts exist."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from pftwin.dynamics.batch.part_files import BatchIndex, part_file, read_index, 
 if TYPE_CHECKING:
     from xarray import Dataset
 
-_NAMED = 5  # parts in a message
+_NAMED = 5  # largest number of parts listed in a message
 
 
 def read_parts(folder: str | os.PathLike[str], *, incomplete: bool = False) -> Dataset:
-    """The dataset of a batch that `pftwin.simulate_batch(..., parts=folder)` computes, or has computed.
+    """Reads the dataset of a batch from `pftwin.simulate_batch(..., parts=folder)`, also while it runs.
 
     Args:
-        folder: of the parts.
-        incomplete: take what is there; `variant` says which members those are.
+        folder: folder of the parts.
+        incomplete: whether to read only the existing parts; `variant` then identifies the variants.
 
     Returns:
-        What `simulate_batch` returns.
+        The dataset, as from `simulate_batch`.
 
     Raises:
-        InputError: no such batch; parts that are missing or damaged, unless `incomplete` is given; none at all.
+        InputError: the folder contains no batch, or parts are missing or damaged: any part or, with `incomplete`, all.
     """
     place = Path(folder)
     index = read_index(place)
@@ -46,10 +46,10 @@ def read_parts(folder: str | os.PathLike[str], *, incomplete: bool = False) -> D
 
 
 def missing_parts(folder: str | os.PathLike[str]) -> dict[int, str]:
-    """Which units of a batch are still to be computed, each with what is wrong. Reads all parts.
+    """Units of a batch that remain to be computed, each with the reason. Reads all parts.
 
     Raises:
-        InputError: no such batch.
+        InputError: the folder contains no batch.
     """
     place = Path(folder)
     return _looked_through(place, read_index(place))[1]
@@ -67,7 +67,7 @@ def _looked_through(folder: Path, index: BatchIndex) -> tuple[dict[int, Dataset]
 
 
 def concatenated_parts(parts: Sequence[Dataset]) -> Dataset:
-    """Members of several units, in the order in which the batch has them."""
+    """Concatenates the variants of several units, in the order of the batch."""
     from xarray import concat
 
     from pftwin.dynamics.batch.batch_dataset import summed_up

@@ -1,9 +1,9 @@
-"""A checked batch, ready to be computed as a whole or in units, and its identity.
+"""A validated batch, ready to be computed as a whole or in units, and the key that identifies it.
 
-Checks user-defined outcomes before anything is simulated, so that an hour's computing does not end in an error. Two
-processes, or two runs, whose batches have the same key compute the same numbers. The code enters the key as the program
-that JAX traces for one member. It covers the change, the outcome and effects of the user, but no file names, so
-functions and effects may come from outside pftwin.
+User-defined outcomes are checked before any simulation, so that an hour of computing does not end in an error. Two
+processes or runs whose batches have the same key compute the same numbers. The key depends on the code through the
+program that JAX traces for one variant. That covers the user's change, outcome and effects, which may come from outside
+pftwin, but no file names.
 """
 
 from __future__ import annotations
@@ -32,23 +32,23 @@ from pftwin.dynamics.status import Status
 
 
 class BatchPlan(NamedTuple):
-    """What is to be computed, and on what."""
+    """The variants to compute, and the devices and threads to use."""
 
     groups: list[Group]
-    tasks: list[Task]  # of each group
-    values: Any  # what the change was given, (n, k); None for a list of scenes
-    settings: dict[str, Any]  # that the dataset names
-    care: tuple[Status, ...]  # flags of members that are computed again
+    tasks: list[Task]  # one per group
+    values: Any  # rows of `Variants.values`, (n, k); None for a list of scenes
+    settings: dict[str, Any]  # attributes of the dataset
+    care: tuple[Status, ...]  # flags of variants to recompute
     spread: Sharding
     threads: int
 
     @property
     def total(self) -> int:
-        """Members."""
+        """Number of variants."""
         return sum(len(g.places) for g in self.groups)
 
     def found(self, k: int, rows: Any, progress: Callable[[int, int], None] | None = None) -> Found:
-        """What comes out of members of group k, by their rows: tree of (n, ...)."""
+        """Computes variants of group k from their rows; returns a pytree of arrays (n, ...)."""
         task = self.tasks[k]
         found = all_members(self.spread, task, rows, threads=self.threads, progress=progress)
         nothing = np.zeros(len(found["sensible"]), dtype=np.int8)
@@ -56,17 +56,17 @@ class BatchPlan(NamedTuple):
 
 
 def some_of(group: Group, which: NDArray[np.int64]) -> Group:
-    """The group's members of these numbers."""
+    """The group with only the variants of the indices `which`."""
     rows = jax.tree.map(lambda a: np.asarray(a)[which], group.rows)
     return group._replace(rows=rows, places=group.places[which], names=[group.names[i] for i in which])
 
 
 def check_outcomes(tasks: Sequence[Task], rows: Sequence[Any]) -> None:
-    """Refuses outcomes of groups of members that cannot become variables of the dataset; they are traced, not run.
+    """Checks, by tracing, that user-defined outcomes can become variables of the dataset.
 
     Raises:
-        InputError: no dictionary of numbers or arrays; other names or shapes in other groups; a name that the batch has
-            itself.
+        InputError: an outcome is not a dictionary of numbers or arrays, names or shapes differ between groups, or a
+            name is one of the batch's own.
     """
     if not tasks or tasks[0].outcome is None:
         return
@@ -88,7 +88,7 @@ def _shapes(task: Task, row: Any) -> dict[str, tuple[int, ...]]:
 
 
 def batch_features(plan: BatchPlan, unit: int) -> dict[str, str]:
-    """What distinguishes a batch in units of so many members: words a person can use, each with a hash or a text."""
+    """Features that identify a batch in units of `unit` variants: readable names, each with a hash or a text."""
     from pftwin import __version__
 
     rows = [jax.tree.map(lambda a: np.asarray(a)[0], g.rows) for g in plan.groups]
@@ -108,7 +108,7 @@ def batch_features(plan: BatchPlan, unit: int) -> dict[str, str]:
 
 
 def key_of(found: dict[str, str]) -> str:
-    """One hash of a batch's features."""
+    """Hash of the features of a batch."""
     return hashlib.sha256(json.dumps(found, sort_keys=True).encode()).hexdigest()
 
 
@@ -118,7 +118,7 @@ def _program(task: Task, row: Any) -> str:
 
 
 def _traced(function: Callable[..., Any], args: Any) -> tuple[str, Any]:
-    """A hash of the function's program for such arguments, and its answer's shapes, as arrays of zeros."""
+    """Hash of the function's program for arguments of this kind, and zeros of the shapes of its result."""
     leaves, structure = jax.tree.flatten(args)
     kinds = tuple(
         jax.ShapeDtypeStruct(a.shape, a.dtype, weak_type=getattr(a, "weak_type", False)) if is_array(a) else None
@@ -128,7 +128,7 @@ def _traced(function: Callable[..., Any], args: Any) -> tuple[str, Any]:
     return _text(function, structure, kinds, fixed, settings())
 
 
-@lru_cache(maxsize=64)  # tracing takes seconds, and a batch is often one of many
+@lru_cache(maxsize=64)  # tracing takes seconds, and similar batches often follow
 def _text(
     function: Callable[..., Any],
     structure: Any,

@@ -1,8 +1,8 @@
-"""A batch computed in units, each written as soon as it is done, by one process or several.
+"""Resumable computation of a batch in units, each written when it is done, by one or several processes.
 
-Units follow from the batch alone, so that any number of processes, one after the other or at once, fill one folder.
-Processes agree at the start on what is missing, divide it among themselves, and synchronise when each has finished its
-share. The unfinished share of a process that was lost is divided among the others.
+Units depend on the batch alone, so that any number of processes can fill one folder, successively or concurrently.
+Processes first agree on what is missing, divide it among themselves, and synchronise when each has finished its share.
+The unfinished share of a lost process is divided among the others.
 """
 
 from __future__ import annotations
@@ -39,30 +39,30 @@ Tell = Callable[[int, int], None]
 
 
 class InParts:
-    """One call's work on a batch's folder, in units of so many members.
+    """One call's computation of a batch in a folder, in units of `unit` variants.
 
-    Without a share it computes what is missing, over all processes. `tell` is called with the members done and of all
-    that this process has to do.
+    Without a share it computes what is missing, with all processes. `tell` is called with the number of variants that
+    this process has computed, and the number that it has to compute.
     """
 
     def __init__(self, plan: BatchPlan, folder: Path, unit: int, share: Share | None, tell: Tell | None) -> None:
         self.plan, self.folder, self.share, self.tell = plan, folder, share, tell
         numbers = [np.arange(len(g.places)) for g in plan.groups]
-        # Group and members of each unit, by their numbers within the group.
+        # Group of each unit, and its variants as indices within the group.
         self.units = [(k, n[i : i + unit]) for k, n in enumerate(numbers) for i in range(0, len(n), unit)]
         found = batch_features(plan, unit)
         self.index = BatchIndex(key_of(found), found, [len(which) for _, which in self.units])
         self.processes = Processes()
         self.done: dict[int, Dataset] = {}
-        self.own, self.counted = 0, 0  # members to compute, and computed
+        self.own, self.counted = 0, 0  # number of variants to compute, and computed
 
     def all(self) -> Dataset:
-        """Computes the missing units and reads those that other processes have written.
+        """Computes the missing units, and reads those that exist or that other processes write.
 
         Raises:
-            InputError: processes that have different batches; the folder of another batch.
-            OutputError: a part that cannot be written.
-            PftwinError: what another process failed in.
+            InputError: processes have different batches, or the folder contains another batch.
+            OutputError: a part cannot be written.
+            PftwinError: another process failed; the message contains its error.
         """
         self._agree()
         if self.share is not None and self.share[0] >= len(self.units):
@@ -90,7 +90,7 @@ class InParts:
         return concatenated_parts([self.done[u] for u in asked])
 
     def _agree(self) -> None:
-        """Makes sure that all processes were given the same batch."""
+        """Checks that all processes have the same batch."""
         said = self.processes.gathered(json.dumps(self.index.features))
         first = json.loads(said[min(said)])
         for process, text in said.items():
@@ -104,7 +104,7 @@ class InParts:
                 )
 
     def _missing(self, asked: Sequence[int]) -> list[int]:
-        """Units without a sound part, as the first process sees the folder: all have to go by the same list."""
+        """Units without a valid part according to the first process, so that all processes use the same list."""
 
         def look() -> list[int]:
             prepare_folder(self.folder, self.index)
@@ -149,7 +149,7 @@ class InParts:
         return {p: answer["answer"] for p, answer in answers.items()}
 
     def _compute(self, units: list[int]) -> None:
-        """Units of one structure together, as many as keep all devices busy."""
+        """Computes and writes units, as many of one group together as keep all devices busy."""
         self.own += sum(self.index.units[u] for u in units)
         for k in range(len(self.plan.groups)):
             waiting = [u for u in units if self.units[u][0] == k]
@@ -162,8 +162,8 @@ class InParts:
         plan, tell = self.plan, self.tell
         each = [some_of(plan.groups[k], self.units[u][1]) for u in units]
         rows = jax.tree.map(lambda *a: np.concatenate(a), *[g.rows for g in each])
-        told = None if tell is None else (lambda done, _: tell(self.counted + done, self.own))
-        found = plan.found(k, rows, told)
+        progress = None if tell is None else (lambda done, _: tell(self.counted + done, self.own))
+        found = plan.found(k, rows, progress)
         last = 0
         for unit, group in zip(units, each, strict=True):
             first, last = last, last + len(group.places)

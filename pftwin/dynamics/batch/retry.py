@@ -1,4 +1,4 @@
-"""Members whose run cannot be trusted are recomputed more carefully and marked; the other members do not change."""
+"""Recomputation of variants whose run is unreliable, with other methods; the other variants do not change."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from pftwin.dynamics.integrator import Integrator
 from pftwin.dynamics.integrators import LinearImplicit, Newmark
 from pftwin.dynamics.status import FLAGS, Status
 
-# Flags of a run that cannot be trusted. A patella that leaves its patch or its groove is physics, not an error.
+# Flags of an unreliable run. A patella that leaves its patch or its groove is physics, not an error.
 BAD = (Status.STEP_TOO_LONG, Status.NOT_FINITE, Status.ENERGY_FROM_NOWHERE, Status.START_NOT_IN_EQUILIBRIUM)
-BAD_BY_DEFAULT = (*BAD, Status.INACCURATE)  # where the step was not asked for either
+BAD_BY_DEFAULT = (*BAD, Status.INACCURATE)  # if the user gave neither step nor tolerance
 WAYS = ("no", "relaxed_start", "smaller_step", "other_integrator", "in_vain")  # `recomputed` is an index into these
 SMALLER = 4  # factor on the number of steps
 _OTHERS: tuple[Integrator, ...] = (Newmark(), LinearImplicit())
@@ -28,9 +28,9 @@ Found = dict[str, Any]
 def all_members(
     spread: Sharding, task: Task, rows: Any, relaxed: bool = False, threads: int = 1, progress: Any = None
 ) -> Found:
-    """Equilibria and motions of all rows, a tree of (n, ...), on the host.
+    """Computes equilibria and motions of all rows; returns a pytree of arrays (n, ...) on the host.
 
-    Where `relaxed`, damped motion comes before the search for equilibrium; `threads`, `progress`: see `Sharding.over`.
+    With `relaxed`, damped relaxation precedes the search for equilibrium; `threads`, `progress`: see `Sharding.over`.
     """
     shared = spread.shared(task)
 
@@ -45,10 +45,10 @@ def all_members(
 def with_care(
     spread: Sharding, task: Task, rows: Any, found: Found, bad_ones: tuple[Status, ...] = BAD
 ) -> NDArray[np.int8]:
-    """Recomputes, in `found`, the members with bad flags: from another start, by smaller steps, by another integrator.
+    """Recomputes variants with bad flags, in place: from a relaxed start, with smaller steps, or another integrator.
 
     Returns:
-        What was done, (n,), an index into `WAYS`. A member that stays bad keeps its first result.
+        The method used, (n,), an index into `WAYS`. A variant for which no method helps keeps its first result.
     """
     done = np.zeros(len(found["sensible"]), dtype=np.int8)
     relaxed = np.zeros(done.size, dtype=bool)
@@ -74,14 +74,14 @@ def with_care(
 
 
 def _fallback_integrator(task: Task) -> Integrator | None:
-    """An integrator of another kind for the same motion; None where there is none."""
+    """Another kind of integrator that supports the task's effects; None if there is none."""
     if not task.integrator.inertia:
         return None
     for other in _OTHERS:
         if other.name != task.integrator.name:
             try:
                 other.refuse_unfit(task.scene.effects)
-            except InputError:  # it has no answer for an effect of this scene
+            except InputError:  # it does not support an effect of this scene
                 continue
             return other
     return None
@@ -96,7 +96,7 @@ def _selected_rows(rows: Any, which: NDArray[np.bool_]) -> Any:
 
 
 def _taken_over(found: Found, better: Found, which: NDArray[np.bool_], good: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Copies the good ones of the recomputed members into `found`; returns which they are, (n,)."""
+    """Copies those recomputed variants that are good into `found`; returns which these are, (n,)."""
     places = np.flatnonzero(which)[good]
 
     def put(old: NDArray[Any], new: NDArray[Any]) -> None:

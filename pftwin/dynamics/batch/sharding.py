@@ -1,10 +1,10 @@
-"""A function over a batch, laid over devices: one program for a kind of scene, run chunk by chunk.
+"""Mapping of a function over a batch distributed over devices, with one program per kind of scene, in chunks.
 
-Members are computed in pieces of one size, side by side as vector lanes, as `pftwin.dynamics.batch.batched` explains.
-Every device loops over its pieces, and their number is not part of the program. So a member's result is the same to the
-last bit whatever the chunk size and its place in the batch. For several devices XLA partitions the program with passes
-that a single-device program does not need, so results on one device and on several differ by rounding. Incomplete
-pieces are padded with copies of the last member; unused pieces are not run.
+Variants are vectorised in pieces of one size (see `pftwin.dynamics.batch.batched`). Every device loops over its pieces,
+whose number is not part of the program. So a variant's result is the same to the last bit whatever the size of chunks
+and its position in the batch. For several devices XLA partitions the program with passes that a single-device program
+does not need, so results on one device and on several differ by rounding. Incomplete pieces are padded with copies of
+the last variant; unused pieces are not run.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from numpy.typing import NDArray
 
 from pftwin.dynamics.batch.batched import ACCELERATED, PIECE
 
-FEW = 16  # members of a piece in a small batch
+FEW = 16  # number of variants per piece in a small batch
 
 
 def piece_for(n: int, platform: str) -> int:
-    """How many members are computed side by side: a function of n with few values, so that programs are shared."""
+    """Number of variants per piece for a batch of n; it has few different values, so that programs are shared."""
     if platform != "cpu":
         return min(ACCELERATED, max(FEW, 1 << (n - 1).bit_length()))
     return FEW if n <= 2 * FEW else PIECE
@@ -36,7 +36,7 @@ def piece_for(n: int, platform: str) -> int:
 
 @eqx.filter_jit
 def _on_devices(function: Callable[..., Any], mesh: Mesh, shared: Any, counts: Array, each: Any) -> Any:
-    """function(shared, *row) for the rows of each, (devices * pieces, members, ...); `counts` pieces of each device."""
+    """function(shared, *row) for rows in `each`, (devices * pieces, members, ...); devices run `counts` pieces each."""
 
     def of_one_device(shared: Any, counts: Array, rows: Any) -> Any:
         arrays, fixed = eqx.partition(shared, eqx.is_array)
@@ -62,21 +62,21 @@ def _on_devices(function: Callable[..., Any], mesh: Mesh, shared: Any, counts: A
 
 
 class Chunk(NamedTuple):
-    """Members that are computed together, and where each is computed."""
+    """Variants that are computed together, and their assignment to devices."""
 
-    rows: NDArray[np.int64]  # (devices * pieces, piece) which member is where
-    counts: NDArray[np.int64]  # (devices,) pieces of each that are run
-    used: NDArray[np.int64]  # pieces in the order of their members
-    members: int
+    rows: NDArray[np.int64]  # (devices * pieces, piece) index of the variant at each position
+    counts: NDArray[np.int64]  # (devices,) number of pieces that each device runs
+    used: NDArray[np.int64]  # indices of the used pieces, in the order of their variants
+    members: int  # number of variants
 
 
 class Sharding:
-    """Devices, and how members are distributed over them.
+    """Devices, and the distribution of variants over them.
 
     Args:
-        devices: of one kind.
-        piece: members computed side by side.
-        chunk: most members computed before results return to the host, at least a piece for each device.
+        devices: devices of one platform.
+        piece: number of variants that are vectorised together.
+        chunk: maximum number of variants per transfer of results to the host; at least a piece per device is used.
     """
 
     def __init__(self, devices: tuple[Any, ...], piece: int, chunk: int) -> None:
@@ -86,11 +86,11 @@ class Sharding:
 
     @property
     def most(self) -> int:
-        """Members of a full chunk."""
+        """Number of variants in a full chunk."""
         return self.piece * self._pieces * self.devices
 
     def chunks(self, n: int) -> Iterator[Chunk]:
-        """All members, in order; pieces go to the devices in turn."""
+        """Chunks of n variants, in order; pieces are assigned to the devices in turn."""
         size = self.most
         for first in range(0, n, size):
             members = min(size, n - first)
@@ -103,25 +103,25 @@ class Sharding:
             yield Chunk(rows, counts, used, members)
 
     def shared(self, tree: Any) -> Any:
-        """Copies what all members share to every device."""
+        """Copies the arrays that all variants share to every device."""
         place = NamedSharding(self._mesh, SHARED)
         return jax.tree.map(lambda a: jax.device_put(a, place) if is_array(a) else a, tree)
 
     def placed(self, each: Any, chunk: Chunk) -> Any:
-        """A chunk's rows of arrays (n, ...), each on its device."""
+        """Transfers a chunk's rows of arrays (n, ...) to their devices."""
         place = NamedSharding(self._mesh, SPLIT)
         return jax.tree.map(lambda a: jax.device_put(np.asarray(a)[chunk.rows], place), each)
 
     def run(self, function: Callable[..., Any], shared: Any, chunk: Chunk, each: Any) -> Any:
-        """function(shared, *row) of a chunk, left on the devices, for trees from `placed` or of `run`'s answers.
+        """function(shared, *row) for a chunk; `each` contains pytrees from `placed` or `run`. Results stay on devices.
 
-        The function is pure, and defined at module level: its identity is the key of the compiled program.
+        The function must be pure and defined at module level: its identity is the key of the compiled program.
         """
         counts = jax.device_put(chunk.counts, NamedSharding(self._mesh, SPLIT))
         return _on_devices(function, self._mesh, shared, counts, each)
 
     def taken(self, out: Any, chunk: Chunk) -> Any:
-        """The results of `run` on the host, in the members' order."""
+        """Transfers results of `run` to the host, in the order of the variants."""
 
         def rows(a: Array) -> NDArray[Any]:
             whole = np.asarray(a)[chunk.used]
@@ -132,10 +132,10 @@ class Sharding:
     def over(
         self, work: Callable[[Chunk], Any], n: int, threads: int = 1, progress: Callable[[int, int], None] | None = None
     ) -> Any:
-        """The results of `work`, from a chunk to a tree of arrays on the host, for all chunks of n members, in one.
+        """Applies `work` (chunk to pytree of host arrays) to all chunks of n variants, and concatenates the results.
 
-        So many threads use all cores even where JAX counts the CPU as one device. `progress` is told the number of
-        members done and of all.
+        Several threads use all cores even if the CPU is a single JAX device. `progress` is called with the number of
+        completed variants and n.
         """
         done = 0
 
@@ -158,7 +158,7 @@ class Sharding:
 
 
 def is_array(a: Any) -> bool:
-    """Whether something is an array of JAX or NumPy."""
+    """Whether `a` is an array of JAX or NumPy."""
     return isinstance(a, jax.Array | np.ndarray | np.generic)
 
 
@@ -167,13 +167,13 @@ SHARED, SPLIT = PartitionSpec(), PartitionSpec(AXIS)
 
 
 def shard_over(mesh: Mesh, function: Callable[..., Any], shared: Any, each: tuple[Any, ...], out: Any = SPLIT) -> Any:
-    """function(shared, *each) on every device of a mesh over `AXIS` with its own rows, within a compiled program.
+    """Runs function(shared, *each) on every device of a mesh over `AXIS` with its rows, within a compiled program.
 
-    Leaves of `shared` that are not arrays stay static. The leading axis of arrays in `each` is distributed over the
-    devices; `out` says how the result's axes are.
+    Leaves of `shared` that are not arrays are static. The leading axis of arrays in `each` is distributed over the
+    devices; `out` is the partition of the result.
     """
     arrays, fixed = eqx.partition(shared, eqx.is_array)
-    # Loop carries differ between devices; the check that would have to prove this is off.
+    # Loop carries differ between devices, so the check of varying axes is disabled.
     return jax.shard_map(
         lambda own, *rows: function(eqx.combine(own, fixed), *rows),
         mesh=mesh,

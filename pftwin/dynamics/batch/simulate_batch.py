@@ -1,4 +1,4 @@
-"""`simulate_batch`: many scenes at once, over all devices."""
+"""`simulate_batch`: simulation of many scenes in one batch, over all devices."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ from pftwin.model.scene import Scene
 if TYPE_CHECKING:
     from xarray import Dataset
 
-_PIECES = 8  # of each CPU device in a chunk, by default; a piece of an accelerator is large by itself
-_LEAST, _FEW, _MOST = 1920, 64, 256  # members of a part; parts of a batch; pieces of a part
-_MOST_FRAMES = 300_000  # of all members, up to which trajectories are kept without being asked for: 30 MB
+_PIECES = 8  # default number of pieces per CPU device in a chunk; an accelerator gets one large piece
+_LEAST, _FEW, _MOST = 1920, 64, 256  # variants of a part; parts of a batch; pieces of a part
+_MOST_FRAMES = 300_000  # total number of frames up to which trajectories are stored by default: 30 MB
 
 
 def simulate_batch(
@@ -49,44 +49,43 @@ def simulate_batch(
     parts: str | os.PathLike[str] | None = None,
     share: tuple[int, int] | None = None,
 ) -> Dataset:
-    """Many simulations side by side. Each is what `simulate` gives of its scene; none that fails stops the others.
+    """Simulates many scenes (variants) in one batch, each as `simulate` does; failures do not stop other variants.
 
     Args:
-        scenes: a list of scenes; or `Variants`: a scene, a function that changes it, and a row of numbers a member.
-        devices: "all" that JAX has, a number of them, or a list. How to have more of a CPU: `configure(cpu_devices=)`.
-        chunk: most members between two looks of the host; at least a piece of 120 members for each device. It bounds
-            the memory for what is kept of a chunk, and does not change the answer.
+        scenes: a list of scenes; or `Variants`: a scene, a function that changes it, and a row of numbers per variant.
+        devices: "all" of JAX's devices, their number, or a list. For more CPU devices, see `configure(cpu_devices=)`.
+        chunk: maximum number of variants per transfer of results to the host; at least a piece of 120 variants per
+            device. It limits the memory for the results of a chunk, and does not affect the results.
         integrator: as in `simulate`.
-        dt: longest step [s], 1e-3 by default.
-        tolerance: instead of `dt`, how far off the path of the first scene of each structure may be: the step that
-            `simulate` chooses for it serves all.
-        outcome: a pure function of a member's scene and its observation (`pftwin.dynamics.observe.Observation`), to a
-            dictionary of numbers or arrays: they are kept as well. A function that is defined once compiles once.
-        trajectories: whether paths are kept; by default where all members together have up to 300,000 frames.
-        energy_budget: keep account of work and heat, by which energy from nowhere is found.
-        estimate: tell the error of each member's steps from a second run in twice the step (see
-            `pftwin.dynamics.error_estimate`) and flag where it is large. It takes half as long again.
-        care: recompute members whose status says that the run is not to be trusted: from a relaxed start, by steps of a
-            quarter, by another integrator. Without `dt` and `tolerance` those whose estimated error is large as well.
-        progress: called with the number of members done and of all; with `parts`, of those that this process computes.
-        parts: a folder in which members are kept as they are computed, a NetCDF file for each 1,920 of them or more (or
-            for each `chunk`). The same call again computes only what is missing there. Under `jax.distributed` the
-            processes share the members out; the folder has to be one that all of them see.
-        share: (k, n) computes the k-th of n shares alone, k from 0, and returns its members: for processes that know
-            nothing of each other, such as a job array's. Together they fill one folder of `parts`.
+        dt: maximum step [s], 1e-3 by default.
+        tolerance: instead of `dt`, the accepted error for the first scene of each structure, as in `simulate`; the step
+            chosen for that scene applies to all.
+        outcome: a pure function of a variant's scene and observation (`pftwin.dynamics.observe.Observation`) that
+            returns a dictionary of numbers or arrays to store. Define it once, so that it compiles once.
+        trajectories: whether to store paths; by default if all variants together have up to 300,000 frames.
+        energy_budget: compute work and heat, from which `ENERGY_FROM_NOWHERE` is flagged.
+        estimate: estimate the error of each variant's steps from a second run with twice the step (see
+            `pftwin.dynamics.error_estimate`), and flag large errors. It takes half as long again.
+        care: recompute variants whose status shows an unreliable run: from a relaxed start, with a quarter of the step,
+            with another integrator. Without `dt` and `tolerance`, this includes variants with large estimated errors.
+        progress: called with the number of completed variants and of all; with `parts`, of those of this process.
+        parts: folder in which results are stored during the computation, one NetCDF file per 1,920 variants or more (or
+            per `chunk`). Repeating the call computes only what is missing. Under `jax.distributed` the processes
+            divide the variants among themselves; all of them must see the folder.
+        share: (k, n) computes only the k-th of n shares, k from 0, and returns its variants: for independent processes,
+            e.g. of a job array, that fill one folder `parts` together.
 
     Returns:
-        A dataset over `variant`, in the order given: a summary of each motion, `status`, `status_frames` (frames with
-        each flag), `recomputed` and `failed`. Nothing is raised for members that stay bad: they are marked, and hold
-        NaN where `failed` says that they could not be simulated at all.
+        A dataset over `variant`, in the given order: a summary of each motion, `status`, `status_frames` (number of
+        frames with each flag), `recomputed` and `failed`. Variants that remain unreliable are flagged, without an
+        error; where `failed` is True, the simulation was impossible and values are NaN.
 
     Raises:
-        InputError: no scenes, or something that is none; a scene that cannot give a right answer; a step, integrator,
-            chunk or number of devices that makes no sense; outcomes that differ between scenes, or are named as what a
-            batch has by itself; several processes without `parts`, or with different batches; parts of another batch.
-            All of it before anything is simulated.
-        OutputError: a part that cannot be written.
-        PftwinError: another process failed, with its words.
+        InputError: there are no scenes, or an argument or scene is invalid; outcomes differ between scenes, or have
+            names of the batch's variables; several processes have no `parts`, or different batches; `parts` contains
+            another batch. All of this is checked before simulating.
+        OutputError: a part cannot be written.
+        PftwinError: another process failed; the message contains its error.
     """
     found_devices = chosen_devices(devices)
     if chunk is not None and (not isinstance(chunk, int) or isinstance(chunk, bool) or chunk < 1):
@@ -127,16 +126,16 @@ def _simulate_whole(plan: BatchPlan, progress: Callable[[int, int], None] | None
 
     found, before = [], 0
     for k, group in enumerate(plan.groups):
-        told = None if progress is None else (lambda done, _, b=before: progress(b + done, plan.total))
-        found.append(plan.found(k, group.rows, told))
+        of_all = None if progress is None else (lambda done, _, b=before: progress(b + done, plan.total))
+        found.append(plan.found(k, group.rows, of_all))
         before += len(group.places)
     return dataset(plan.groups, found, plan.values, plan.settings)
 
 
 def unit_for(total: int, piece: int, chunk: int | None = None) -> int:
-    """Members of a part: by the batch alone, so that any number of processes and devices can go on with it.
+    """Number of variants per part; it depends on the batch alone, so that any processes and devices can resume it.
 
-    Whole pieces; so many members that writing a file is little beside computing them, and not many files.
+    It is a multiple of the piece, and large enough that writing a file takes little time compared with computing.
     """
     if chunk is not None:
         return max(1, chunk // piece) * piece
@@ -144,7 +143,7 @@ def unit_for(total: int, piece: int, chunk: int | None = None) -> int:
 
 
 def _check_share(parts: Any, share: Any) -> None:
-    """Refuses what would compute everything several times over."""
+    """Rejects arguments with which several processes would compute the same variants."""
     processes = jax.process_count()
     if processes > 1 and parts is None:
         raise InputError(
@@ -171,7 +170,7 @@ def _substeps(group: Group, integrator: Integrator, dt: float | None, tolerance:
 
 
 def _with_courses(groups: list[Group], wanted: bool | None) -> bool:
-    """Whether trajectories are kept."""
+    """Whether to store trajectories."""
     frames = [g.scene.motion.n_frames for g in groups]
     alike = len({(g.scene.motion.n_frames, float(g.scene.motion.frame_interval)) for g in groups}) == 1
     if wanted and not alike:

@@ -1,4 +1,4 @@
-"""Members of a batch: one scene, and a row of numbers for each member that a function puts into it."""
+"""Variants of a batch: a scene, and a row of numbers per variant from which a function changes the scene."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from pftwin.model.scene import Scene, check
 
 
 class Variants(NamedTuple):
-    """One scene and many rows of numbers.
+    """A scene and a row of numbers per variant.
 
         Variants(scene, lambda scene, row: treatment.with_values(list(row))(scene), amounts)
 
-    `change(scene, row)` gives a member's scene, of the same structure for all; it is traced, so it has to be pure.
+    `change(scene, row)` returns a variant's scene, of the same structure for all. As it is traced, it must be pure.
     """
 
     scene: Scene
@@ -29,17 +29,17 @@ class Variants(NamedTuple):
 
 
 class Group(NamedTuple):
-    """Members that share a program."""
+    """Variants that share a program."""
 
     scene: Scene
-    change: Callable[[Scene, Any], Scene]  # a function, or a module that is one
-    rows: Any  # tree of (n, ...) on the host
-    places: NDArray[np.int64]  # (n,) of each in the whole batch
-    names: list[str]  # of each member's scene
+    change: Callable[[Scene, Any], Scene]  # a function, or a callable module
+    rows: Any  # pytree of arrays (n, ...) on the host
+    places: NDArray[np.int64]  # (n,) index of each variant in the whole batch
+    names: list[str]  # name of each variant's scene
 
 
 class _Replaced(eqx.Module):
-    """Replaces leaves of a scene."""
+    """Replaces the leaves of a scene with the indices `which`."""
 
     which: tuple[int, ...] = eqx.field(static=True)
 
@@ -51,10 +51,10 @@ class _Replaced(eqx.Module):
 
 
 def groups_of(scenes: Any) -> list[Group]:
-    """Members grouped by the structure of their scene, in order of first appearance.
+    """Groups variants by the structure of their scene, in order of first appearance.
 
     Raises:
-        InputError: no scenes; something that is no scene; a scene that cannot give a right answer; values that are no
+        InputError: there are no scenes, something is not a scene, a scene is invalid, or `Variants.values` is not a
             finite table.
     """
     if isinstance(scenes, Variants):
@@ -79,7 +79,7 @@ def groups_of(scenes: Any) -> list[Group]:
 
 
 def _of_scenes(scenes: Sequence[Scene], places: list[int]) -> Group:
-    """Leaves that are the same in all members are shared, the others stacked."""
+    """A group in which leaves that are equal in all variants are shared, and the others stacked."""
     columns = list(zip(*(jax.tree.leaves(scenes[i].unnamed()) for i in places), strict=True))
     which, rows = [], []
     for k, column in enumerate(columns):
@@ -89,7 +89,7 @@ def _of_scenes(scenes: Sequence[Scene], places: list[int]) -> Group:
         if not all(np.array_equal(a, values[0]) for a in values):
             which.append(k)
             rows.append(np.stack(values))
-    if not which:  # all members equal: some array has to carry their number
+    if not which:  # all variants are equal: one array must carry their number
         k = next(k for k, column in enumerate(columns) if eqx.is_array(column[0]))
         which, rows = [k], [np.stack([np.asarray(a) for a in columns[k]])]
     names = [scenes[i].name for i in places]

@@ -1,6 +1,6 @@
-"""Ways to take one step, one file each. Each is a value with its options, and declares its order.
+"""Time integrators, one per file.
 
-The command line and files write them as "newmark:rho=0.8" or "diffrax:Kvaerno5:rtol=1e-9".
+Their text on the command line and in files is like "newmark:rho=0.8" or "diffrax:Kvaerno5:rtol=1e-9".
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ __all__ = [
 
 
 def integrator_from_text(text: str) -> Integrator:
-    """The integrator of that name, with its options.
+    """Parses an integrator's name and options.
 
     Raises:
-        InputError: no such integrator or option, or an option's value that cannot be.
+        InputError: there is no such integrator or option, or the value of an option is invalid.
     """
     name, _, rest = text.partition(":")
     if name == Diffrax.name:

@@ -1,16 +1,16 @@
-r"""The linearly implicit step of second order: backward differences over two steps, one force evaluation.
+r"""Linearly implicit BDF2: backward differences over two steps, of second order, with one force evaluation per step.
 
 With d the displacement over a step and D the change of velocity,
 
     d_end = d / 3 + (2 h / 3) v_end,        D_end = D / 3 + (2 h / 3) M^-1 F(q_end, v_end, t_end)
 
-(the first step, with no past, is d_end = h v_end, D_end = h M^-1 F_end) is the backward differentiation formula BDF2,
-in rotations up to terms of third order. Forces are evaluated where the step would end if the velocity changed as it did
-over the last one, and every stiff term is linearised from there (`pftwin.dynamics.integrators.implicit_solve`). What
-that leaves out, the turning of forces and of the body, is of third order in the step, so one Newton iteration is
-enough, and the step costs what `linear_implicit` costs. After an impact the past is no guide: a third of the change of
-velocity would go on into the next step and make energy of nothing. Where the change of velocity has changed by more
-than half of itself and by more than `ROUGH` allows, the next step starts afresh. Source of the formula: Curtiss &
+(the first step, without a previous one, is d_end = h v_end, D_end = h M^-1 F_end) is the backward differentiation
+formula BDF2, for rotations up to terms of third order. Forces are evaluated where the step would end if the velocity
+changed as in the last step, and every stiff term is linearised there (`pftwin.dynamics.integrators.implicit_solve`).
+The neglected rotation of forces and body is of third order in the step. So one Newton iteration is enough, and a step
+costs as much as with `linear_implicit`. After an impact the last step is no guide: a third of its change of velocity
+would continue into the next step and create energy. So if the change of velocity differs from the last one by more than
+half of itself and by more than `ROUGH` allows, the next step is a first step. Source of the formula: Curtiss &
 Hirschfelder 1952, PNAS 38:235; Hairer & Wanner, Solving Ordinary Differential Equations II, V.1.
 """
 
@@ -29,26 +29,26 @@ from pftwin.dynamics.integrators.implicit_solve import Span, change_of_velocity,
 from pftwin.dynamics.state import Guide, GuideAt, State, System, displaced_state, gyroscopic
 from pftwin.dynamics.static_load import LEVER
 
-ROUGH = 20.0  # change of the acceleration between two steps above which it may be that of an impact [m/s^2]
+ROUGH = 20.0  # change of the acceleration between two steps above which it may be due to an impact [m/s^2]
 
 
 class LastStep(NamedTuple):
-    """What BDF2 carries: the last step."""
+    """What BDF2 carries from step to step: the last step."""
 
-    displacement: Twist  # d: displacement [m], turn [rad]
-    change: Twist  # D: of the velocities
-    share: Scalar  # of the last step in the next: 1/3; 0 at the first and after an impact
+    displacement: Twist  # d: translation [m], rotation [rad]
+    change: Twist  # D: change of the velocities
+    share: Scalar  # weight of the last step in the next: 1/3; 0 for the first and after an impact
 
 
 @dataclass(frozen=True)
 class BDF2(Integrator):
-    """The linearly implicit step of order two: see above."""
+    """Linearly implicit BDF2, of second order: see the module `pftwin.dynamics.integrators.bdf2`."""
 
     name: ClassVar[str] = "linear_implicit_bdf2"
     order: ClassVar[int] = 2
 
     def begin(self, system: System, state: State, guide: Guide, step: Scalar) -> State:
-        """The state without a past."""
+        """See `Integrator`: there is no previous step."""
         zero = jnp.zeros_like(state.position.x)
         nothing = Twist(Vec3(zero, zero, zero), Vec3(zero, zero, zero))
         return with_carried(state, LastStep(nothing, nothing, zero))
@@ -64,7 +64,7 @@ class BDF2(Integrator):
             there = guide_at(1.0).instant(ahead.patella(), step, step, displacement_gain=span, twist=now)
             loads, memories = system.loads(there, state.memories)
         with jax.named_scope("implicit_solve"):
-            # What the expected velocity is more than the formula's share of the past has to be taken back.
+            # Subtracts the part of the expected velocity beyond the formula's weight of the last step.
             more, i = last.change.times(3 * last.share * (1 - last.share) / span), system.inertia
             turning = Vec3(i.x * more.angular.x, i.y * more.angular.y, i.z * more.angular.z)
             inertial = Wrench(-system.mass * more.linear, gyroscopic(i, expected.angular) - turning)
@@ -84,7 +84,7 @@ class BDF2(Integrator):
 
 
 def _impact(change: Twist, last: Twist, step: Scalar) -> Scalar:
-    """Whether the velocity has changed quite otherwise than in the step before."""
+    """Whether the change of velocity differs so much from that of the last step that it may be due to an impact."""
     jump = _squared(change.plus(-1.0, last))
     return (jump > 0.25 * _squared(change)) & (jump > (ROUGH * step) ** 2)
 

@@ -1,8 +1,8 @@
-"""Any Runge-Kutta solver of diffrax, explicit or implicit, as a step: what high accuracy is measured against.
+"""Runge-Kutta solvers of diffrax, explicit or implicit, as integrators: a reference for high accuracy.
 
-Between two looks of the effects' memories (the steps of `dt`) the equations of motion are an ordinary differential
-equation, solved to a tolerance with steps of the solver's own choosing, or in one step of constant length. The state is
-one array of 13 numbers: an implicit solver then differentiates one function of one array, not a thousand scalars.
+Between two updates of the effects' memories (the steps of `dt`) the equations of motion are an ordinary differential
+equation. The solver integrates it to a tolerance with adaptive steps, or in one step of constant length. The state is
+one array of 13 numbers, so that an implicit solver differentiates one function of one array, not of many scalars.
 Source: Kidger 2021, On Neural Differential Equations, section 5; diffrax's documentation for each solver.
 """
 
@@ -24,23 +24,23 @@ from pftwin.dynamics.state import Guide, GuideAt, State, System, acceleration
 if TYPE_CHECKING:
     import diffrax
 
-MOST_STEPS = 4096  # of the solver, within one step of `dt`
+MOST_STEPS = 4096  # largest number of the solver's steps within one step of `dt`
 ADJOINTS = {"forward": "ForwardMode", "recursive": "RecursiveCheckpointAdjoint", "direct": "DirectAdjoint"}
-FIRST = 0.1  # the solver's first step, as a share of the first step of `dt`
+FIRST = 0.1  # the solver's first step, as a fraction of `dt`
 
 
 class DiffraxStep(NamedTuple):
-    """What a solver of diffrax carries from step to step."""
+    """What `Diffrax` carries from step to step."""
 
-    pace: Scalar  # the solver's mean step in the last one [s]
-    residual: Scalar  # 1 where the solver gave up
+    pace: Scalar  # mean step of the solver within the last step of `dt` [s]
+    residual: Scalar  # 1 if the solver failed
 
 
 def solver_named(name: str) -> diffrax.AbstractRungeKutta:
-    """diffrax's solver of that name.
+    """The solver of diffrax named `name`.
 
     Raises:
-        InputError: none, or one that does not solve ordinary differential equations by itself.
+        InputError: there is no such solver, or it does not solve ordinary differential equations on its own.
     """
     import diffrax
 
@@ -60,16 +60,16 @@ def _usable(found: Any) -> bool:
 
 @dataclass(frozen=True)
 class Diffrax(Integrator):
-    """A Runge-Kutta solver of diffrax, in steps of its own choosing or of constant length: see above.
+    """A Runge-Kutta solver of diffrax, with adaptive or constant steps.
 
     Args:
-        solver: diffrax's name of it, such as "Tsit5".
-        rtol, atol: tolerances of the error in each of the solver's steps, in metres, quaternions and their rates.
-        adaptive: whether the solver chooses its steps; else it takes one of the whole length.
-        adjoint: diffrax's way to differentiate: "forward", for reverse mode "recursive" (checkpoints) or "direct".
+        solver: its name in diffrax, such as "Tsit5".
+        rtol, atol: tolerances of the error of each of the solver's steps, in metres, quaternions and their rates.
+        adaptive: whether the solver adapts its steps; else it takes one per step of `dt`.
+        adjoint: diffrax's method of differentiation: "forward"; for reverse mode "recursive" (checkpoints) or "direct".
 
     Raises:
-        InputError: no such solver or way to differentiate; a tolerance that is not above 0.
+        InputError: there is no such solver or method of differentiation, or a tolerance is not positive.
     """
 
     solver: str
@@ -90,19 +90,19 @@ class Diffrax(Integrator):
 
     @property
     def order(self) -> int:
-        """The solver's."""
+        """Order of the solver."""
         order = solver_named(self.solver).order(None)  # pyright: ignore[reportArgumentType]
         assert order is not None
         return order
 
     @property
     def text(self) -> str:
-        """ "diffrax:Tsit5", with the options that are not the default ones."""
+        """Its text, such as "diffrax:Tsit5", with options that differ from the defaults."""
         options = super().text.removeprefix(f"{self.name}:").removeprefix(f"solver={self.solver}").removeprefix(",")
         return ":".join(part for part in (self.name, self.solver, options) if part)
 
     def begin(self, system: System, state: State, guide: Guide, step: Scalar) -> State:
-        """The state with a first guess of the solver's own step."""
+        """See `Integrator`: an initial guess of the solver's step."""
         return with_carried(state, DiffraxStep(FIRST * step, jnp.zeros_like(step)))
 
     def advance(self, system: System, state: State, guide_at: GuideAt, step: Scalar, ledger: Books = None) -> Carry:
@@ -131,7 +131,7 @@ class Diffrax(Integrator):
         controller = diffrax.ConstantStepSize()
         if self.adaptive:
             controller = diffrax.PIDController(rtol=self.rtol, atol=self.atol)
-        # Once it has given up there is no state to go on from: the rest of the motion is not known, and costs nothing.
+        # After a failure there is no state to continue from: the rest of the motion is unknown, and is not computed.
         known = jnp.isfinite(state.position.x)
         found = diffrax.diffeqsolve(
             diffrax.ODETerm(slope),  # pyright: ignore[reportArgumentType]
@@ -161,7 +161,7 @@ class Diffrax(Integrator):
 
 
 def _state(y: Array, like: State) -> State:
-    """The state that an array stands for; what is remembered is as in another."""
+    """The state from an array (13 or more,), with the memories of `like`."""
     turn = Quaternion.from_array(y[3:7]).normalised()
     velocity, spin = Vec3.from_array(y[7:10]), Vec3.from_array(y[10:13])
     return State(Vec3.from_array(y[:3]), turn, velocity, spin, like.memories, like.carried)

@@ -1,16 +1,16 @@
-"""The change of velocity over a step under forces that depend on it, and the impulses of those forces.
+"""Solver for the change of velocity over a step under forces that depend on it, and for the impulses of those forces.
 
-With M the mass matrix (plus whatever acts like mass), R the impulse of the constant forces, and terms along wrench
+With M the mass matrix (plus terms that act like mass), R the impulse of the constant forces, and terms along wrench
 directions g_i whose impulses decrease with the change of velocity,
 
     M dv = R + sum_i g_i p_i,        p_i = P_i - w_i g_i . dv,        p_i >= 0 where the term is unilateral,
 
-the p_i are eliminated first: (I + W G^T M^-1 G) p = P - W G^T M^-1 R, as many rows as there are terms, by elimination
-without pivoting (all leading minors are at least 1, since W >= 0 and M is positive definite). Bilateral terms come
-first, so that only the small rest is solved again when a unilateral term that would pull is taken out.
+the p_i are solved for first: (I + W G^T M^-1 G) p = P - W G^T M^-1 R, with one row per term, by elimination without
+pivoting (all leading minors are at least 1, since W >= 0 and M is positive definite). Bilateral terms come first, so
+that only the small remainder is solved again when unilateral terms that would pull are removed.
 
-Derivatives pass through the solution, not the algorithm: differentiated at the solution, both equations are the same
-system with other right-hand sides, whose solution costs a fraction of differentiating the elimination.
+Derivatives are those of the solution, not of the algorithm: differentiated at the solution, both equations are the same
+system with other right-hand sides, which costs a fraction of differentiating the elimination.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ Row = Sequence[Scalar]  # six components: force in world axes, moment in patella
 
 
 class ConstraintRow(NamedTuple):
-    """One scalar force's part in a step."""
+    """Impulse of one scalar force in a step."""
 
     direction: Row  # g
     impulse: Scalar  # P: step times the force at unchanged velocity [N s]
-    weight: Scalar  # w: what the impulse loses per unit of g . dv, at least 0 [kg]
+    weight: Scalar  # w: decrease of the impulse per unit of g . dv, at least 0 [kg]
     unilateral: bool
 
 
@@ -42,8 +42,8 @@ class _Eliminated(NamedTuple):
     swept: Sequence[Row]  # M^-1 g_i
     low: Lower | None  # M's factor, None where it is diagonal
     inverse: Row
-    rows: list[list[Scalar]]  # row i: multipliers left of its first free column, the eliminated matrix from there on
-    pivots: list[Scalar]  # inverse, of the bilateral rows
+    rows: list[list[Scalar]]  # row i: multipliers left of its first free column, then the eliminated matrix
+    pivots: list[Scalar]  # inverse pivots of the bilateral rows
     n_bilateral: int
 
 
@@ -83,7 +83,7 @@ def _eliminate(mass: Row | Lower, pushes: Sequence[ConstraintRow]) -> _Eliminate
 
 
 def _free(e: _Eliminated, active: list[Scalar] | None, t: list[Scalar]) -> list[Scalar]:
-    """Impulses of the unilateral terms, those of inactive ones zero, by Gaussian elimination."""
+    """Impulses of the unilateral terms by Gaussian elimination; zero for inactive terms."""
     n, m = len(t), e.n_bilateral
     a = [[e.rows[m + i][m + j] for j in range(n)] for i in range(n)]
     if active is not None:
@@ -98,7 +98,7 @@ def _free(e: _Eliminated, active: list[Scalar] | None, t: list[Scalar]) -> list[
 def _impulses(
     e: _Eliminated, pushes: Sequence[ConstraintRow], rest: Row, given: Row, active: list[Scalar] | None
 ) -> tuple[list[Scalar], list[Scalar], list[Scalar] | None]:
-    """dv and p for right-hand sides R = `rest`, P = `given`; which unilateral terms push is found if not told."""
+    """dv and p for right-hand sides R = `rest`, P = `given`, and which unilateral terms push (computed if None)."""
     m = e.n_bilateral
     dv = _by_mass(e.low, e.inverse, rest)
     t = [x - p.weight * _dot(p.direction, dv) for p, x in zip(pushes, given, strict=True)]
@@ -120,11 +120,11 @@ def _impulses(
 
 @eqx.filter_custom_jvp
 def end_of_step(mass: Row | Lower, pushes: Sequence[ConstraintRow], rest: Row) -> tuple[list[Scalar], list[Scalar]]:
-    """The change of velocity and every term's impulse.
+    """Returns the change of velocity (six components) and the impulse of every term.
 
     Args:
-        mass: M, its diagonal or its lower triangle.
-        pushes: bilateral terms first.
+        mass: M, as its diagonal or its lower triangle.
+        pushes: the terms, bilateral ones first.
         rest: R [N s, N m s].
     """
     dv, p, _ = _impulses(_eliminate(mass, pushes), pushes, rest, [x.impulse for x in pushes], None)
@@ -133,7 +133,7 @@ def end_of_step(mass: Row | Lower, pushes: Sequence[ConstraintRow], rest: Row) -
 
 @end_of_step.def_jvp
 def _end_of_step_jvp(primals: Any, tangents: Any) -> tuple[Any, Any]:
-    """M d(dv) = dR - dM dv + sum dg_i p_i + sum g_i dp_i, and likewise for p: the same system again."""
+    """M d(dv) = dR - dM dv + sum dg_i p_i + sum g_i dp_i, and likewise for p: the same system."""
     mass, pushes, rest = primals
     d_mass, d_pushes, d_rest = tangents
     e = _eliminate(mass, pushes)

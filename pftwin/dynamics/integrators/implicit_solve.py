@@ -1,9 +1,9 @@
-"""The change of velocity over an implicit step under forces that are linearised in it.
+"""Change of velocity over an implicit step, with forces linearised in it.
 
-Each stiff term is f_end = f - (r k + c) g . dv along its wrench direction g, with r the displacement at the step's end
-per change of velocity. With forces acting for a time h this gives one symmetric positive definite 6 x 6 system, which
-is solved for the end forces first (`pftwin.dynamics.integrators.end_of_step`), leaving out contacts that would end up
-pulling. See docs/physics.md.
+Each stiff term is f_end = f - (r k + c) g . dv along its wrench direction g, with r the displacement at the end of the
+step per change of velocity. With forces acting for a time h this gives one symmetric positive definite 6 x 6 system,
+which is solved for the end forces first (`pftwin.dynamics.integrators.end_of_step`), without contacts that would pull
+at the end. See docs/physics.md.
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ from pftwin.model.effects.base import Load, StiffTerm
 
 SPAN = 0.07  # typical length of a line of force [m]
 LEVER = 0.02  # typical arm of a force on the patella [m]
-FEW = 4  # up to this many two-sided terms, a system with one row per term is smaller than the 6 x 6 one
+FEW = 4  # up to this many bilateral terms, a system with one row per term is smaller than the 6 x 6 one
 
 
 class Span(NamedTuple):
-    """How long forces act, and the displacement that a change of velocity causes."""
+    """Time for which forces act, and displacement per change of velocity."""
 
-    impulse: Scalar  # an end force's time in the change of velocity [s]
-    displacement_gain: Scalar  # displacement at the step's end per change of velocity [s]
+    impulse: Scalar  # impulse per end force [s]
+    displacement_gain: Scalar  # displacement at the end of the step per change of velocity [s]
 
 
 def change_of_velocity(system: System, inertial: Wrench, loads: list[Load], span: Span) -> list[Scalar]:
-    """Six components, world axes, then patella axes, under inertial forces and the loads at unchanged velocity."""
+    """Change of linear (world axes) and angular velocity (patella axes) from inertial forces and predicted loads."""
     step = span.impulse
     right = six(inertial.force, inertial.moment)
     for load in loads:
@@ -42,22 +42,22 @@ def change_of_velocity(system: System, inertial: Wrench, loads: list[Load], span
     right = [step * a for a in right]
     diagonal = _diagonal(system, loads, span)
     terms = [term for load in loads for term in load.stiff]
-    two_sided = [t for t in terms if not t.unilateral]
+    bilateral = [t for t in terms if not t.unilateral]
     beds = [load.bed for load in loads if load.bed is not None]
-    if beds or any(jnp.ndim(t.force) for t in terms) or len(two_sided) > FEW:
+    if beds or any(jnp.ndim(t.force) for t in terms) or len(bilateral) > FEW:
         mass: Lower = [[jnp.zeros_like(step)] * i + [d] for i, d in enumerate(diagonal)]
         for bed in beds:
             more = step * bed.slope(span.displacement_gain)
             mass = [[a + more[i, j] for j, a in enumerate(row)] for i, row in enumerate(mass)]
             right = [a + step * bed.force[i] for i, a in enumerate(right)]
-        for term in two_sided:
+        for term in bilateral:
             mass, right = _with_term(mass, right, term, span)
-        two_sided = []
+        bilateral = []
     else:
         mass = diagonal  # type: ignore[assignment]
     pushes = [
         ConstraintRow(six(t.direction, t.moment), step * t.force, _weight(t, span), t.unilateral)
-        for t in (*two_sided, *(t for t in terms if t.unilateral))
+        for t in (*bilateral, *(t for t in terms if t.unilateral))
     ]
     return end_of_step(mass, pushes, right)[0]
 
@@ -67,7 +67,7 @@ def _weight(term: StiffTerm, span: Span) -> Scalar:
 
 
 def load_at_end(load: Load, dv: list[Scalar], displacement_gain: Scalar) -> Load:
-    """The load at the end of the step, with the forces that the solve has used."""
+    """The load at the end of the step, with its linearised forces at the change of velocity dv."""
     load = load._replace(stiff=tuple(_at_end(term, dv, displacement_gain) for term in load.stiff))
     if load.bed is None:
         return load
@@ -87,11 +87,11 @@ def _at_end(term: StiffTerm, dv: list[Scalar], displacement_gain: Scalar) -> Sti
 
 
 def _diagonal(system: System, loads: list[Load], span: Span) -> list[Scalar]:
-    """Mass and moments of inertia, the drags' contribution, and that of the turning of forces, times h r.
+    """Mass and moments of inertia, plus the contributions of drags and of the rotation of forces.
 
-    A force f that turns with the body acts as a spring across its own direction: about f / SPAN against displacement,
-    f LEVER against rotation. Its rough size is enough: the order of the step does not depend on it, and it keeps large
-    steps stable. A contact that would pull at the predicted pose is left out, since a negative contribution could make
+    A force f that rotates with the body acts as a spring transverse to its direction: about f / SPAN against
+    displacement, and f LEVER against rotation, times h r. An estimate is enough: it keeps large steps stable, and does
+    not affect the order of the step. Contacts that would pull at the predicted pose are omitted, since they could make
     the mass negative.
     """
     terms = [term for load in loads for term in load.stiff]

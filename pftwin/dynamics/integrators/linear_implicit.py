@@ -1,6 +1,6 @@
-r"""The linearly implicit step: one force evaluation, every stiff direction of every effect treated implicitly.
+r"""Linearly implicit Euler: one force evaluation per step, with every stiff term of every effect implicit.
 
-Forces are evaluated where the step would end at the present velocity. From there every stiff term is linearised in the
+Forces are evaluated where the step would end at the present velocity, and every stiff term is linearised there in the
 change of velocity (`pftwin.dynamics.integrators.implicit_solve`): one Newton iteration of backward Euler. See
 docs/physics.md.
 """
@@ -20,7 +20,7 @@ from pftwin.dynamics.state import GuideAt, State, System, advance, gyroscopic
 
 @dataclass(frozen=True)
 class LinearImplicit(Integrator):
-    """The linearly implicit step of order one: see above."""
+    """Linearly implicit Euler, of first order: see the module `pftwin.dynamics.integrators.linear_implicit`."""
 
     name: ClassVar[str] = "linear_implicit"
     order: ClassVar[int] = 1

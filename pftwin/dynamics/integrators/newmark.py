@@ -1,16 +1,17 @@
-r"""Implicit Newmark steps on the group of rigid motions, with the generalised-alpha method's damping as an option.
+r"""Implicit Newmark and generalised-alpha methods on the group of rigid motions.
 
-With a the algorithmic accelerations, A those that the forces give, and d the step's displacement (a translation in the
-world, a rotation in the patella),
+With a the algorithmic accelerations, A those from the forces, and d the displacement of the step (translation in world
+axes, rotation in patella axes),
 
     d = h v + h^2 ((1/2 - beta) a + beta a_end),            q_end = q exp(d)
     v_end = v + h ((1 - gamma) a + gamma a_end)
     (1 - alpha_m) a_end + alpha_m a = (1 - alpha_f) A_end + alpha_f A,      M A_end = F(q_end, v_end, t_end)
 
-solved for v_end by Newton's iteration, whose tangent comes from the stiff terms' slopes (`implicit_solve`): nothing is
-differentiated, and a scene compiles as for two evaluations of its forces. gamma = 1/2, beta = 1/4 and no alphas: the
-average acceleration, order two, no damping. Source: Newmark 1959, J Eng Mech Div 85:67; Chung & Hulbert 1993, J Appl
-Mech 60:371; on groups: Bruels & Cardona 2010, J Comput Nonlinear Dyn 5:031002.
+is solved for v_end by a Newton iteration whose tangent consists of the derivatives of the stiff terms
+(`implicit_solve`): nothing is differentiated, and a scene compiles as fast as two evaluations of its forces.
+gamma = 1/2, beta = 1/4 and no alphas is the average acceleration method, of order two and without damping. Source:
+Newmark 1959, J Eng Mech Div 85:67; Chung & Hulbert 1993, J Appl Mech 60:371; on groups: Bruels & Cardona 2010, J Comput
+Nonlinear Dyn 5:031002.
 """
 
 from __future__ import annotations
@@ -32,8 +33,8 @@ from pftwin.dynamics.static_load import LEVER
 from pftwin.model.effects.base import Load
 
 MOST_ITERATIONS = 20
-# Last change of the velocity at a step's end [m/s]. The iteration converges linearly: with 1e-9 the
-# differences of two runs were 3 % off by a contact's stiffness, and 1e-11 takes a twentieth more time.
+# Largest last change of the velocity of a converged step [m/s]. The iteration converges linearly: with 1e-9, finite
+# differences of runs with respect to a contact's stiffness had an error of 3 %; 1e-11 takes 5 % more time.
 SETTLED = {"float64": 1e-11, "float32": 1e-4}
 
 
@@ -42,11 +43,11 @@ class NewmarkStep(NamedTuple):
 
     algorithmic: Twist  # a
     actual: Twist  # A
-    residual: Scalar  # last change of the velocity, where it has not become small [m/s]
+    residual: Scalar  # last change of the velocity if the iteration has not converged, else 0 [m/s]
 
 
 class Weights(NamedTuple):
-    """The method."""
+    """Parameters of the method."""
 
     gamma: float
     beta: float
@@ -55,7 +56,7 @@ class Weights(NamedTuple):
 
 
 class _Step(NamedTuple):
-    """What is known at the start of a step."""
+    """Inputs of a step."""
 
     system: System
     state: State
@@ -63,7 +64,7 @@ class _Step(NamedTuple):
     length: Scalar  # h
 
     def end(self, velocity: Twist, w: Weights) -> tuple[State, Twist, Twist]:
-        """The end state for an end velocity, its algorithmic acceleration, and the one that forces must cause."""
+        """The end state for an end velocity, its algorithmic acceleration, and the one required from the forces."""
         carried, h = self.state.carried, self.length
         start = Twist(self.state.velocity, self.state.spin)
         a = velocity.plus(-1.0, start).plus(-h * (1 - w.gamma), carried.algorithmic).times(1 / (w.gamma * h))
@@ -75,7 +76,7 @@ class _Step(NamedTuple):
         return displaced_state(self.state, displacement, velocity), a, needed
 
     def unbalanced(self, velocity: Twist, w: Weights) -> tuple[Wrench, list[Load], tuple[Any, ...]]:
-        """Inertial forces at a velocity's end, the loads there, and the memories that they leave."""
+        """Inertial forces for an end velocity, the loads there, and the memories after them."""
         after, _, needed = self.end(velocity, w)
         loads, memories = self.system.loads(self.guide.instant(after.patella(), self.length), after.memories)
         i, about = self.system.inertia, needed.angular
@@ -86,15 +87,15 @@ class _Step(NamedTuple):
 
 @dataclass(frozen=True)
 class Newmark(Integrator):
-    """Newmark's method, iterated: see above.
+    """Newmark's method with iteration, optionally generalised-alpha.
 
     Args:
-        gamma, beta: its weights; by default 1/2 and the beta that goes with gamma, (gamma + 1/2)^2 / 4.
-        rho: instead of both, the generalised-alpha method whose highest frequencies shrink to rho in each step: from 0
-            (most damping) to 1 (none).
+        gamma, beta: its parameters; by default 1/2 and (gamma + 1/2)^2 / 4.
+        rho: instead of both, the spectral radius at infinite frequency of the generalised-alpha method, from 0 (most
+            damping) to 1 (none).
 
     Raises:
-        InputError: weights that are not stable at any step, a rho outside 0 to 1, or both kinds.
+        InputError: the method is not unconditionally stable, `rho` is not in [0, 1], or both kinds are given.
     """
 
     gamma: float | None = None
@@ -118,7 +119,7 @@ class Newmark(Integrator):
 
     @property
     def weights(self) -> Weights:
-        """The method's weights."""
+        """Parameters of the method."""
         if self.rho is not None:
             alpha_m, alpha_f = (2 * self.rho - 1) / (self.rho + 1), self.rho / (self.rho + 1)
             gamma = 0.5 - alpha_m + alpha_f
@@ -128,11 +129,11 @@ class Newmark(Integrator):
 
     @property
     def order(self) -> int:
-        """2, but 1 with a gamma above 1/2."""
+        """Order 2, or 1 if gamma is above 1/2 without `rho`."""
         return 2 if self.rho is not None or self.weights.gamma == 0.5 else 1
 
     def begin(self, system: System, state: State, guide: Guide, step: Scalar) -> State:
-        """The state with its own accelerations."""
+        """See `Integrator`: the initial accelerations."""
         loads, _ = system.loads(guide.instant(state.patella(), 0.0), state.memories)
         now = acceleration(system, state.spin, loads)
         return with_carried(state, NewmarkStep(now, now, jnp.zeros_like(now.linear.x)))
@@ -155,7 +156,7 @@ class Newmark(Integrator):
 
 @eqx.filter_custom_jvp
 def _solved(given: _Step, w: Weights) -> tuple[Twist, Scalar]:
-    """The velocity at the step's end, and its last change where that has not become small."""
+    """Velocity at the end of the step, and its last change if the iteration has not converged, else 0."""
     impulse, settled = w.gamma * (1 - w.alpha_f) / (1 - w.alpha_m), SETTLED[str(given.length.dtype)]
     span = Span(impulse * given.length, (w.beta / w.gamma) * given.length)
     carried = given.state.carried
@@ -180,7 +181,7 @@ def _solved(given: _Step, w: Weights) -> tuple[Twist, Scalar]:
 
 @_solved.def_jvp
 def _solved_jvp(primals: Any, tangents: Any) -> tuple[Any, Any]:
-    """At the solution r(v, p) = 0, so dv = -(dr/dv)^-1 (dr/dp) dp: exact, whatever tangent the iteration used."""
+    """At the solution r(v, p) = 0, so dv = -(dr/dv)^-1 (dr/dp) dp: exact, unlike the iteration's tangent."""
     given, w = primals
     velocity, residual_left = _solved(given, w)
 

@@ -1,9 +1,9 @@
-"""Symplectic (semi-implicit) Euler: forces at the start of the step, positions with the new velocity; order one.
+"""Symplectic (semi-implicit) Euler: forces at the start of the step, positions from the new velocity; order one.
 
-Explicit: stable while the step is short against every vibration (about 0.3 ms for a contact of 2e8 N/m^1.5). A mass m
-on a spring k with a damper c stays bounded while h^2 k + 2 h c < 4 m (Schur and Cohn's conditions on the step's
-matrix). Beyond that a contact does not blow up, since it cannot pull: it chatters, its energy stays small, and changes
-of a parameter grow by powers of ten within a frame. So the step itself tells.
+As an explicit method it is stable only for steps that are short compared with every vibration (about 0.3 ms for a
+contact of 2e8 N/m^1.5). A mass m on a spring k with a damper c stays bounded for h^2 k + 2 h c < 4 m (Schur-Cohn
+conditions on the matrix of a step). Beyond that a contact does not blow up, since it cannot pull: it chatters with
+little energy, while changes of a parameter grow by powers of ten within a frame. So every step checks the limit.
 """
 
 from __future__ import annotations
@@ -20,24 +20,24 @@ from pftwin.dynamics.integrator import Books, Carry, Integrator, with_carried
 from pftwin.dynamics.state import Guide, GuideAt, State, System, advance, gyroscopic
 from pftwin.model.effects.base import Load
 
-LIMIT = 4.0  # of (h^2 k + 2 h c) / m
+LIMIT = 4.0  # stability limit of (h^2 k + 2 h c) / m
 
 
 class EulerStep(NamedTuple):
-    """What symplectic Euler carries: what its last step tells."""
+    """What symplectic Euler carries: the diagnostics of its last step."""
 
-    residual: Scalar  # by how much the step is beyond the limit of stability, as a share of it; else 0
+    residual: Scalar  # relative excess over the stability limit, else 0
 
 
 @dataclass(frozen=True)
 class SymplecticEuler(Integrator):
-    """Explicit, of order one: see above."""
+    """Symplectic Euler, explicit and of first order: see the module `pftwin.dynamics.integrators.symplectic_euler`."""
 
     name: ClassVar[str] = "symplectic_euler"
     order: ClassVar[int] = 1
 
     def begin(self, system: System, state: State, guide: Guide, step: Scalar) -> State:
-        """The state with what the integrator tells: nothing yet."""
+        """See `Integrator`: zero residual."""
         return with_carried(state, EulerStep(jnp.zeros_like(state.position.x)))
 
     def advance(self, system: System, state: State, guide_at: GuideAt, step: Scalar, ledger: Books = None) -> Carry:
@@ -62,9 +62,9 @@ class SymplecticEuler(Integrator):
 
 
 def _stiffest(system: System, loads: list[Load], step: Scalar) -> Scalar:
-    """No more than the largest eigenvalue of A = M^-1/2 sum (h^2 k + 2 h c) g g^T M^-1/2, which is that of one term
-    alone, and of any that push the same way: |A|^2 / tr A, in Frobenius' norm."""
-    terms = stop_gradient([t for load in loads for t in load.stiff])  # what is only told is not differentiated
+    """Lower bound |A|^2 / tr A (Frobenius norm) of the largest eigenvalue of A = M^-1/2 sum (h^2 k + 2 h c) g g^T
+    M^-1/2; exact for one term, or terms with the same direction."""
+    terms = stop_gradient([t for load in loads for t in load.stiff])  # a diagnostic needs no derivatives
     mass, i, step = stop_gradient((system.mass, system.inertia, step))
     masses = [mass] * 3 + [i.x, i.y, i.z]
     square = [[jnp.zeros_like(step)] * 6 for _ in range(6)]

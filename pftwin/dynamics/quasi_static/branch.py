@@ -1,4 +1,4 @@
-"""The unknowns of a step without inertia: displacements of a pose, and the velocities that follow from them."""
+"""Unknowns of a quasi-static step: displacements of a pose, and the velocities that follow from them."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from pftwin.model.effects.base import Instant
 
 
 class Branch(NamedTuple):
-    """The pose that displacements count from, and how velocities follow from displacements."""
+    """Origin of displacements, and the relation of velocities to displacements."""
 
     system: System
-    origin: State  # d counts from here
-    guide: Guide  # at the step's end
-    step: Scalar
-    rates: Scalar  # 1 in motion, 0 where everything stands still
+    origin: State  # state relative to which d is measured
+    guide: Guide  # at the end of the step
+    step: Scalar  # [s]
+    rates: Scalar  # 1 in motion, 0 at rest
 
     def span(self) -> Scalar:
-        """The change of the displacement per change of the velocity [s]."""
+        """Derivative of the displacement with respect to the velocity [s]."""
         return (1 - self.origin.carried.share) * self.step
 
     def after(self, d: Six, past: Scalar | float = 1.0) -> State:
-        """The state displaced by d, in metres and angles * lever, with the velocity that this means.
+        """The state displaced by d [m, angles * lever], with the corresponding velocity.
 
-        Where `past` is 0, the last step's displacement counts for nothing.
+        With `past` = 0, the displacement of the last step does not enter the velocity.
         """
         displacement, share = displacement_of(d), past * self.origin.carried.share
         span = (1 - share) * self.step
@@ -40,23 +40,23 @@ class Branch(NamedTuple):
         )
 
     def instant(self, d: Six) -> Instant:
-        """What effects look at there."""
+        """The instant for effects at the displacement d."""
         return self.guide.slowed(self.rates).instant(self.after(d).patella(), self.step)
 
     def held_instant(self, d: Six, held: Scalar | float) -> Instant:
-        """The same as an implicit step sees it; where `held` is 1, contacts that open hold on as linear springs."""
+        """The same for an implicit step; with `held` = 1, opening contacts are linearised as springs that hold on."""
         patella = self.after(d, 1 - held).patella()
         twist = Twist(patella.velocity, patella.spin)
         guide = self.guide.slowed(self.rates)
         return guide.instant(patella, 0.0, held * self.step, displacement_gain=self.step, twist=twist)
 
     def residual(self, d: Six) -> Six:
-        """Unbalanced force, and moment / lever [N]."""
+        """Residual of the balance at the displacement d: force, and moment / lever [N]."""
         loads, _ = self.system.loads(self.instant(d), self.origin.memories)
         return components(sum((load.total() for load in loads), start=Wrench.zero()))
 
     def look_around(self, d: Six, held: Scalar, neighbours: bool = True) -> Surroundings:
-        """Loads at d and at its twelve neighbours; or at d alone, which has no tangent."""
+        """Loads at d and, for the tangent, at its twelve neighbours."""
 
         def instant_at(off: Six) -> Instant:
             return self.held_instant([a + b for a, b in zip(d, off, strict=True)], held)
@@ -65,15 +65,15 @@ class Branch(NamedTuple):
 
 
 def displacement_of(d: Six) -> Twist:
-    """Displacement [m] and turn [rad]."""
+    """Translation [m] and rotation [rad] of d [m, angles * lever]."""
     return Twist(Vec3(*d[:3]), (1 / LEVER) * Vec3(*d[3:]))
 
 
 def components_of(displacement: Twist) -> Six:
-    """The inverse of `displacement_of`."""
+    """Inverse of `displacement_of`."""
     return six(displacement.linear, LEVER * displacement.angular)
 
 
 def norm(a: Six) -> Scalar:
-    """Of six components."""
+    """Euclidean norm of six components."""
     return jnp.sqrt(sum((x * x for x in a[1:]), start=a[0] * a[0]))

@@ -1,14 +1,14 @@
-"""The equilibrium near a guess, by a cheap iteration first and by Newton's with the exact tangent where that fails.
+"""Solver for the equilibrium near a guess: a cheap quasi-Newton iteration, then Newton's method if that fails.
 
-The cheap iteration evaluates one pose per iterate. Its tangent is the stiff terms' own stiffness at that pose plus a
-remainder, the rest of the last exact tangent, which changes little from step to step. Once the balance is nearly
-met, one evaluation of the pose and its twelve neighbours gives the exact tangent: it tells whether the equilibrium is
-stable, removes the rest of the residual, and provides the remainder for the next step. Where the residual is not halved
-in every iteration, Newton's iteration starts again from the guess with the exact tangent at every iterate.
+The cheap iteration evaluates one pose per iterate. Its tangent is the stiffness of the stiff terms at that pose plus a
+remainder, the other part of the last exact tangent, which changes little from step to step. Once the residual is small,
+one evaluation of the pose and its twelve neighbours gives the exact tangent, which decides whether the equilibrium is
+stable, removes the rest of the residual, and provides the remainder for the next step. If an iteration does not halve
+the residual, Newton's method starts again from the guess, with the exact tangent at every iterate.
 
-Stable is an equilibrium where a disturbance dies out in a viscous medium without inertia, d' = -K d / c: where every
-eigenvalue of K has a positive real part. Where forces have a potential that is the same as definite. Those of meshes'
-contours have none: the symmetric part of their K is often indefinite, and says nothing of a fold.
+An equilibrium is stable if a disturbance decays in a viscous medium without inertia, d' = -K d / c, so if every
+eigenvalue of K has a positive real part. If forces have a potential, K is then positive definite. Those of mesh
+contours have none: the symmetric part of their K is often indefinite, and does not indicate a fold.
 """
 
 from __future__ import annotations
@@ -26,31 +26,31 @@ from pftwin.dynamics.solve import Six, inverse_with_pivots
 from pftwin.dynamics.static_load import Surroundings
 
 MOST_ITERATIONS = 20  # iterations with the exact tangent
-MOST_SINGLE = 8  # iterations that evaluate one pose
-SLOW = 0.5  # share of the residual that such an iteration may leave; beyond it the cheap iteration is abandoned
-FARTHEST = 5e-3  # an equilibrium farther than this from the predicted pose counts as another one [m]
-NEAR = 1e-5  # residual below which one more step with the remainder suffices before the exact evaluation [N]
+MOST_SINGLE = 8  # cheap iterations, which evaluate one pose
+SLOW = 0.5  # largest ratio of successive residuals in the cheap iteration; it is abandoned above
+FARTHEST = 5e-3  # an equilibrium farther than this from the predicted pose counts as a different one [m]
+NEAR = 1e-5  # residual below which one more cheap step suffices before the exact evaluation [N]
 POLISH = 1e-6  # longest last step that is taken without another evaluation [m]
-NEUTRAL = 1e-6  # of the tangent's trace: a stiffness down to minus that counts as none, neutral and not unstable
-SQUARINGS = 16  # from a factor that is 0.2 % off 1, as the slack's and the trace's own are, to one of 1e-57
+NEUTRAL = 1e-6  # fraction of the tangent's trace: a negative stiffness up to that size counts as neutral, not unstable
+SQUARINGS = 16  # reduce a factor 0.2 % below 1, as from eigenvalues of the size of slack or trace, to about 1e-57
 
 
 class Iterate(NamedTuple):
-    """A displacement and what was seen there."""
+    """State of the iteration."""
 
     d: Six
-    size: Scalar  # of the residual before the last step [N]
-    settled: Scalar  # whether that is below the tolerance
+    size: Scalar  # norm of the residual before the last step [N]
+    settled: Scalar  # whether `size` is below the tolerance
     stable: Scalar
     remainder: Array  # (6, 6) of the tangent [N/m]
     count: Scalar
     done: Scalar
-    trial: tuple[Any, ...]  # memories of the last look
+    trial: tuple[Any, ...]  # memories after the last evaluation
 
 
 def newton(branch: Branch, guess: Six, remainder: Array, allowed: Scalar) -> Iterate:
-    """The equilibrium near a guess, if there is one; `remainder` is that of a tangent nearby, tried where `allowed`."""
-    there, met = _one_by_one(branch, guess, remainder, allowed)
+    """The equilibrium near a guess, if any; the cheap iteration uses `remainder` and runs only where `allowed`."""
+    there, met = _cheap_iteration(branch, guess, remainder, allowed)
     d = [jnp.where(met, a, b) for a, b in zip(there, guess, strict=True)]
     infinite, no = jnp.full_like(branch.step, jnp.inf), jnp.array(False)
     start = Iterate(d, infinite, no, no, remainder, jnp.where(met, 1, 0), no, branch.origin.memories)
@@ -59,8 +59,8 @@ def newton(branch: Branch, guess: Six, remainder: Array, allowed: Scalar) -> Ite
     )
 
 
-def _one_by_one(branch: Branch, guess: Six, remainder: Array, allowed: Scalar) -> tuple[Six, Scalar]:
-    """Where a known remainder leads, and whether that is near a balance."""
+def _cheap_iteration(branch: Branch, guess: Six, remainder: Array, allowed: Scalar) -> tuple[Six, Scalar]:
+    """Displacement after the cheap iteration with a known remainder, and whether it nearly balances the load."""
 
     def improve(now: tuple[Six, Scalar, Scalar, Scalar]) -> tuple[Six, Scalar, Scalar, Scalar]:
         d, last, count, _ = now
@@ -70,7 +70,7 @@ def _one_by_one(branch: Branch, guess: Six, remainder: Array, allowed: Scalar) -
         size = norm(r)
         step, downhill = step_of(entries(_structured(branch, there) + remainder), r)
         better = downhill & (size < SLOW * last)
-        size = jnp.where((count == 0) | ~better, jnp.inf, size)  # held on, it is another one's
+        size = jnp.where((count == 0) | ~better, jnp.inf, size)  # with `held`, the residual is that of another problem
         d = [jnp.where(better, a + b, a) for a, b in zip(d, step, strict=True)]
         return d, size, count + 1, better & (size > NEAR) & (count < MOST_SINGLE)
 
@@ -80,7 +80,7 @@ def _one_by_one(branch: Branch, guess: Six, remainder: Array, allowed: Scalar) -
 
 
 def _improved(branch: Branch, guess: Six, at: Iterate) -> Iterate:
-    """One Newton iteration; done where its step is short and leaves less than the tolerance."""
+    """One Newton iteration with the exact tangent; done if the residual was below the tolerance, or on failure."""
     dtype = branch.step.dtype
     held = jnp.where(at.count == 0, branch.rates, 0.0)
     there = branch.look_around(at.d, held)
@@ -108,15 +108,15 @@ def _matrix(rows: list[list[Scalar]]) -> Array:
 
 
 def _structured(branch: Branch, there: Surroundings) -> Array:
-    """(6, 6): what stiff terms, beds and drags alone say of the tangent [N/m]."""
+    """(6, 6) contribution of stiff terms, foundations and drags to the tangent [N/m]."""
     return _matrix(there.convex()) + (branch.rates / branch.span()) * _matrix(there.viscosity())
 
 
 def _downhill(branch: Branch, there: Surroundings, tangent: Array, size: Scalar) -> tuple[Six, Scalar]:
-    """Newton's step where that leads downhill, and whether the tangent at rest, dashpots left out, is stable.
+    """Newton's step, and whether the tangent at rest, without dashpots, is stable.
 
-    Where the tangent is indefinite, the stiff terms' own positive semidefinite part takes its place. Both are shifted,
-    which bounds a step by `REACH` and vanishes with the residual.
+    Where the tangent is indefinite, the positive semidefinite stiffness of the stiff terms replaces it. A shift of
+    both, which vanishes with the residual, bounds a step by `REACH`.
     """
     one, r = jnp.eye(6, dtype=size.dtype), there.residual()
     at_rest = tangent - (branch.rates / branch.span()) * _matrix(there.viscosity())
@@ -127,10 +127,10 @@ def _downhill(branch: Branch, there: Surroundings, tangent: Array, size: Scalar)
 
 
 def is_stable(tangent: Array) -> Scalar:
-    """Whether a (6, 6) tangent at rest [N/m] is that of a stable or a neutral equilibrium.
+    """Whether a (6, 6) tangent at rest [N/m] belongs to a stable or neutral equilibrium.
 
-    A definite symmetric part is enough. Where it is not definite, C = (K - s) (K + s)^-1 turns eigenvalues of positive
-    real part into some below 1 in size, whose powers vanish, and the others into some above, whose powers grow.
+    A positive definite symmetric part is sufficient. Otherwise C = (K - s) (K + s)^-1 maps eigenvalues with a positive
+    real part to magnitudes below 1, whose powers vanish, and the others to magnitudes above 1, whose powers grow.
     """
     one = jnp.eye(6, dtype=tangent.dtype)
     trace = jnp.trace(tangent)
@@ -144,7 +144,7 @@ def is_stable(tangent: Array) -> Scalar:
         first = one - 2 * scale * inverse_with_pivots(power + scale * one)[0]
         return jnp.where(count == 0, first, power @ power), count + 1
 
-    # Not one round where the symmetric part is definite, as it is wherever forces have a potential.
+    # No iteration where the symmetric part is definite, as at every stable equilibrium of forces with a potential.
     most = jnp.where(definite, 0, SQUARINGS + 1)
     power, _ = jax.lax.while_loop(lambda now: now[1] < most, squared, (shifted, jnp.zeros_like(most)))
     return definite | ((trace > 0) & (jnp.max(jnp.abs(power)) < 1))

@@ -1,13 +1,13 @@
-r"""Motion without inertia: at the end of every step the forces of all effects balance, rates and all.
+r"""Quasi-static motion without inertia: the loads of all effects, damping included, balance at the end of every step.
 
 With d the displacement over a step, d_last that over the one before it and h the step,
 
     F(q exp(d), v, t_end) = 0,      v = (d - s d_last) / ((1 - s) h)
 
-is solved for d by Newton's iteration, started from d_last (continuation). s = 1/3 makes v the backward difference of
-second order (BDF2); the first step, and the first after a snap, has s = 0. Where no equilibrium is found nearby, or one
-that is not stable at rest, the patella snaps: it goes on from where the motion has led it in a damped dynamic burst
-(`pftwin.dynamics.relaxation`), under guided bodies that stand still, until it comes to rest. See docs/physics.md.
+is solved for d by Newton's method, started from d_last (continuation). s = 1/3 makes v the backward difference of
+second order (BDF2); the first step, and the first after a snap, has s = 0. If there is no equilibrium nearby, or it is
+not stable at rest, the patella snaps: a damped dynamic burst (`pftwin.dynamics.relaxation`) moves it from the
+extrapolated pose, with guided bodies at rest, until it comes to rest. See docs/physics.md.
 """
 
 from __future__ import annotations
@@ -30,31 +30,31 @@ from pftwin.dynamics.relaxation import come_to_rest
 from pftwin.dynamics.solve import Six, changed_by, solution_changes, tangent_of
 from pftwin.dynamics.state import Guide, GuideAt, State, System, displaced_state
 
-LEAST_HELD = 1e-9  # stiffness of every direction, for derivatives alone [N/m]
+LEAST_HELD = 1e-9  # stiffness added to every direction, for derivatives only [N/m]
 
 
 class QuasiStaticStep(NamedTuple):
-    """What a motion without inertia carries from step to step."""
+    """What the quasi-static integrator carries from step to step."""
 
     displacement: Twist  # d_last
     share: Scalar  # s of the next step
     remainder: Array  # (6, 6) of the last tangent [N/m]: see `newton`
-    snaps: Scalar  # since the start
-    residual: Scalar  # what is left of the balance where it is not met [N]
+    snaps: Scalar  # number since the start
+    residual: Scalar  # norm of the residual if above the tolerance, else 0 [N]
 
 
 class NextEquilibrium(NamedTuple):
-    """A solution."""
+    """Solution of a step."""
 
-    d: Six  # from the state's pose, or after a snap from the place where the burst ended
-    place: State  # where that was
+    d: Six  # displacement from the state's pose or, after a snap, from the end of the burst
+    place: State  # end of the burst
     snapped: Scalar  # 1 after a snap
     residual: Scalar
     remainder: Array  # (6, 6) of the tangent there [N/m]
-    trial: tuple[Any, ...]  # memories of the last look
+    trial: tuple[Any, ...]  # memories after the last evaluation
 
     def landed(self, branch: Branch) -> Branch:
-        """The branch that it lies on."""
+        """The branch of this solution, with `d` relative to its origin."""
         origin = jax.tree.map(lambda a, b: jnp.where(self.snapped > 0, a, b), self.place, branch.origin)
         memories = branch.system.refined(origin.memories, self.trial)
         origin = eqx.tree_at(lambda s: s.memories, origin, memories)
@@ -63,7 +63,7 @@ class NextEquilibrium(NamedTuple):
 
 @eqx.filter_custom_jvp
 def solved(branch: Branch) -> NextEquilibrium:
-    """The next equilibrium: the same one further on, or where a snap from the present pose comes to rest."""
+    """The next equilibrium: the continuation of the present one or, after a snap, the one where the burst ends."""
     last = branch.origin.carried.displacement
     ahead = components_of(last)
     none = [jnp.zeros_like(a) for a in ahead]
@@ -88,11 +88,11 @@ def solved(branch: Branch) -> NextEquilibrium:
 
 @solved.def_jvp
 def _solved_jvp(primals: Any, tangents: Any) -> tuple[Any, Any]:
-    """With r(d, p) = 0: dd = -(dr/dd)^-1 (dr/dp) dp, on the branch where the solution lies."""
+    """With r(d, p) = 0: dd = -(dr/dd)^-1 (dr/dp) dp, on the branch of the solution."""
     (branch,) = primals
     found = solved(branch)
     tangent = tangent_of(lambda d: found.landed(branch).residual(d), found.d)
-    # A direction in which nothing holds the patella does not change, even where none is held.
+    # A direction without stiffness gets derivative 0, even if no direction has any.
     ridge = (RIDGE * jnp.trace(tangent) - LEAST_HELD) * jnp.eye(6, dtype=tangent.dtype)
     right = changed_by(lambda b: found.landed(b).residual(found.d), branch, tangents[0])
     none = jax.tree.map(lambda a: jnp.zeros_like(a) if eqx.is_inexact_array(a) else None, found)
@@ -100,7 +100,7 @@ def _solved_jvp(primals: Any, tangents: Any) -> tuple[Any, Any]:
 
 
 def carried_along(branch: Branch, state: State) -> Twist:
-    """The displacement over a step of a patella at rest on the moving femur."""
+    """Displacement over a step of a patella at rest relative to the moving femur."""
     femur = branch.guide.femur
     if femur is None:
         return Twist(state.velocity, state.spin).times(0.0)
@@ -109,7 +109,7 @@ def carried_along(branch: Branch, state: State) -> Twist:
 
 
 def over_a_snap(ledger: Ledger, branch: Branch, landed: list[Any]) -> Ledger:
-    """Guided bodies move first, then the patella; the stored energy that it loses becomes heat."""
+    """The ledger after a snap: guided bodies move first, then the patella, whose loss of stored energy is heat."""
     held = branch._replace(rates=jnp.zeros_like(branch.rates))
     standing = held.after([jnp.zeros_like(branch.step)] * 6)
     loads, _ = branch.system.loads(branch.guide.instant(standing.patella(), 0.0), branch.origin.memories)
@@ -121,14 +121,14 @@ def over_a_snap(ledger: Ledger, branch: Branch, landed: list[Any]) -> Ledger:
 
 @dataclass(frozen=True)
 class QuasiStatic(Integrator):
-    """Motion without inertia: see above."""
+    """Quasi-static motion without inertia: see the module `pftwin.dynamics.quasi_static.step`."""
 
     name: ClassVar[str] = "quasi_static"
     order: ClassVar[int] = 2
     inertia: ClassVar[bool] = False
 
     def begin(self, system: System, state: State, guide: Guide, step: Scalar) -> State:
-        """The state without a past; it goes on with the velocity that it has."""
+        """See `Integrator`: the first step's guess follows from the state's velocity."""
         zero = jnp.zeros_like(state.position.x)
         displacement = Twist(state.velocity, state.spin).times(step)
         return with_carried(state, QuasiStaticStep(displacement, zero, jnp.zeros((6, 6), zero.dtype), zero, zero))

@@ -90,7 +90,7 @@ def beyond(name: str, limit: float, found: str, value: float, where: str | None 
         found,
         where=where,
         expected=f"{sense} {limit:g} {_unit(name)}".rstrip() + f", which is wide enough for knees ({name})",
-        remedy=f"check values and units; if it is meant: pftwin --allow {enough}, or {enough} in the file's [limits]",
+        remedy=f"check values and units; if intended: pftwin --allow {enough}, or {enough} in the file's [limits]",
     )
 
 
@@ -114,7 +114,7 @@ def check_limits(scene: Scene, limits: Limits) -> None:
         raise InputError(
             f"found principal moments of {', '.join(f'{v:.3g}' for v in inertia)} kg m^2",
             where=f"{scene.name}: patella.inertia",
-            expected="none larger than the sum of the other two, as every body has them",
+            expected="none larger than the sum of the other two, as for every rigid body",
             remedy="check the moments, their order and units",
         )
     for found in (*_of_body(scene), *_of_effects(scene), *_of_motion(scene)):
@@ -156,7 +156,7 @@ def _of_body(scene: Scene) -> Iterator[Found]:
     mass, inertia = float(scene.patella.mass), host_array(scene.patella.inertia)
     yield Found("the patella's mass", mass, "least_mass_kg", "most_mass_kg")
     for radius in 1e3 * np.sqrt(np.sort(inertia)[[0, -1]] / mass):
-        what = "the root of the patella's moment of inertia by its mass"
+        what = "the patella's radius of gyration (square root of moment of inertia over mass)"
         yield Found(what, float(radius), "least_gyration_mm", "most_gyration_mm")
 
 

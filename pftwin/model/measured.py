@@ -90,7 +90,7 @@ class Measured:
             inside |= (self.times >= first - slack) & (self.times <= last + slack)
         weights = np.where(inside, 1.0 if self.weights is None else self.weights, 0.0)
         if not (weights > 0).any():
-            found = f"no frame that counts of {self.times[0]:g} s to {self.times[-1]:g} s"
+            found = f"no frame with a positive weight of {self.times[0]:g} s to {self.times[-1]:g} s"
             raise InputError(found, where="during", expected="spans of the recording")
         return replace(self, weights=weights)
 

@@ -146,7 +146,7 @@ def check(scene: Scene) -> None:
     names = [e.name for e in scene.effects]
     for name in names:
         if names.count(name) > 1:
-            raise InputError(f"two effects are named {name!r}", where=scene.name, remedy="give each its own name")
+            raise InputError(f"two effects are named {name!r}", where=scene.name, remedy="give them different names")
     leaves, structure = jax.tree.flatten(scene)
     values = [np.ones(0) if isinstance(a, Tracer) else np.asarray(a, dtype=float).ravel() for a in leaves]
     # Checks all values at once, since this runs before every simulation; `_refuse` then finds the wrong parameter.

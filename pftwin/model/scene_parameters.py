@@ -73,7 +73,7 @@ def _together(scene: Scene, name: str, field: str) -> NumberPlace:
     place = NumberPlace(owner, path, None, "value", together=True)
     mean = place.read(scene)
     if not place.is_coordinate(scene) and not isinstance(mean, Tracer) and float(mean) == 0:
-        raise InputError(f"{name!r}: their mean is 0", where="free", expected="numbers that have a proportion")
+        raise InputError(f"{name!r}: their mean is 0", where="free", expected="a mean other than 0")
     return place
 
 
@@ -90,7 +90,7 @@ def _tie(scene: Scene, name: str) -> NumberPlace:
     if not places[0].is_coordinate(scene):
         values = [p.read(scene) for p in places]
         if any(not isinstance(v, Tracer) and np.any(np.asarray(v) == 0) for v in values):
-            raise InputError(f"{name!r}: one of them is 0", where="free", expected="numbers that have a proportion")
+            raise InputError(f"{name!r}: one of them is 0", where="free", expected="numbers other than 0")
     return places[0]._replace(tied=tuple(places[1:]))
 
 

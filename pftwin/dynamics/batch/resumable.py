@@ -34,7 +34,7 @@ from pftwin.dynamics.batch.plan import BatchPlan, batch_features, key_of, some_o
 if TYPE_CHECKING:
     from xarray import Dataset
 
-Share = tuple[int, int]  # which of how many
+Share = tuple[int, int]  # (k, n): the k-th of n shares, k from 0
 Tell = Callable[[int, int], None]
 
 

@@ -83,7 +83,7 @@ def simulate_batch(
     Raises:
         InputError: there are no scenes, or an argument or scene is invalid; outcomes differ between scenes, or have
             names of the batch's variables; several processes have no `parts`, or different batches; `parts` contains
-            another batch. All of this is checked before simulating.
+            another batch. All of this is checked before the batch is simulated.
         OutputError: a part cannot be written.
         PftwinError: another process failed; the message contains its error.
     """

@@ -59,7 +59,7 @@ class ElasticFoundation(ButtonMesh):
         "force_lateral": Observable("N", "size of the force on the lateral facet"),
         "point_medial": Observable("m", "centre of pressure on the medial facet, femur frame"),
         "point_lateral": Observable("m", "centre of pressure on the lateral facet, femur frame"),
-        "too_deep": Observable("1", "whether a triangle is deeper than any joint bears, or than is looked for"),
+        "too_deep": Observable("1", "1 where a triangle is implausibly deep, or too deep for the search"),
     }
 
     def pressed(self, now: Instant) -> Bedded:

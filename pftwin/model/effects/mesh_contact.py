@@ -51,9 +51,9 @@ class MeshContact(ButtonMesh):
         **BY_FACET,
         "contour_area": Observable("m^2", "area that the contours of contact enclose"),
         "merged": Observable("1", "1 where the medial and the lateral contact are one, which counts as medial"),
-        "at_rim": Observable("1", "1 where a contour ends on the rim of an open mesh: what lies past it bears nothing"),
+        "at_rim": Observable("1", "1 where a contour ends on the rim of an open mesh: beyond it no load is borne"),
         "overflow": Observable("1", "1 where the search ran out of room: the contact may be wrong"),
-        "too_deep": Observable("1", "1 where a mesh is deeper inside the other than is looked for: the force is wrong"),
+        "too_deep": Observable("1", "1 where a mesh is too deep in the other for the search: the force is wrong"),
     }
 
     def contacts(self, now: Instant) -> Contacts:

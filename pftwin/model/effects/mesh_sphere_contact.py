@@ -22,7 +22,7 @@ from pftwin.model.effects.contact import BY_FACET, ButtonSphere, Contact, Touch,
 from pftwin.model.effects.contact_law import ContactLaw, Speeds
 from pftwin.model.effects.friction import Friction, WithFriction
 
-ONE, TWO = 0.02, 0.20  # in radii: nearest points up to the first apart are one contact, from the second on two contacts
+ONE, TWO = 0.02, 0.20  # distances of two nearest points, in radii: one contact below the first, two above the second
 
 
 class MeshSphereContact(ButtonSphere):

@@ -92,7 +92,7 @@ class StandardLinearSolid(eqx.Module):
         return SolidPull(tension, stiffness, self._energy(ends, after), heat, after)
 
     def _energy(self, material: Scalar, dashpot: Scalar) -> Scalar:
-        """Of both springs [J]."""
+        """Energy stored in both springs [J]."""
         return 0.5 * (self.stiffness * jnp.square(material) + self.maxwell_stiffness * jnp.square(material - dashpot))
 
 

@@ -5,8 +5,8 @@ r^p - 1 times the error of the finer run, and 1 - r^-p times that of the coarser
 the order of an integrator: for paths, p is half of its declared order, at most 1. A force jumps where a contact opens,
 so with any integrator its error at a single frame falls at best with the square root of the step: for forces, p = 1/2.
 
-Two runs can agree by chance where contacts chatter. So `pftwin.simulate` doubles a first estimate, and takes later ones
-as at least what the previous pair, of twice the steps, predicts.
+Two runs can agree by chance where contacts chatter. So `pftwin.simulate` doubles a first estimate, and raises later
+ones to at least what the previous pair, with steps twice as long, predicts.
 
 Arrays are NumPy's on the host and JAX's in a compiled program; `xp` is the module to use.
 """

@@ -1,4 +1,4 @@
-"""Command-line options for the amounts of treatments, shared by every command that takes them."""
+"""Command-line options for the amounts of treatments, shared by all commands that accept them."""
 
 from __future__ import annotations
 
@@ -22,22 +22,22 @@ if TYPE_CHECKING:
 
 
 class Amount(NamedTuple):
-    """A command-line option and the treatment's amount that it sets."""
+    """A command-line option and the amount of a treatment that it sets."""
 
     flag: str
-    former: str  # name of the option before it had the surgeon's word
-    kind: str  # of treatment
-    name: str  # of the amount
-    words: str
+    former: str  # previous name of the option, still accepted; empty if none
+    kind: str  # of treatment, a key of `KINDS`
+    name: str  # of the amount within that kind
+    words: str  # help text
     unit: str = "mm"
 
     @property
     def parameter(self) -> str:
-        """As Python spells the option."""
+        """Name of the Python parameter for this option."""
         return self.flag.removeprefix("--").replace("-", "_")
 
     def in_si(self, values: Any) -> Any:
-        """Values in its unit, in SI units."""
+        """Converts values from the option's unit to SI units."""
         from fitting.treatments import KINDS
 
         return KINDS[self.kind].amounts[self.name].from_shown(values)
@@ -45,28 +45,28 @@ class Amount(NamedTuple):
 
 _TTO, _QUADRICEPS = "tibial_tuberosity_transfer", "quadriceps_lengthening"
 _ROTATED, _MOVED = "femoral_component_rotation", "femoral_component_translation"
-_OSTEOTOMY = "Tibial tubercle osteotomy (TTO): tuberosity"
+_OSTEOTOMY = "Tibial tubercle osteotomy (TTO): move the tuberosity"
 AMOUNTS = (
     Amount("--tto-medial", "--medialise", _TTO, "medialisation", f"{_OSTEOTOMY} medially"),
     Amount("--tto-anterior", "--anteriorise", _TTO, "anteriorisation", f"{_OSTEOTOMY} anteriorly"),
     Amount("--tto-distal", "--distalise", _TTO, "distalisation", f"{_OSTEOTOMY} distally"),
-    Amount("--lengthen-tendon", "", "patellar_tendon_length_change", "lengthening", "Patellar tendon longer"),
-    Amount("--lengthen-quads", "--lengthen-quadriceps", _QUADRICEPS, "lengthening", "Quadriceps tendon longer"),
-    Amount("--trochleoplasty", "--deepen", "trochleoplasty", "deepening", "Groove deeper"),
-    Amount("--rotate-component", "", _ROTATED, "external_rotation", "Femoral component turned externally", "deg"),
-    Amount("--component-medial", "--medialise-component", _MOVED, "medialisation", "Femoral component medially"),
-    Amount("--derotate-femur", "", "femoral_derotation", "external_rotation", "Femur cut, knee externally", "deg"),
-    Amount("--button-medial", "--medialise-button", "button_position", "medialisation", "Button medially"),
-    Amount("--lateral-release", "--release", "lateral_release", "release", "Lateral strands released", "%"),
-    Amount("--tighten-mpfl", "", "mpfl_graft", "shortening", "MPFL graft shorter"),
-    Amount("--stiffen-mpfl", "", "mpfl_graft", "stiffening", "MPFL graft stiffer than the ligament", "%"),
-    Amount("--mpfl-proximal", "", "mpfl_graft", "proximalisation", "MPFL graft's femoral tunnel proximally"),
-    Amount("--mpfl-anterior", "", "mpfl_graft", "anteriorisation", "MPFL graft's femoral tunnel anteriorly"),
+    Amount("--lengthen-tendon", "", "patellar_tendon_length_change", "lengthening", "Lengthen the patellar tendon"),
+    Amount("--lengthen-quads", "--lengthen-quadriceps", _QUADRICEPS, "lengthening", "Lengthen the quadriceps tendon"),
+    Amount("--trochleoplasty", "--deepen", "trochleoplasty", "deepening", "Deepen the groove"),
+    Amount("--rotate-component", "", _ROTATED, "external_rotation", "Rotate femoral component externally", "deg"),
+    Amount("--component-medial", "--medialise-component", _MOVED, "medialisation", "Move femoral component medially"),
+    Amount("--derotate-femur", "", "femoral_derotation", "external_rotation", "Femoral derotation, externally", "deg"),
+    Amount("--button-medial", "--medialise-button", "button_position", "medialisation", "Move the button medially"),
+    Amount("--lateral-release", "--release", "lateral_release", "release", "Release the lateral strands", "%"),
+    Amount("--tighten-mpfl", "", "mpfl_graft", "shortening", "Shorten the MPFL graft"),
+    Amount("--stiffen-mpfl", "", "mpfl_graft", "stiffening", "Stiffen the MPFL graft relative to the ligament", "%"),
+    Amount("--mpfl-proximal", "", "mpfl_graft", "proximalisation", "Move the MPFL graft's femoral tunnel proximally"),
+    Amount("--mpfl-anterior", "", "mpfl_graft", "anteriorisation", "Move the MPFL graft's femoral tunnel anteriorly"),
 )
 
 
 def show_limits(written: list[str] | None) -> list[str] | None:
-    """Of an option that takes limits: where one of them is "help", lists what there is and ends the command."""
+    """Callback of options that take limits: if one is "help", lists the outcomes that take a limit and exits."""
     if "help" not in (written or ()):
         return written
     from fitting.treatments.limits import limitable
@@ -77,15 +77,19 @@ def show_limits(written: list[str] | None) -> list[str] | None:
     raise typer.Exit
 
 
-Given = list[tuple[Amount, str]]  # what the user wrote, in the order of `AMOUNTS`
+Given = list[tuple[Amount, str]]  # amounts and their values as the user wrote them, in the order of `AMOUNTS`
 
 
 def with_amounts(
     metavar: str, more: str = "", *, argument: str = "amounts", made: Callable[[Given], Any] = lambda given: given
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Gives a command an option for every amount in the place of one of its arguments, made of what the user wrote.
+    """Returns a decorator that replaces one argument of a command by an option for each amount.
 
-    Their values have the form `metavar`, and their help says `more` behind the unit.
+    Args:
+        metavar: form of the options' values, for the help.
+        more: text that follows the unit in the help.
+        argument: name of the argument that is replaced.
+        made: computes its value from the amounts that the user wrote.
     """
     options = [
         inspect.Parameter(
@@ -105,12 +109,12 @@ def with_amounts(
 
 
 def with_treatment(command: Callable[..., None]) -> Callable[..., None]:
-    """Gives `pftwin simulate`, whose argument `change` is a function from a scene to a scene, these options."""
+    """Adds the amount options to `pftwin simulate`, whose argument `change` maps a scene to the treated scene."""
     return with_amounts("VALUE", argument="change", made=lambda given: lambda scene: treated(scene, given))(command)
 
 
 def limits(text: str, option: str, unit: str) -> tuple[float, float]:
-    """The least and the most in a unit, from "0:20" or "0:2 cm"; InputError for anything else."""
+    """Parses a range such as "0:20" or "0:2 cm" into its ends, in a unit; InputError for anything else."""
     parts = amounts_in(text.split(":"), unit)
     if len(parts) != 2 or not parts[0] < parts[1]:
         raise InputError(f"found {text!r}", where=option, expected=f"FROM:TO, such as 0:20{units_in_words(unit)}")
@@ -118,14 +122,14 @@ def limits(text: str, option: str, unit: str) -> tuple[float, float]:
 
 
 def by_kind(given: list[tuple[Amount, Any]]) -> dict[str, dict[str, Any]]:
-    """What is given for amounts, by treatment and name, in the order of `AMOUNTS`; InputError if there is nothing."""
+    """Groups the given amounts by kind of treatment and name, in the order of `AMOUNTS`; InputError for none."""
     if not given:
         raise InputError("no treatment given", expected="at least one amount", remedy="--tto-medial 0:20")
     return {k: {a.name: what for a, what in given if a.kind == k} for k in dict.fromkeys(a.kind for a, _ in given)}
 
 
 def treated(scene: Scene, given: Given) -> Scene:
-    """The scene after a treatment, which its name then tells; InputError for several values of one amount."""
+    """Applies a treatment to a scene and adds it to the scene's name; InputError for several values of one amount."""
     if not given:
         return scene
     words = [f"{a.flag.removeprefix('--')} {_sole_amount(text, a):g} {a.unit}" for a, text in given]
@@ -133,12 +137,12 @@ def treated(scene: Scene, given: Given) -> Scene:
 
 
 def treatment_of(given: Given) -> Treatment:
-    """The treatment with one value of every amount; InputError for several, or for none at all."""
+    """The treatment with one value per amount; InputError for several values of one amount, or if none is given."""
     return _whole([(a, a.in_si(_sole_amount(text, a))) for a, text in given])
 
 
 def treatment_within(given: Given) -> tuple[Treatment, dict[str, tuple[float, float]]]:
-    """A treatment that has these amounts, and their ranges by kind and name [SI]; InputError for single values."""
+    """A treatment with these amounts at zero, and their ranges [SI] by "kind.name"; InputError for single values."""
     ranges = {f"{a.kind}.{a.name}": a.in_si(limits(text, a.flag, a.unit)) for a, text in given}
     return _whole([(a, 0.0) for a, _ in given]), {
         name: (float(low), float(high)) for name, (low, high) in ranges.items()
@@ -158,6 +162,6 @@ def _sole_amount(text: str, amount: Amount) -> float:
     found = several_amounts(text, amount.flag, amount.unit)
     if len(found) > 1:
         raise InputError(
-            f"{len(found)} values", where=amount.flag, expected="one", remedy="pftwin treat runs through many"
+            f"{len(found)} values", where=amount.flag, expected="one value", remedy="pftwin treat takes several"
         )
     return found[0]

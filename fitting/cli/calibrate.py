@@ -21,11 +21,11 @@ if TYPE_CHECKING:
     from fitting.calibration.result import Calibration
 
 
-@with_amounts("VALUE", ", whose outcomes are predicted; with --meet FROM:TO, in which to look")
+@with_amounts("VALUE", "; with --meet, a range FROM:TO")
 @on_scene
 def calibrate(
     *,
-    output: Annotated[Path, Option("-o", "--output", metavar="OUT.json", help="What was found.")],
+    output: Annotated[Path, Option("-o", "--output", metavar="OUT.json", help="File for the calibration.")],
     knee: FitOptions,
     trained: Annotated[
         Path | None, Option(metavar="FILE.npz", help="A posterior that `pftwin train-posterior` trained.")
@@ -34,24 +34,24 @@ def calibrate(
         str | None,
         Option(
             metavar="NAME",
-            help="In its place a search, made anew for each plant, as `pftwin fit --method` has it. --free, --bounds,"
-            " --use, --noise, --nuisance and --varies belong to it.",
+            help="Calibrate this method of `pftwin fit` instead, which fits each plant anew. --free, --bounds, --use,"
+            " --noise, --nuisance and --varies apply to it alone.",
         ),
     ] = None,
-    plants: Annotated[int, Option(metavar="N", min=1, help="Of each kind.")] = 100,
+    plants: Annotated[int, Option(metavar="N", min=1, help="Number of plants of each kind.")] = 100,
     kinds: Annotated[
         str | None,
-        Option(metavar="NAMES", help="Some of: twin, misplaced, sliding, stiffening (by default these), reshaped."),
+        Option(metavar="NAMES", help="Kinds; default: twin, misplaced, sliding, stiffening; also: reshaped."),
     ] = None,
     marker_noise: Annotated[
-        str, Option(metavar="LENGTH", help="Of each coordinate of a recorded marker [m].")
+        str, Option(metavar="LENGTH", help="Standard deviation of each recorded marker coordinate [m].")
     ] = "0.2 mm",
-    force_noise: Annotated[str, Option(metavar="FORCE", help="Of a load cell [N].")] = "0.15 N",
+    force_noise: Annotated[str, Option(metavar="FORCE", help="Standard deviation of load cells [N].")] = "0.15 N",
     reading_noise: Annotated[
         list[str] | None,
-        Option(metavar="READING=SD", help="Of another reading by its name in the scene; may be repeated."),
+        Option(metavar="READING=SD", help="Standard deviation of another reading of the scene; may be repeated."),
     ] = None,
-    cutoff: Annotated[float, Option(metavar="HERTZ", help="Of the markers' low-pass; 0: none.")] = 12.0,
+    cutoff: Annotated[float, Option(metavar="HERTZ", help="Low-pass cutoff for the markers; 0: no filter.")] = 12.0,
     amounts: Given,
     meet: Annotated[
         list[str] | None,
@@ -59,26 +59,26 @@ def calibrate(
             metavar="LIMIT",
             callback=show_limits,
             is_eager=True,
-            help="Try the smallest treatment that meets it, written as for `optimise --limit`; may be repeated. help:"
-            " lists outcomes.",
+            help="Plan the smallest treatment that meets this limit, in the form of `optimise --limit`, and test it;"
+            " may be repeated. help: lists the outcomes.",
         ),
     ] = None,
-    samples: Annotated[int, Option(metavar="N", min=20, help="Draws from each answer, of predictions.")] = 100,
+    samples: Annotated[int, Option(metavar="N", min=20, help="Draws from each estimate, for predictions.")] = 100,
     confidence: Annotated[
         float, Option(metavar="SHARE", help="Share of draws in which the limits of --meet must hold.")
     ] = 0.9,
     widen: Annotated[
         Path | None,
-        Option(metavar="WIDER.npz", help="Also a posterior whose intervals would have held on all these plants."),
+        Option(metavar="WIDER.npz", help="Also write the posterior, widened to cover as stated on these plants."),
     ] = None,
-    seed: Annotated[int, Option(metavar="N", min=0, help="Of all random choices.")] = 0,
-    figures: Annotated[bool, Option("--figures/--no-figures", help="Figures beside the output.")] = True,
+    seed: Annotated[int, Option(metavar="N", min=0, help="Seed of all random choices.")] = 0,
+    figures: Annotated[bool, Option("--figures/--no-figures", help="Write figures next to the output.")] = True,
     json: JsonOption = None,
 ) -> None:
-    """Count how often intervals hold the truth, on simulated knees that differ from the twin.
+    """Measure how often intervals contain the true values, on simulated knees ("plants") that differ from the twin.
 
-    With the amount of a treatment also: how often 90 % bands hold what the treated knee does; with `--meet`, how
-    many treatments that were planned for it do what they were to do.
+    With a treatment, also how often 90 % bands contain the outcomes of the treated plant; with `--meet`, how many
+    planned treatments meet their limits on the plant.
 
     Example: `pftwin calibrate knee.toml --trained knee.npz --plants 100 --tto-medial 10 -o calibration.json`, or
     `pftwin calibrate walk.toml stairs.toml --method least_squares --plants 20 -o quick.json`
@@ -137,12 +137,12 @@ def calibrate(
 
 
 def _check_what(trained: Path | None, method: str | None, asked: dict[str, Any], widen: Path | None) -> None:
-    """Refuses both a posterior and a search, neither, and options of the other."""
+    """Raises InputError unless exactly one of posterior and method is given, with options that apply to it."""
     if (trained is None) == (method is None):
         found = "neither --trained nor --method" if trained is None else "both --trained and --method"
-        raise InputError(found, expected="a posterior that was trained, or a search")
+        raise InputError(found, expected="exactly one of them: a trained posterior, or a method to run for each plant")
     if method is not None and widen is not None:
-        raise InputError("--widen with a search", expected="a trained posterior: searches keep no file to widen")
+        raise InputError("--widen with --method", expected="--trained: only a trained posterior can be widened")
     if method is None:
         refuse_settled(asked)
 
@@ -160,7 +160,7 @@ def _operation(amounts: Given, meet: list[str], samples: int, confidence: float)
 
 
 def _sheets_of(found: Calibration, name: str) -> list[Sheet]:
-    """Tables with a column for each kind of plants."""
+    """Tables of coverage, with a column for each kind of plant."""
     head, said = ("SYNTHETIC plants", *found.kinds), found.operation
     sheets = [Sheet(f"{name}: 95 % intervals held, mean half width", head, tuple(found.rows()), words=(0,))]
     if found.predictions:

@@ -21,16 +21,16 @@ def cohort(
     file: Annotated[Path, Argument(metavar="COHORT.toml", help="Patients, fit and treatments.")],
     *,
     out_dir: Annotated[
-        Path | None, Option("--out", metavar="DIR", help="Results go there, in place of the file's `output`.")
+        Path | None, Option("--out", metavar="DIR", help="Folder of the results, instead of the file's `output`.")
     ] = None,
-    resume: Annotated[bool, Option("--resume", help="Go on: compute what is missing, failed or out of date.")] = False,
-    check: Annotated[bool, Option("--check", help="Compute nothing; compare files with checksums and keys.")] = False,
+    resume: Annotated[bool, Option("--resume", help="Compute only what is missing, failed or outdated.")] = False,
+    check: Annotated[bool, Option("--check", help="Compute nothing; verify files against checksums and keys.")] = False,
     json: JsonOption = None,
 ) -> None:
-    """Fit many patients and predict their treatments; go on after a crash where it stopped.
+    """Fit many patients and predict their treatments; after a crash, `--resume` continues where it stopped.
 
     Writes a NetCDF store for each patient, one table for all (summary.parquet), and a manifest with checksums.
-    What fails is listed at the end, and stops no other patient.
+    A patient that fails is listed at the end and does not stop the others.
 
     Example: `pftwin cohort cohort.toml --resume`
     """
@@ -46,14 +46,14 @@ def cohort(
 
 
 def _run(described: Cohort, folder: Path, resume: bool, json: str | None) -> str:
-    """Computes, and returns what is wrong with the outcome: nothing if it is empty."""
+    """Runs the cohort; returns a description of what failed, empty if nothing did."""
     from fitting.cohort.manifest import NAME, SUMMARY
     from fitting.cohort.run import run_cohort
 
     files = [folder / NAME, folder / SUMMARY]
     with (
         report_written_on_interrupt(*files),
-        progress(f"{len(described.patients)} patients: checking what is there") as shown,
+        progress(f"{len(described.patients)} patients: checking existing results") as shown,
     ):
 
         def show(p: CohortProgress) -> None:
@@ -70,12 +70,12 @@ def _run(described: Cohort, folder: Path, resume: bool, json: str | None) -> str
     computed, kept = sum(o.computed for o in report.outcomes), sum(o.kept for o in report.outcomes)
     summary = (
         f"{described.name}: {total - failed} of {total} patients done in {_duration(report.seconds)};"
-        f" {computed} units computed, {kept} were there"
+        f" {computed} units computed, {kept} up to date"
     )
     failures = [(o.patient, o.failure.stage, o.failure.message) for o in report.failed if o.failure is not None]
     tables = [Sheet("failed", ("patient", "at", "why"), tuple(failures))] if failures else []
     bounds = tuple((o.patient, ", ".join(o.at_bounds)) for o in report.outcomes if o.at_bounds)
-    title = "at a bound; the true value may lie beyond"
+    title = "estimates at a bound; the true value may lie beyond"
     tables += [Sheet(title, ("patient", "parameters"), bounds, words=(0, 1))] if bounds else []
     facts = {"cohort": described.name, **report.to_dict(), "files": there}
     present(facts, summary, written_line(there), *tables, json=json)
@@ -86,7 +86,7 @@ def _run(described: Cohort, folder: Path, resume: bool, json: str | None) -> str
 
 
 def _check(described: Cohort, folder: Path, json: str | None) -> str:
-    """Compares files with checksums and keys, and returns what is wrong: nothing if it is empty."""
+    """Verifies files against checksums and keys; returns a description of what is wrong, empty if nothing is."""
     from fitting.cohort.folder import LEFT_OVER, SOUND, check_cohort
 
     findings = check_cohort(described, folder)
@@ -96,7 +96,7 @@ def _check(described: Cohort, folder: Path, json: str | None) -> str:
     tables = [Sheet("", ("file", "verdict", ""), tuple(others))] if others else []
     facts = {"cohort": described.name, "files": [f._asdict() for f in findings]}
     present(facts, summary, *tables, json=json)
-    return f"{len(wrong)} files damaged, out of date or not there; --resume computes them" if wrong else ""
+    return f"{len(wrong)} files damaged, out of date or missing; --resume computes them" if wrong else ""
 
 
 def _duration(seconds: float) -> str:

@@ -30,21 +30,21 @@ if TYPE_CHECKING:
 def demo(
     *,
     folder: Annotated[Path, Option("--out", metavar="DIR", help="Folder of the results.")] = Path("demo"),
-    full: Annotated[bool, Option("--full", help="The paper's meshes CM and FM, and the spline, as well.")] = False,
+    full: Annotated[bool, Option("--full", help="Also simulate the paper's meshes CM and FM, and the spline.")] = False,
     knee: Annotated[
         bool,
-        Option("--knee", help="A natural knee before and after a transfer of its tuberosity, in place of the rig."),
+        Option("--knee", help="Simulate a natural knee before and after a tuberosity transfer, instead of the rig."),
     ] = False,
     json: JsonOption = None,
 ) -> None:
     """Simulate the virtual rig's cases, fit its springs, predict a treatment; compare with measurements and the paper.
 
-    With --knee: simulate a natural knee before and after a tuberosity transfer, and draw both, as a page and a film.
+    With --knee: simulate a natural knee before and after a tuberosity transfer, and write both as a page and a film.
 
     Example: `pftwin demo --out demo`
     """
     if knee and full:
-        raise InputError("given with --full, which is of the rig", where="--knee", expected="one of the two")
+        raise InputError("given with --full, which applies to the rig", where="--knee", expected="one of the two")
     check_folder(folder)
     check_outputs(json)
     start_computing()
@@ -69,7 +69,7 @@ def demo(
 
 
 def _paper_study(folder: Path, json: str | None) -> dict[str, Any]:
-    """The paper's section 2.6: springs fitted to case 2, cases 2 and 1 simulated with them; as plain values."""
+    """Repeats the paper's section 2.6: fits springs to case 2, simulates cases 2 and 1; returns values for JSON."""
     from fitting.demo.paper_study import CASES, FITS, STEP, paper_study
     from fitting.demo.paper_study_tables import facts, notes, save
 
@@ -87,12 +87,12 @@ def _table_2(study: PaperStudy, case: int) -> Sheet:
     from fitting.demo.paper_study import FITS, PATHOLOGY
     from fitting.demo.paper_study_tables import table_2
 
-    what = "pathology, fitted" if case == PATHOLOGY else f"treatment, by what was fitted to case {PATHOLOGY}"
+    what = "pathology, fitted" if case == PATHOLOGY else f"treatment, predicted with springs of case {PATHOLOGY}"
     title = (
         f"Case {case} ({what}): pftwin against SYNTHETIC\n"
-        "measurements of the virtual rig. A: springs by the paper's objective, on P5;\n"
-        "B: by simulations, with what the twin lacks, on the spline; C: and one force;\n"
-        "beside section 3 and Table 2 of Michaud et al. 2024 (their rig; errors of\n"
+        "measurements of the virtual rig. A: springs fitted with the paper's objective, on P5;\n"
+        "B: by simulations, with nuisance parameters, on the spline; C: as B, with one force;\n"
+        "paper: section 3 and Table 2 of Michaud et al. 2024 (on their rig; errors of\n"
         "springs without signs)"
     )
     rows = []
@@ -108,7 +108,7 @@ def _springs(study: PaperStudy, fit: str) -> Sheet:
     from fitting.demo.paper_study_tables import SPRINGS, spring_rows
 
     title = f"Springs, {SPRINGS[fit]}, to SYNTHETIC measurements of case 2"
-    about = "line: the straight one nearest to the plant's; off: against nominal, as the paper counts"
+    about = "line: straight line nearest to the rig's spring; off: error relative to nominal, as in the paper"
     headings = ["", "nominal", "line", "fitted", "95 % interval", "which\ncovers", "off,\n%", "off\nline,\n%"]
     headings += ["paper\noff,\n%"] if fit == "paper" else []
     rows = []

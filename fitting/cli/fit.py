@@ -1,4 +1,4 @@
-"""`pftwin fit`, and before a recording is fitted `pftwin plan-experiment` and `pftwin train-posterior`."""
+"""`pftwin fit`, `pftwin plan-experiment` and `pftwin train-posterior`."""
 
 from __future__ import annotations
 
@@ -24,33 +24,35 @@ if TYPE_CHECKING:
 @on_scene
 def fit(
     *,
-    output: Annotated[Path, Option("-o", "--output", metavar="FIT.json", help="The estimate.")],
+    output: Annotated[Path, Option("-o", "--output", metavar="FIT.json", help="File for the estimate.")],
     knee: FitOptions,
     method: Annotated[
-        str, Option(metavar="NAME", help='One of the methods that stand at the top of this help, behind "Methods".')
+        str, Option(metavar="NAME", help='A method: one of "Methods" at the top of this help.')
     ] = "least_squares",
-    objective: Annotated[str, Option(metavar="NAME", help="likelihood or paper.")] = "likelihood",
-    loss: Annotated[str, Option(metavar="NAME", help="linear, huber or soft_l1.")] = "linear",
+    objective: Annotated[str, Option(metavar="NAME", help="Objective: likelihood or paper.")] = "likelihood",
+    loss: Annotated[str, Option(metavar="NAME", help="Loss of residuals: linear, huber or soft_l1.")] = "linear",
     during: DuringOption = None,
-    seed: Annotated[int, Option(min=0, help="Of all random choices.")] = 0,
-    starts: Annotated[int | None, Option(min=1, help="Starting points (least squares, gradient).")] = None,
-    checkpoint: Annotated[Path | None, Option(metavar="FILE", help="Where the state of the fit is kept.")] = None,
-    resume: Annotated[bool, Option("--resume", help="Go on from the checkpoint.")] = False,
+    seed: Annotated[int, Option(min=0, help="Seed of all random choices.")] = 0,
+    starts: Annotated[
+        int | None, Option(min=1, help="Number of starting points (least_squares and gradient alone).")
+    ] = None,
+    checkpoint: Annotated[Path | None, Option(metavar="FILE", help="File for the state of the fit.")] = None,
+    resume: Annotated[bool, Option("--resume", help="Continue from the checkpoint.")] = False,
     trained: Annotated[
         Path | None,
-        Option(metavar="FILE.npz", help="A posterior that `pftwin train-posterior` trained, which answers at once."),
+        Option(metavar="FILE.npz", help="Use a posterior from `pftwin train-posterior` instead of a new fit."),
     ] = None,
     posterior: Annotated[
         int | None,
-        Option(min=8, metavar="N", help="Check the intervals by N draws from the posterior in each of 4 chains."),
+        Option(min=8, metavar="N", help="Check the intervals with N posterior draws in each of 4 chains."),
     ] = None,
-    figures: Annotated[bool, Option("--figures/--no-figures", help="Figures beside the output.")] = True,
+    figures: Annotated[bool, Option("--figures/--no-figures", help="Write figures next to the output.")] = True,
     json: JsonOption = None,
 ) -> None:
-    """Fit the tendons to motion capture, of one trial or several, and say how sure the answer is.
+    """Fit the tendons to motion capture of one or several trials, with standard deviations and intervals.
 
-    Methods: `least_squares`, `gradient`, `genetic`, `matlab_ga`, `cma_es`, `differential_evolution`; or `simulations`:
-    the posterior, from some 30,000 simulated recordings.
+    Methods: `least_squares`, `gradient`, `genetic`, `matlab_ga`, `cma_es`, `differential_evolution`; or `simulations`,
+    which computes the posterior from some 30,000 simulated recordings.
 
     Example: `pftwin fit --case 2 -o fit.json`, or `pftwin fit walk.toml stairs.toml -o fit.json`
     """
@@ -90,9 +92,9 @@ def plan_experiment(
     knee: ExperimentOptions,
     json: JsonOption = None,
 ) -> None:
-    """Say how precisely an experiment could determine the parameters, before it is made, and what else to measure.
+    """Predict how precisely a planned experiment would determine the parameters, and what else to measure.
 
-    Of several scenes the first is recorded, and the others might be, as further trials of the same knee.
+    With several scenes, the first is the recorded trial, and the others are possible further trials of the same knee.
 
     Example: `pftwin plan-experiment --case 2 --use position --noise position=2e-4`, or
     `pftwin plan-experiment walk.toml stairs.toml`
@@ -120,13 +122,13 @@ def plan_experiment(
 @on_scene
 def train_posterior(
     *,
-    output: Annotated[Path, Option("-o", "--output", metavar="FILE.npz", help="The trained posterior.")],
+    output: Annotated[Path, Option("-o", "--output", metavar="FILE.npz", help="File for the trained posterior.")],
     knee: FitOptions,
-    simulations: Annotated[int | None, Option(min=1000, help="To learn from; 30,000 if left out.")] = None,
-    seed: Annotated[int, Option(min=0, help="Of all random choices.")] = 0,
+    simulations: Annotated[int | None, Option(min=1000, help="Number to train on; 30,000 if left out.")] = None,
+    seed: Annotated[int, Option(min=0, help="Seed of all random choices.")] = 0,
     json: JsonOption = None,
 ) -> None:
-    """Train a posterior once for a set-up, which then answers each of its recordings in seconds.
+    """Train a posterior once for a set-up; `pftwin fit --trained` then fits each of its recordings in seconds.
 
     Example: `pftwin train-posterior knee.toml --nuisance mri -o knee.npz`, then
     `pftwin fit walk2.toml --trained knee.npz -o fit.json`
@@ -148,12 +150,12 @@ def train_posterior(
         )
     files = [str(found.save(output))]
     rows = tuple((name, f"{low:.6g} to {high:.6g}") for name, (low, high) in found.set_up.bounds.items())
-    sheet = Sheet(f"{found.set_up.scene_name}: posterior by {found.simulations} simulations", ("", "bounds"), rows)
+    sheet = Sheet(f"{found.set_up.scene_name}: posterior from {found.simulations} simulations", ("", "bounds"), rows)
     present({**found.facts(), "files": files}, sheet, found.sentence(), written_line(files), json=json)
 
 
 def _fitted(scenes: list[Scene], asked: dict[str, Any], limits: dict[str, Any] | None) -> Estimate:
-    """Fits with progress on stderr."""
+    """Fits, and shows progress on stderr."""
     from fitting.fit import fit_tendons
 
     method = asked["method"]
@@ -166,9 +168,8 @@ def _fitted(scenes: list[Scene], asked: dict[str, Any], limits: dict[str, Any] |
 
 
 def _report(estimate: Estimate, output: Path, json: str | None, *, figures: bool, posterior: int | None) -> None:
-    """Writes the estimate, its figures and, if asked for, its posterior; says what was found."""
-
-    facts, said, files = estimate.to_dict(), [], [str(estimate.save(output))]
+    """Writes and prints the estimate, its figures and, if `posterior` gives a number of draws, its posterior."""
+    facts, summary, files = estimate.to_dict(), [], [str(estimate.save(output))]
 
     def draw(found: Estimate | Posterior) -> None:
         if figures:
@@ -176,10 +177,10 @@ def _report(estimate: Estimate, output: Path, json: str | None, *, figures: bool
                 files.extend(str(p) for p in found.plot.save(output.with_suffix("")))
 
     draw(estimate)
-    if posterior is not None:  # the estimate is on disk already
+    if posterior is not None:  # after the estimate is saved, because sampling takes long
         found = _sample_posterior(estimate, posterior, output)
         facts["posterior"] = found.to_dict()
-        said = [found.summary()]
+        summary = [found.summary()]
         draw(found)
     e, against = estimate, "SYNTHETIC measurements" if estimate.synthetic else "measurements"
     rows = [
@@ -192,19 +193,19 @@ def _report(estimate: Estimate, output: Path, json: str | None, *, figures: bool
     head = ("", "estimate", "standard deviation", "95 % interval", "nominal", "unit")
     sheets = [Sheet(title, head, tuple(rows[: e.asked]), words=(0, 5))]
     short = tuple((name, value, sd, nominal, unit) for name, value, sd, _, nominal, unit in rows[e.asked : e.shared])
-    if short:  # their names are long: without the intervals
-        sheets.append(Sheet("fitted besides", (*head[:3], *head[4:]), short, words=(0, 4)))
+    if short:  # their long names leave no room for intervals
+        sheets.append(Sheet("nuisance parameters", (*head[:3], *head[4:]), short, words=(0, 4)))
     if e.differences:
-        each = ((n, of, told) for n, trials in e.in_trials.items() for of, told in trials.items())
+        each = ((n, of, both) for n, trials in e.in_trials.items() for of, both in trials.items())
         own = tuple((n, of, f"{value:.6g}", f"{sd:.2g}", e.units[e.names.index(n)]) for n, of, (value, sd) in each)
         sheets.append(Sheet("in each trial", ("", "trial", *head[1:3], "unit"), own, words=(0, 1, 4)))
     first = [e.sentence()] if e.invalid else []
-    lines = [e.sentence(), *e.remarks(), f"stopped: {e.reason}", *said, written_line(files)]
+    lines = [e.sentence(), *e.remarks(), f"stopped: {e.reason}", *summary, written_line(files)]
     present({**facts, "files": files}, *first, *sheets, *lines[len(first) :], json=json)
 
 
 def _check_posterior(objective: str) -> None:
-    """Refuses, before the fit, a posterior that could not be sampled after it: no likelihood, or no blackjax."""
+    """Raises before the fit if its posterior could not be sampled: no likelihood, or blackjax is not installed."""
     from fitting.posterior.sampling import chain_runner
 
     if objective == "paper":

@@ -1,4 +1,4 @@
-"""Options of the commands that fit: what is fitted, to which measurements, and how exact these are."""
+"""Options shared by the commands that fit: parameters, measurements and their standard deviations."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ DuringOption = Annotated[
     Option(
         "--during",
         metavar="FROM:TO",
-        help="Only what was measured in this span of time [s] is compared; may be repeated.",
+        help="Compare only measurements within this time span [s]; may be repeated.",
     ),
 ]
-_SHARE = 0.3  # of bounds, by default
+_SHARE = 0.3  # default half width of the bounds, as a share of the nominal value
 _BOUNDS = 'a share, such as 0.3; or "L1=0.03:0.05", "L1=30:50 mm"'
-_AS_TRAINED: dict[str, Any] = {  # defaults of what is settled by training
+_AS_TRAINED: dict[str, Any] = {  # defaults of the options that training has fixed
     "method": "least_squares",
     "objective": "likelihood",
     "free": ("K1", "L1", "K2", "L2"),
@@ -39,11 +39,11 @@ _AS_TRAINED: dict[str, Any] = {  # defaults of what is settled by training
 
 @dataclass(frozen=True)
 class ExperimentOptions(TrialsOptions):
-    """Trials, and what is to be known from which of their measurements."""
+    """Options for the trials, the free parameters, and the measurements that determine them."""
 
-    free: Annotated[str, Option(metavar="NAMES", help="Parameters, with commas: K1,L1 and the like.")] = "K1,L1,K2,L2"
+    free: Annotated[str, Option(metavar="NAMES", help="Free parameters, separated by commas.")] = "K1,L1,K2,L2"
     use: Annotated[
-        str, Option(metavar="CHANNELS", help="What is compared: position, orientation, effects' forces; or all.")
+        str, Option(metavar="CHANNELS", help="Channels to compare: position, orientation, effects' forces; or all.")
     ] = "position"
     noise: Annotated[
         list[str] | None,
@@ -53,21 +53,20 @@ class ExperimentOptions(TrialsOptions):
         str | None,
         Option(
             metavar="NAME",
-            help="What the scene lacks or knows roughly, fitted besides: rig, mocap, mri; or standard deviations by"
-            " name, as in friction=0.05; several with commas, as in rig,damping=0.5.",
+            help="Also fit nuisance parameters, which the scene lacks or knows roughly: rig, mocap, mri; or standard"
+            " deviations by name, as in friction=0.05; several with commas, as in rig,damping=0.5.",
         ),
     ] = None
     varies: Annotated[
         list[str] | None,
         Option(
             metavar="NAME=SD",
-            help="Of several trials: by how much a parameter differs from trial to trial, in its unit or as in"
-            " L1=0.5 mm; may be repeated.",
+            help="Standard deviation of a parameter between trials, in its unit or as in L1=0.5 mm; may be repeated.",
         ),
     ] = None
 
     def asked(self, scene: Scene) -> dict[str, Any]:
-        """Arguments of what fits, by name; InputError for what cannot be read. The scene knows units."""
+        """Keyword arguments for `fitting.fit_tendons`, with units from the scene; InputError for malformed options."""
         return {
             "free": names_in(self.free),
             "use": "all" if self.use.strip() == "all" else names_in(self.use),
@@ -79,27 +78,27 @@ class ExperimentOptions(TrialsOptions):
 
 @dataclass(frozen=True)
 class FitOptions(ExperimentOptions):
-    """Also in which bounds, and which checks the measurements must pass."""
+    """Also the bounds of the parameters, and the limits of the checks of the measurements."""
 
     bounds: Annotated[
         list[str] | None,
         Option(
             metavar="BOUNDS",
-            help="To either side, as a share of the nominal value (0.3 if left out); or NAME=LOW:HIGH of one parameter,"
-            " in its unit or as in L1=30:50 mm: may be repeated.",
+            help="Bounds on either side, as a share of the nominal value (0.3 if left out); or NAME=LOW:HIGH of one"
+            " parameter, in its unit or as in L1=30:50 mm: may be repeated.",
         ),
     ] = None
     limit: Annotated[
         list[str] | None,
         Option(
             metavar="NAME=A:B",
-            help="Of a check of what was measured, from where it is named (A) and refused (B): reading, position,"
+            help="Limits of a check of the measurements, which warns from A and refuses from B on: reading, position,"
             " orientation, force, noise, shift, simulated, trained_noise or set_up.",
         ),
     ] = None
 
     def asked(self, scene: Scene) -> dict[str, Any]:
-        """Arguments of what fits, by name; InputError for what cannot be read. The scene knows units."""
+        """Keyword arguments for `fitting.fit_tendons`, with units from the scene; InputError for malformed options."""
         given = self.bounds or []
         share = numbers_between_colons(given[0]) if len(given) == 1 else ()
         bounds: Any = _SHARE
@@ -110,43 +109,43 @@ class FitOptions(ExperimentOptions):
         return super().asked(scene) | {"bounds": bounds}
 
     def limits(self) -> dict[str, Any] | None:
-        """From where each check names and refuses; InputError for anything else."""
+        """Parses the limits of each check, from which on it warns and refuses; InputError for malformed ones."""
         return numbers_by_name(self.limit, "--limit", 'such as "force=0.2:0.8"', (2,)) or None
 
 
 def names_in(text: str) -> tuple[str, ...]:
-    """Names between commas."""
+    """Splits names at commas."""
     return tuple(name.strip() for name in text.split(",") if name.strip())
 
 
 def deviations(
     given: list[str] | None, option: str, example: str, unit: Callable[[str], str] = lambda name: ""
 ) -> dict[str, float] | None:
-    """Standard deviations [SI] from "name=sd", with a unit where the name has one; InputError for anything else."""
+    """Parses standard deviations [SI] from "name=sd", with a unit if the name has one; InputError if malformed."""
     found = numbers_by_name(given, option, f'such as "{example}"', unit=unit)
     return {name: sd for name, (sd,) in found.items()} or None
 
 
 def units_of(scene: Scene) -> Callable[[str], str]:
-    """The unit of a number of the scene by its name; InputError for no such number."""
+    """Returns a function from the name of a scene's parameter to its unit; it raises InputError for unknown names."""
     from pftwin.model.scene_parameters import find
 
     return lambda name: find(scene, name)[0].unit(scene)
 
 
 def _unit_of_channel(name: str) -> str:
-    return {"position": "m", "orientation": "rad"}.get(name, "" if "." in name else "N")  # a reading is in its own unit
+    return {"position": "m", "orientation": "rad"}.get(name, "" if "." in name else "N")  # dotted: a reading, own unit
 
 
 def refuse_settled(asked: dict[str, Any]) -> None:
-    """Refuses options, by their names, that a trained posterior has settled; InputError for any but their defaults."""
+    """Raises InputError if an option that a trained posterior has fixed differs from its default."""
     if settled := [f"--{name}" for name, value in asked.items() if value != _AS_TRAINED.get(name)]:
-        found = f"a trained posterior beside {', '.join(settled)}"
-        raise InputError(found, where="--trained", expected="it alone: the rest is as it was in training")
+        found = f"a trained posterior and {', '.join(settled)}"
+        raise InputError(found, where="--trained", expected="no such options: training has fixed them")
 
 
 def time_spans(given: list[str] | None) -> list[tuple[float, ...]]:
-    """Spans from "from:to"; InputError for anything else."""
+    """Parses time spans [s] from "from:to"; InputError for anything else."""
     spans = [numbers_between_colons(text) for text in given or []]
     for text, numbers in zip(given or [], spans, strict=True):
         if len(numbers) != 2:
@@ -155,7 +154,7 @@ def time_spans(given: list[str] | None) -> list[tuple[float, ...]]:
 
 
 def within(scene: Scene, spans: list[Any]) -> Scene:
-    """The scene with measurements in these spans alone; with all of them where there are none."""
+    """The scene with only the measurements within these time spans; unchanged without spans or measurements."""
     if not spans or scene.measured is None:
         return scene
     return replace(scene, measured=scene.measured.during(spans))

@@ -1,4 +1,4 @@
-"""HTML of the report and of the live page, by templates in which every text is escaped."""
+"""Jinja templates of the HTML pages, which escape all text, and their filters."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ if TYPE_CHECKING:
     from jinja2 import Template
 
 
-_MOST_WHOLE = 1e6  # numbers below are written out, above as powers of ten
+_MOST_WHOLE = 1e6  # larger numbers are written with an exponent
 
 
 @cache
 def template(name: str) -> Template:
-    """A template of fitting/cli/templates; it knows the filters `number`, `sentence`, `numeric` and `css_text`."""
+    """Loads a template of fitting/cli/templates, with the filters `number`, `sentence`, `numeric` and `css_text`."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     found = Environment(
@@ -32,7 +32,7 @@ def template(name: str) -> Template:
 
 
 def number(value: Any, digits: int = 4) -> str:
-    """A number as people read it; a dash where there is none."""
+    """Formats a number for display, with `digits` significant digits; a dash if it is not finite."""
     x = float(value)
     if not math.isfinite(x):
         return "–"
@@ -41,12 +41,12 @@ def number(value: Any, digits: int = 4) -> str:
 
 
 def sentence(words: str) -> str:
-    """With a capital letter and a full stop."""
+    """The words with a capital letter and a full stop."""
     return f"{words[:1].upper()}{words[1:]}."
 
 
 def numeric(sheet: Sheet) -> list[Any]:
-    """For each column the attribute that sets numbers to the right; empty for words, and for the names of rows."""
+    """For each column, the HTML attribute that right-aligns numbers; empty for text and for the first column."""
     from markupsafe import Markup
 
     def is_number(text: str) -> bool:
@@ -57,7 +57,7 @@ def numeric(sheet: Sheet) -> list[Any]:
 
 
 def css_text(words: str) -> Any:
-    """A string of a style sheet in which all but letters, digits and the plainest characters are escaped."""
+    """A CSS string in which all characters but letters, digits and " .,-" are escaped."""
     from markupsafe import Markup
 
     return Markup('"' + "".join(c if c.isalnum() or c in " .,-" else f"\\{ord(c):x} " for c in words) + '"')

@@ -23,25 +23,25 @@ if TYPE_CHECKING:
 @on_scene
 def predict(
     *,
-    output: Annotated[Path, Option("-o", "--output", metavar="OUT.nc", help="The motion and its bands as NetCDF.")],
-    estimate: Annotated[Path, Option(metavar="FIT.json", help="What `pftwin fit` found.")],
+    output: Annotated[Path, Option("-o", "--output", metavar="OUT.nc", help="NetCDF file for the motion and bands.")],
+    estimate: Annotated[Path, Option(metavar="FIT.json", help="Estimate from `pftwin fit`.")],
     knee: RecordingOptions,
     given: Annotated[
         list[str] | None,
         Option(
             "--set",
             metavar="NAME=VALUE",
-            help="A number that is other here, or its range LOW:HIGH (in SI, or with a unit); may be repeated.",
+            help="Value of a scene parameter here, or its range LOW:HIGH (in SI, or with a unit); may be repeated.",
         ),
     ] = None,
     during: DuringOption = None,
     samples: Annotated[int, Option(min=1, help="Draws from the estimate, for bands.")] = 50,
     seed: SeedOption = 0,
     dt: StepOption = None,
-    figure: Annotated[bool, Option(help="Also figures, beside it: OUT.png and OUT.svg.")] = True,
+    figure: Annotated[bool, Option(help="Also write figures OUT.png and OUT.svg.")] = True,
     json: terminal.JsonOption = None,
 ) -> None:
-    """Predict a fitted knee's motion in the same recording or another, with bands for what will be measured.
+    """Predict a fitted knee's motion in the same or another recording, with bands for its measurements.
 
     Example: `pftwin predict knee/scene.toml --estimate fit.json --motion other.sto --rate 30 -o other.nc`
     """
@@ -64,10 +64,10 @@ def predict(
 
     with terminal.progress("compiling and simulating") as shown:
 
-        def told(done: int, of: int) -> None:
+        def report(done: int, of: int) -> None:
             shown(done, of, f"{done} of {of} motions")
 
-        motion = predict_motion(scene, found, samples=samples, seed=seed, values=values, dt=dt, progress=told)
+        motion = predict_motion(scene, found, samples=samples, seed=seed, values=values, dt=dt, progress=report)
     with terminal.spinner("writing"):
         save_dataset(motion.dataset(), output)
         files = [output, *(save_figure(motion.figure(), output.with_suffix("")) if figure else [])]
@@ -82,7 +82,7 @@ def predict(
 
 
 def _values(given: list[str] | None, scene: Scene) -> dict[str, float | tuple[float, float]]:
-    """Numbers and ranges [SI] by name of the scene, from "name=value" and "name=low:high", with units or without."""
+    """Parses "name=value" and "name=low:high", with or without units, into values and ranges [SI] by parameter."""
     expected = 'such as "quadriceps.tension[:]=40 N", or "=20:60"'
     found = numbers_by_name(given, "--set", expected, (1, 2), units_of(scene))
     return {name: own[0] if len(own) == 1 else (own[0], own[1]) for name, own in found.items()}

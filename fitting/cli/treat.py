@@ -25,10 +25,10 @@ if TYPE_CHECKING:
 
 _MOST_ROWS = 40
 _MOST_VARIANTS = 1_000_000
-_BLOCK = 4096  # members simulated in one block: at most this many are lost by Ctrl-C
+_BLOCK = 4096  # simulations per block; Ctrl-C loses the current block
 
 EstimateOption = Annotated[
-    Path | None, Option("--estimate", metavar="FIT.json", help="Parameters that `pftwin fit` found.")
+    Path | None, Option("--estimate", metavar="FIT.json", help="Estimate from `pftwin fit`; by default none.")
 ]
 StepOption = Annotated[
     float | None,
@@ -36,27 +36,27 @@ StepOption = Annotated[
         "--dt",
         metavar="SECONDS",
         parser=seconds,
-        help='Longest time step [s], or "0.5 ms". If left out: 0.0005, shorter where errors ask for it.',
+        help='Longest time step [s], or "0.5 ms". If left out: 0.0005, shorter where accuracy requires it.',
     ),
 ]
-SeedOption = Annotated[int, Option("--seed", metavar="N", min=0, help="Of the draws.")]
+SeedOption = Annotated[int, Option("--seed", metavar="N", min=0, help="Seed of the draws.")]
 
 
-@with_amounts("FROM:TO:STEP", "; or values: 0,5,10")
+@with_amounts("FROM:TO:STEP", "; or values such as 0,5,10")
 @on_scene
 def treat(
     *,
-    output: Annotated[Path, Option("-o", "--output", metavar="OUT.nc", help="The outcomes as NetCDF.")],
+    output: Annotated[Path, Option("-o", "--output", metavar="OUT.nc", help="NetCDF file for the outcomes.")],
     knee: SceneOptions,
     estimate: EstimateOption = None,
     amounts: Given,
     samples: Annotated[int, Option(metavar="N", min=0, help="Draws from the estimate's uncertainty, for bands.")] = 50,
     seed: SeedOption = 0,
     dt: StepOption = None,
-    figure: Annotated[bool, Option(help="Also figures, beside it: OUT.png and OUT.svg.")] = True,
+    figure: Annotated[bool, Option(help="Also write figures OUT.png and OUT.svg.")] = True,
     json: terminal.JsonOption = None,
 ) -> None:
-    """Predict what treatments would do: all combinations of the amounts given, with bands from a fit's uncertainty.
+    """Predict outcomes of treatments, for all combinations of the given amounts, with bands from a fit's uncertainty.
 
     Amounts may have a unit: "16 mm", "0:2:0.5 cm".
 
@@ -96,25 +96,25 @@ def treat(
         if figure and data.sizes["variant"] > 1:
             drawn = outcome_figure(data, f"{chosen.scene.name}: predicted outcomes")
             files += save_figure(drawn, output.with_suffix(""))
-    said = main_finding(data)
+    finding = main_finding(data)
     doubted = found is not None and found.invalid
     if found is not None and doubted:
-        said = f"{found.sentence()}\n{said}"
-    told = {**facts(data), "finding": said, "files": [str(p) for p in files]}
+        finding = f"{found.sentence()}\n{finding}"
+    outcome = {**facts(data), "finding": finding, "files": [str(p) for p in files]}
     doubt = invalid_variants(data) or narrow_bands(data)
     sheet = outcome_sheet(data, _MOST_ROWS)
-    parts = (said, sheet) if doubt or doubted else (sheet, said)
+    parts = (finding, sheet) if doubt or doubted else (sheet, finding)
     if "parameter_kind" in data.coords and "sample" in data.dims:
         sources = band_sources(data)
-        told["bands_narrower_if_known"] = sources.facts()
+        outcome["bands_narrower_if_known"] = sources.facts()
         parts += (sources.sheet(),)
-    terminal.present(told, *parts, data.attrs.get("note", ""), terminal.written_line(files), json=json)
+    terminal.present(outcome, *parts, data.attrs.get("note", ""), terminal.written_line(files), json=json)
     if doubt:
         exit_flagged(doubt)
     _check_estimate(found)
 
 
-@with_amounts("FROM:TO", ", within these limits")
+@with_amounts("FROM:TO", ", within this range")
 @on_scene
 def optimise(
     *,
@@ -124,24 +124,23 @@ def optimise(
             metavar="LIMIT",
             callback=show_limits,
             is_eager=True,
-            help="To be met: an outcome, <= or >=, a number and its unit; may be repeated. help: lists outcomes.",
+            help="A limit to meet: an outcome, <= or >=, a number and its unit; may be repeated. help: lists the"
+            " outcomes.",
         ),
     ],
-    output: Annotated[Path | None, Option("-o", "--output", metavar="PLAN.json", help="The plan.")] = None,
+    output: Annotated[Path | None, Option("-o", "--output", metavar="PLAN.json", help="File for the plan.")] = None,
     knee: SceneOptions,
     estimate: EstimateOption = None,
     amounts: Given,
     samples: Annotated[
-        int | None, Option(metavar="N", min=0, help="Draws from the estimate's uncertainty; 50 where there is one.")
+        int | None, Option(metavar="N", min=0, help="Draws from the estimate's uncertainty, by default 50.")
     ] = None,
-    confidence: Annotated[
-        float, Option(metavar="SHARE", help="Share of the draws in which all limits must hold.")
-    ] = 0.9,
+    confidence: Annotated[float, Option(metavar="SHARE", help="Share of the draws that must meet all limits.")] = 0.9,
     seed: SeedOption = 0,
     dt: StepOption = None,
     json: terminal.JsonOption = None,
 ) -> None:
-    """Find the smallest treatment that meets stated limits, and say how surely it does.
+    """Find the smallest treatment that meets stated limits, and the share of an estimate's draws in which it does.
 
     Amounts may have a unit: "0:2 cm". `--limit help` lists the outcomes that take a limit.
 
@@ -192,7 +191,7 @@ def optimise(
 
 
 def _predicted(scene: Scene, variants: Treatment, estimate: Estimate | None, **options: Any) -> tuple[Dataset, bool]:
-    """Outcomes, in blocks of variants, and whether they are complete: Ctrl-C keeps the blocks that are done."""
+    """Predicts outcomes in blocks of variants; returns them, and whether all finished: Ctrl-C keeps finished blocks."""
     from fitting.prediction.predicting import predict
     from fitting.prediction.variants import amounts_of
 
@@ -205,10 +204,10 @@ def _predicted(scene: Scene, variants: Treatment, estimate: Estimate | None, **o
             for first in range(0, count, size):
                 rows = variants.with_values(amounts[first : first + size].T)
 
-                def told(done: int, _: int, before: int = first * draws) -> None:
+                def report(done: int, _: int, before: int = first * draws) -> None:
                     shown(before + done, count * draws, f"{before + done} of {count * draws} variants and draws")
 
-                blocks.append(predict(scene, rows, estimate, progress=told, **options))
+                blocks.append(predict(scene, rows, estimate, progress=report, **options))
         except KeyboardInterrupt:
             if not blocks:
                 raise
@@ -216,7 +215,7 @@ def _predicted(scene: Scene, variants: Treatment, estimate: Estimate | None, **o
 
 
 def _joined_blocks(blocks: list[Dataset], count: int) -> Dataset:
-    """Blocks of variants as one dataset, whose title says if some are missing."""
+    """Joins blocks of variants into one dataset; its title states how many of `count` are missing."""
     import numpy as np
     import xarray
 
@@ -234,13 +233,13 @@ def _joined_blocks(blocks: list[Dataset], count: int) -> Dataset:
 
 
 def loaded_estimate(path: Path | None) -> Estimate | None:
-    """An estimate that `pftwin fit` wrote."""
+    """Loads an estimate that `pftwin fit` wrote; None without a path."""
     from fitting.estimate import Estimate
 
     return None if path is None else Estimate.load(path)
 
 
 def _check_estimate(found: Estimate | None) -> None:
-    """Ends with `FLAGGED` where the estimate says itself that it may not be relied on."""
+    """Exits with `FLAGGED` if the estimate is INVALID."""
     if found is not None and found.invalid:
         exit_flagged(found.sentence())

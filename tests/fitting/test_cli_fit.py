@@ -166,7 +166,7 @@ def test_two_trials_are_fitted_and_planned(toy, tmp_path):
 )
 def test_what_was_settled_in_training_is_not_stated_again(toy, tmp_path, options, named):
     said = refused("fit", toy, "-o", tmp_path / "fit.json", "--trained", tmp_path / "knee.npz", *options)
-    assert "a trained posterior beside" in said
+    assert "a trained posterior and" in said
     assert named in said
 
 
@@ -215,7 +215,7 @@ def test_a_calibration_is_of_a_posterior_or_of_a_search(toy, tmp_path):
     plain, trained = ("calibrate", toy, "-o", tmp_path / "c.json"), ("--trained", tmp_path / "no.npz")
     assert "neither --trained nor --method" in refused(*plain)
     assert "both --trained and --method" in refused(*plain, *trained, "--method", "least_squares")
-    assert "a trained posterior beside --free, --use" in refused(*plain, *trained, "--free", "K1", "--use", "all")
-    assert "searches keep no file" in refused(*plain, "--method", "gradient", "--widen", tmp_path / "w.npz")
+    assert "a trained posterior and --free, --use" in refused(*plain, *trained, "--free", "K1", "--use", "all")
+    assert "trained posterior can be widened" in refused(*plain, "--method", "gradient", "--widen", tmp_path / "w.npz")
     assert "method: 'best'" in refused(*plain, "--method", "best")
     assert not list(tmp_path.iterdir())

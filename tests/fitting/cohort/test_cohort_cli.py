@@ -55,7 +55,7 @@ def test_a_cohort_with_a_failure(tmp_path, cheap_work):
     assert [p["status"] for p in said["patients"]] == ["done", "failed", "done"]
     assert said["files"] == [str(tmp_path / "cohort_results" / n) for n in ("manifest.json", "summary.parquet")]
     assert "cheap: 2 of 3 patients done in" in result.stderr
-    assert "4 units computed, 0 were there" in result.stderr
+    assert "4 units computed, 0 up to date" in result.stderr
     assert "B.trc: no sense" in result.stderr
     assert "flagged: 1 of 3 patients failed" in result.stderr
     assert "[1/6] A: fit: " in result.stderr
@@ -66,7 +66,7 @@ def test_a_cohort_with_a_failure(tmp_path, cheap_work):
     cheap_work.broken.clear()
     again = pftwin("cohort", file, "--resume")
     assert again.exit_code == 0, again.output
-    assert "2 units computed, 4 were there" in again.stdout
+    assert "2 units computed, 4 up to date" in again.stdout
 
 
 def test_parameters_at_a_bound_are_listed(tmp_path, cheap_work):
@@ -99,7 +99,7 @@ def test_check(tmp_path, cheap_work):
     (folder / "summary.parquet").write_bytes(b"no")
     result = pftwin("cohort", file, "--out", folder, "--check", "--json", tmp_path / "found.json")
     assert result.exit_code == 3
-    assert "flagged: 2 files damaged, out of date or not there" in result.stderr
+    assert "flagged: 2 files damaged, out of date or missing" in result.stderr
     assert "0 bytes in place of" in result.stdout
     found = {f["file"]: f["verdict"] for f in json.loads((tmp_path / "found.json").read_text())["files"]}
     assert (found["patients/A.nc"], found["summary.parquet"]) == ("damaged", "damaged")
@@ -275,5 +275,5 @@ def test_real_processes_killed(tmp_path):
         finished = now
     ended = subprocess.run(program, cwd=tmp_path, env=env, capture_output=True, text=True, check=False)
     assert ended.returncode == 0, ended.stderr
-    assert f"{6 - len(finished)} units computed, {len(finished)} were there" in ended.stdout
+    assert f"{6 - len(finished)} units computed, {len(finished)} up to date" in ended.stdout
     assert pftwin("cohort", tmp_path / "cohort.toml", "--check").exit_code == 0

@@ -1,1 +1,1 @@
-"""The report: one HTML page, offline, that a clinician can read; of a fit, of a result, or of the demo's folder."""
+"""The report of `pftwin report`: a fit, a result or the demo's folder as one offline HTML page for clinicians."""

@@ -25,16 +25,16 @@ MOST_BYTES = 12_000_000  # of a page
 def report(
     source: Annotated[Path, Argument(metavar="FIT.json|DEMO|RESULT.nc", help="A fit, the demo's folder, or a result.")],
     *,
-    output: Annotated[Path, Option("-o", "--output", metavar="REPORT.html", help="The page.")],
-    treatment: Annotated[Path | None, Option(metavar="VARIANTS.nc", help="A prediction of `pftwin treat`.")] = None,
+    output: Annotated[Path, Option("-o", "--output", metavar="REPORT.html", help="File for the page.")],
+    treatment: Annotated[Path | None, Option(metavar="VARIANTS.nc", help="A prediction from `pftwin treat`.")] = None,
     scene: Annotated[Path | None, Option(metavar="SCENE.toml", help="The scene that was fitted or simulated.")] = None,
     case: CaseOption = None,
     contact: ContactOption = None,
-    browser: Annotated[bool, Option("--open", help="Show the page in the browser.")] = False,
+    browser: Annotated[bool, Option("--open", help="Open the page in the browser.")] = False,
     json: JsonOption = None,
 ) -> None:
-    """Report a fit or a result on one page that opens offline: the verdict, the knee in three dimensions, what a
-    treatment does, how sure that is; an appendix with parameters, data quality, figures and settings.
+    """Report a fit or a result on one page that opens offline: the verdict, the knee in three dimensions, the effect of
+    a treatment and its uncertainty; an appendix with parameters, data quality, figures and settings.
 
     Example: `pftwin report fit.json --treatment variants.nc -o report.html`
     """
@@ -52,9 +52,9 @@ def report(
         write_text(output, page)
     size = output.stat().st_size
     facts = {"source": str(source), "file": str(output), "bytes": size, "viewer": viewer}
-    left_out = "" if viewer else "the knee in three dimensions is not in the page, which says why"
-    told = f"written: {output} ({size / 1e6:.1f} MB)"
-    present({**facts, "synthetic": material.synthetic()}, left_out, told, json=json)
+    left_out = "" if viewer else "the page lacks the knee in three dimensions, and says why"
+    written = f"written: {output} ({size / 1e6:.1f} MB)"
+    present({**facts, "synthetic": material.synthetic()}, left_out, written, json=json)
     if browser:
         typer.launch(output.resolve().as_uri())
     if invalid := material.invalid():
@@ -62,7 +62,7 @@ def report(
 
 
 def report_page(material: Material, command: str) -> tuple[str, bool]:
-    """Renders the page, which repeats the command line; says also whether the knee in three dimensions is in it."""
+    """Renders the page, with the command line that made it; returns also whether it shows the knee in 3D."""
     from fitting.cli.report import figures, tables
     from fitting.prediction.plots import main_finding
 

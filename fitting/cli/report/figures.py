@@ -1,4 +1,4 @@
-"""Figures of a report, drawn from what its files hold, and the knee in three dimensions."""
+"""Figures of a report, and its view of the knee in three dimensions."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _PNG = b"\x89PNG\r\n\x1a\n"
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """A figure of matplotlib, or the bytes of a PNG file; what it shows in words, and its caption."""
+    """A matplotlib figure or the bytes of a PNG file, with its alternative text and caption."""
 
     figure: Any
     alternative: str
@@ -33,7 +33,7 @@ class Picture:
 
     @property
     def source(self) -> str:
-        """The picture as the address of an image: as an image even an SVG runs no scripts."""
+        """The picture as a data URL; in an `img` element, even an SVG runs no scripts."""
         kind, data = "png", self.figure
         if not isinstance(data, bytes):
             from pftwin.results.plots import house_style
@@ -46,7 +46,7 @@ class Picture:
 
 
 def case(material: Material) -> Picture:
-    """Path, tilt and contact force of all runs."""
+    """Path, tilt and contact force of all runs over time."""
     from pftwin.results.plots import case_figure
 
     measured = None if material.demo is not None else material.measured
@@ -61,7 +61,7 @@ def case(material: Material) -> Picture:
 
 
 def courses(material: Material) -> Picture | str:
-    """Tilt, shift, rotation and force against knee flexion; if the knee does not bend, why there are none."""
+    """Tilt, shift, rotation and force against knee flexion; the reason as text if the knee does not bend."""
     from pftwin.results.plots import against_flexion
 
     names = material.names
@@ -75,18 +75,19 @@ def courses(material: Material) -> Picture | str:
 
 
 def over_the_trochlea(material: Material) -> list[Picture]:
-    """The path of the last simulated run over the trochlea; none for a run from a file, which lacks the surface."""
+    """Path of the last simulated run over the trochlea; empty if all runs are from files, which lack the surface."""
     from pftwin.results.result import Result
 
-    here = [r for r in material.runs if isinstance(r.source, Result) and r.source.surface is not None]
-    if not here:
+    simulated = [r for r in material.runs if isinstance(r.source, Result) and r.source.surface is not None]
+    if not simulated:
         return []
-    words = f"Path of the button and of the contact points over the trochlea's contours: {here[-1].name}."
-    return [Picture(here[-1].result.plot.trajectory(measured=material.measured), words, words)]
+    last = simulated[-1]
+    words = f"Path of the button and of the contact points over the trochlea's contours: {last.name}."
+    return [Picture(last.result.plot.trajectory(measured=material.measured), words, words)]
 
 
 def histories(material: Material) -> list[Picture]:
-    """The best objective against evaluations, for every fit of several steps."""
+    """Best objective against number of evaluations, for every fit with more than one step."""
     found = []
     for name, estimate in material.estimates.items():
         if len({h["evaluations"] for h in estimate.history}) > 1:
@@ -97,7 +98,7 @@ def histories(material: Material) -> list[Picture]:
 
 
 def correlation(e: Estimate) -> Picture:
-    """The correlation of a fit's errors, and its estimates beside the nominal values."""
+    """Correlation of a fit's errors, and its estimates compared with the nominal values."""
     strongest = ""
     if e.asked > 1:
         off = np.abs(e.correlation - np.eye(len(e.names)))[: e.asked, : e.asked]
@@ -112,7 +113,7 @@ def correlation(e: Estimate) -> Picture:
 
 
 def outcomes(data: Dataset) -> list[Picture]:
-    """Outcomes of a prediction against the amount of the treatment; none where no amount varies."""
+    """Outcomes of a prediction against the amount of the treatment; empty if no amount varies."""
     from fitting.prediction.plots import amount_names, main_finding, outcome_figure
 
     names = amount_names(data)
@@ -125,15 +126,15 @@ def outcomes(data: Dataset) -> list[Picture]:
         "The numbers are in the appendix, under Treatment prediction."
     )
     figure = outcome_figure(data)
-    figure.set_size_inches(figure.get_figwidth(), 4.8)  # the first sheet of the printed report holds more than it
+    figure.set_size_inches(figure.get_figwidth(), 4.8)  # leaves room for the text on the first printed sheet
     return [Picture(figure, alternative, f"Predicted outcomes against {what}.")]
 
 
 def of_demo(folder: Path) -> list[Picture]:
-    """The figures of the treatment in the demo's folder; InputError for a file that is no PNG picture."""
+    """Figures of the pathology and the treatment in the demo's folder; InputError for a file that is no PNG picture."""
     captions = {
         "pathology_fitted": "Case 2, the pathology: measured (synthetic) and simulated with fitted springs",
-        "treatment_predicted": "Case 1, the treatment: predicted with what was fitted to case 2",
+        "treatment_predicted": "Case 1, the treatment: predicted with the springs fitted to case 2",
     }
     found = []
     for stem, words in captions.items():
@@ -148,9 +149,9 @@ def of_demo(folder: Path) -> list[Picture]:
 
 
 def viewer(material: Material) -> str:
-    """The viewer's page, to be put into the report; MissingExtraError without k3d, InputError if nothing can be drawn.
+    """The viewer's page for a frame of the report; MissingExtraError without k3d, InputError if it cannot be drawn.
 
-    Its base is no address: k3d's style sheet names fonts beside the page, which browsers would look for there.
+    Its base URL is invalid on purpose: browsers would otherwise request the fonts that k3d's style sheet names.
     """
     from pftwin.results.viewer import view
     from pftwin.results.viewer.page import page

@@ -1,4 +1,4 @@
-"""What a report shows, read from a fit, a result's file, or the demo's folder."""
+"""Data of a report, read from a fit, a result's file or the demo's folder."""
 
 from __future__ import annotations
 
@@ -25,60 +25,60 @@ _RIG = re.compile(r"rig case ([1-4]), (\w+)")
 _WHICH = "fit.json of `pftwin fit`, the folder of `pftwin demo`, or the NetCDF file of `pftwin simulate`"
 _NAME_IT = "--scene knee/scene.toml or --case N"
 DEMO_FIT = "fit.json"
-NOMINAL = "nominal"  # the run with the values before the fit
+NOMINAL = "nominal"  # name of the run with the parameters from before the fit
 
 
 @dataclass(eq=False)
 class Material:
-    """Everything that a report shows."""
+    """All data of a report."""
 
     source: Path
     title: str
     estimates: dict[str, Estimate] = field(default_factory=dict)  # by name
-    scene: Scene | None = None  # where it is known
+    scene: Scene | None = None  # None if not known
     runs: list[ReportedRun] = field(default_factory=list)
-    treatment: Dataset | None = None
-    demo: Path | None = None  # the folder, where it is one
-    files: list[Path] = field(default_factory=list)  # that were read
+    treatment: Dataset | None = None  # prediction of `pftwin treat`
+    demo: Path | None = None  # the demo's folder, if `source` is one
+    files: list[Path] = field(default_factory=list)  # all files that were read
 
     @property
     def estimate(self) -> Estimate | None:
-        """The first of the estimates."""
+        """The first estimate; None without any."""
         return next(iter(self.estimates.values()), None)
 
     @property
     def measured(self) -> Measured | None:
-        """The scene's measurements."""
+        """The scene's measurements, if there are any."""
         return None if self.scene is None else self.scene.measured
 
     @property
     def names(self) -> str:
-        """Names of the runs."""
+        """Names of the runs, joined by "and"."""
         return " and ".join(r.name for r in self.runs)
 
     def changed_since(self, e: Estimate) -> list[str]:
-        """Parameters whose values in the scene differ from the fit's nominal ones: the scene may be another one."""
+        """Parameters whose values in the scene differ from the fit's nominal ones, a sign of a different scene."""
         if e.nominal_scene is None:
             return []
         here = [(n, e.nominal_scene.get(n), began) for n, began in zip(e.names[: e.shared], e.nominal, strict=False)]
         return [name for name, value, began in here if abs(value - began) > 1e-6 * abs(began)]
 
     def invalid(self) -> list[str]:
-        """What may not be spoken of and why: motions, fits, variants of the prediction."""
+        """Descriptions of all INVALID motions, fits and variants of the prediction, with reasons."""
         from fitting.prediction.plots import invalid_variants, narrow_bands
 
-        said = [f"{run.verdict.describe()} ({run.name})" for run in self.runs if not run.verdict.valid]
-        said += [f"{e.sentence()} ({name})" for name, e in self.estimates.items() if e.invalid]
+        found = [f"{run.verdict.describe()} ({run.name})" for run in self.runs if not run.verdict.valid]
+        found += [f"{e.sentence()} ({name})" for name, e in self.estimates.items() if e.invalid]
         variants = "" if self.treatment is None else invalid_variants(self.treatment) or narrow_bands(self.treatment)
-        return [*said, *([f"{variants} (treatment)"] if variants else [])]
+        return [*found, *([f"{variants} (treatment)"] if variants else [])]
 
     def without_basis(self) -> str:
-        """Names of the INVALID motion or fit that forbids to speak of the prediction; empty where none does."""
+        """Names of the INVALID motions and fits that invalidate the prediction; empty if there are none."""
         unsound = [r.name for r in self.runs if r.name != NOMINAL and not r.verdict.valid]
         return " and ".join([*unsound, *(name for name, e in self.estimates.items() if e.invalid)])
 
     def doubts(self) -> list[str]:
-        """Signs that the prediction belongs to another knee than the rest of the report."""
+        """Signs that the prediction and the rest of the report are about different knees."""
         data, estimate, out = self.treatment, self.estimate, []
         if data is None:
             return out
@@ -96,29 +96,29 @@ class Material:
         return out
 
     def synthetic(self) -> list[str]:
-        """Every remark about synthetic data, once."""
+        """All remarks about synthetic data, without repetitions."""
         from pftwin.model.measured import SYNTHETIC
 
-        said = [r.note for r in self.runs if "synthetic" in r.note]
+        remarks = [r.note for r in self.runs if "synthetic" in r.note]
         if self.scene is not None and self.scene.synthetic:
-            said.append(SYNTHETIC)
+            remarks.append(SYNTHETIC)
         if any(e.synthetic for e in self.estimates.values()):
-            said.append("the measurements are synthetic")
+            remarks.append("the measurements are synthetic")
         if self.treatment is not None:
             note = str(self.treatment.attrs.get("note", ""))
-            said += [part for part in note.split("; ") if "synthetic" in part]
+            remarks += [part for part in note.split("; ") if "synthetic" in part]
             if int(self.treatment.attrs.get("synthetic", 0)) and not note:
-                said.append("the parameters of the prediction were estimated from synthetic measurements")
-        return list(dict.fromkeys(said))
+                remarks.append("the parameters of the prediction were estimated from synthetic measurements")
+        return list(dict.fromkeys(remarks))
 
 
 def gather_material(
     source: Path, *, treatment: Path | None, scene: Path | None, case: int | None, contact: str | None
 ) -> Material:
-    """Reads everything; simulates the nominal and the fitted motion of an estimate.
+    """Reads the report's data; for an estimate, simulates the nominal and the fitted motion.
 
-    Without a scene or a case it is the rig's case that was fitted to its own measurements. InputError for a source that
-    is neither an estimate, a demo's folder nor a result, and for a scene that cannot be found or is another one.
+    Without a scene or a case, the scene is the rig's case that the estimate was fitted to. Raises InputError for a
+    source that is neither an estimate, a demo's folder nor a result, and for a scene that is missing or does not match.
     """
     if scene is None and case is None and contact is not None:
         raise InputError("--contact without a scene", expected=_NAME_IT)
@@ -135,7 +135,7 @@ def gather_material(
         _check_same(str(run.about.get("scene", "")), given, source)
         found = Material(source, f"Simulated knee: {run.name}", scene=given, runs=[run], files=[source])
     else:
-        raise InputError("not a file that a report is made of", where=source, expected=_WHICH)
+        raise InputError("not a file that a report can be made from", where=source, expected=_WHICH)
     found.treatment = predicted
     if treatment is not None:
         found.files.append(treatment)
@@ -143,7 +143,7 @@ def gather_material(
 
 
 def _of_estimate(path: Path, given: Scene | None) -> Material:
-    """An estimate, its scene, and the nominal and the fitted motion."""
+    """Reads an estimate and its scene, and simulates the nominal and the fitted motion."""
     from fitting.estimate import Estimate
     from pftwin.dynamics.simulate import simulate
 
@@ -158,7 +158,7 @@ def _of_estimate(path: Path, given: Scene | None) -> Material:
 
 
 def _of_demo(folder: Path, given: Scene | None) -> Material:
-    """The demo's fits, its results before and after the treatment, and its tables and figures."""
+    """Reads the demo's fits, and its results before and after the treatment."""
     from fitting.demo.paper_study import PATHOLOGY, TREATMENT
     from fitting.estimate import Estimate
 
@@ -186,21 +186,21 @@ def _of_demo(folder: Path, given: Scene | None) -> Material:
 
 
 def _scene_of(estimate: Estimate, given: Scene | None, path: Path) -> Scene:
-    """The scene that was named, else the case of the rig that was fitted."""
+    """The given scene, or by default the rig's case that was fitted."""
     if given is None:
         named = _case_of(estimate)
         if named is None:
             found = f"the estimate is of the scene {estimate.scene_name!r}, which is not in its file"
             raise InputError(found, where=path, expected="the scene beside it", remedy=_NAME_IT)
         return chosen_scene(None, *named).scene
-    _check_same(next(iter(estimate.trial_rmse), estimate.scene_name), given, path)  # of several trials, the first
+    _check_same(next(iter(estimate.trial_rmse), estimate.scene_name), given, path)  # first of several trials
     return given
 
 
 def _case_of(estimate: Estimate) -> tuple[int, str] | None:
-    """Number and contact of the rig's case that was fitted to its own measurements; None of any other estimate.
+    """Number and contact of the rig's case that was fitted to its own measurements; None for any other estimate.
 
-    The name is not enough: a user's scene may have any.
+    The scene's name alone does not suffice: a user's scene may have the same name.
     """
     from pftwin.rig.recording import source_of
 
@@ -211,10 +211,10 @@ def _case_of(estimate: Estimate) -> tuple[int, str] | None:
 
 
 def _check_same(name: str, given: Scene | None, path: Path) -> None:
-    """Refuses a scene other than the file's, which would mix the numbers of two knees."""
+    """Raises InputError if a scene's name is not the file's: the report would mix two knees."""
     if given is not None and given.name != name:
         raise InputError(
-            f"is of the scene {name!r}, and the scene that was named is {given.name!r}",
+            f"belongs to the scene {name!r}, but the given scene is {given.name!r}",
             where=path,
             expected="the scene that was simulated or fitted",
             remedy=f"{_NAME_IT}, with --contact where the scene's own was replaced",
@@ -222,7 +222,7 @@ def _check_same(name: str, given: Scene | None, path: Path) -> None:
 
 
 def _prediction(path: Path) -> Dataset:
-    """What `pftwin treat` wrote; InputError for any other file."""
+    """Loads a prediction of `pftwin treat`; InputError for any other file."""
     from pftwin.files.result_files import load_dataset
 
     data = load_dataset(path)

@@ -1,4 +1,4 @@
-"""A simulation that a report shows, from its file or from memory."""
+"""One simulation of a report, loaded from a file or taken from memory."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class ReportedRun:
 
     @classmethod
     def of_file(cls, path: Path, name: str | None = None) -> ReportedRun:
-        """From what `Result.save` wrote; InputError for any other file."""
+        """Loads a file that `Result.save` wrote; InputError for any other file."""
         from pftwin.files.result_files import load_dataset
 
         data = load_dataset(path)
@@ -49,49 +49,49 @@ class ReportedRun:
 
     @classmethod
     def of_result(cls, result: Result, name: str) -> ReportedRun:
-        """From a result in memory."""
+        """Wraps a result in memory."""
         return cls(name, result.to_dataset(), result)
 
     @property
     def about(self) -> dict[str, Any]:
-        """The attributes of the file."""
+        """Attributes of the file."""
         return self.data.attrs
 
     @property
     def note(self) -> str:
-        """A remark about its motion, such as that it is synthetic."""
+        """Remark about the motion, for example that it is synthetic."""
         return str(self.about.get("note", ""))
 
     @cached_property
     def verdict(self) -> Verdict:
-        """Whether the motion may be spoken of."""
+        """Whether the motion is valid."""
         return verdict_of_file(self.data)
 
     @property
     def tracking(self) -> str:
-        """What becomes of the patella, in words; "INVALID" and why where the motion may not be spoken of."""
+        """Tracking of the patella in words; "INVALID" and the reasons if the motion is not valid."""
         if not self.verdict.valid:
             return self.verdict.describe()
         return str(self.about.get("tracking", "not in the file"))
 
     @property
     def contact(self) -> str | None:
-        """Name of the effect that is the button's contact; None where there is none."""
+        """Name of the effect that is the button's contact; None without one."""
         names = [str(n).removesuffix("_force_medial") for n in self.data.data_vars if str(n).endswith("_force_medial")]
         return next((n for n in names if f"{n}_force" in self.data), None)
 
     @property
     def marks(self) -> list[tuple[int, str]]:
-        """How many frames have a flag, and the flag in words; last those of no consequence for what is said."""
+        """Number of frames with each flag, and the flag in words; flags that do not affect the verdict come last."""
         status, about = self.data["status"].values, self.data["status"].attrs
         words = np.atleast_1d(about.get("flag_descriptions", str(about.get("flag_meanings", "")).split()))
         flags = sorted(zip(np.atleast_1d(about.get("flag_masks", [])), words, strict=True), key=_is_remark)
-        counts = ((int(np.count_nonzero(status & int(mask))), str(said)) for mask, said in flags)
-        return [(count, said) for count, said in counts if count]
+        counts = ((int(np.count_nonzero(status & int(mask))), str(text)) for mask, text in flags)
+        return [(count, text) for count, text in counts if count]
 
     @cached_property
     def result(self) -> Any:
-        """The result, or what the figures read of one, made from the file."""
+        """The result; for a file, an object with the attributes of a result that the figures read."""
         if not isinstance(self.source, Path):
             return self.source
         data = self.data

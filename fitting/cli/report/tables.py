@@ -1,4 +1,4 @@
-"""Tables of a report: what its files hold, in the units in which people read it."""
+"""Tables of a report, in display units."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from pftwin.model.measured import Measured
     from pftwin.model.scene import Scene
 
-# Factor from each SI unit to the unit shown, and that unit.
+# For each SI unit: the factor to the display unit, and that unit.
 _PARAMETERS = {"m": (1e3, "mm"), "kg": (1e3, "g"), "m/s": (1e3, "mm/s"), "Pa": (1e-6, "MPa"), "m/s^2": (1.0, "m/s²")}
 _FORCES = {"m": (1e3, "mm"), "1": (1.0, "")}
 _RESIDUALS = {"orientation": (180 / np.pi, "deg"), "position": (1e3, "mm"), **dict.fromkeys("XYZ", (1e3, "mm"))}
@@ -36,15 +36,15 @@ _CHANNELS = {
     "tibial spring force": "tibial_spring_force",
     "femoral spring force": "femoral_spring_force",
 }
-_CHECKS = (  # words, attribute of the file, factor, digits, unit
-    ("force left over at the start", "equilibrium_residual_N", 1.0, 2, "N"),
+_CHECKS = (  # label, attribute of the file, factor, digits, unit
+    ("residual force at the start", "equilibrium_residual_N", 1.0, 2, "N"),
     ("largest indentation", "largest_indentation_m", 1e3, 3, "mm"),
     ("largest constraint drift", "largest_constraint_drift_m", 1e3, 2, "mm"),
 )
 _ENERGIES = {
-    "numerical_dissipation": "largest energy that the steps took or gave",
-    "energy_budget_error": "largest energy that no account explains",
-    "work": "work put in, largest",
+    "numerical_dissipation": "largest energy lost or gained by time stepping",
+    "energy_budget_error": "largest error of the energy balance",
+    "work": "largest work of guided bodies and known forces",
 }
 SIMULATED = {
     "integrator": "integrator",
@@ -52,23 +52,23 @@ SIMULATED = {
     "substeps": "steps between frames",
     "tolerance_m": "tolerance [m]",
     "error_estimate_m": "estimated error [m]",
-    "dtype": "numbers",
+    "dtype": "number format",
     "pftwin_version": "pftwin",
     "jax_version": "JAX",
 }
-_MOST_NAMES = 6  # of parameters, in a sentence
+_MOST_NAMES = 6  # most parameters named in a sentence
 PREDICTED = {"source": "made by", "jax_version": "JAX", "dt": "longest time step [s]", "seed": "seed of the draws"}
 
 
 def parameters(scene: Scene) -> Sheet:
-    """Every number that the effects of a scene declare."""
+    """All parameters that the effects of a scene declare, and the mass of the patella."""
     rows = [("patella", "mass", number(1e3 * float(scene.patella.mass)), "g")]
     rows += [(_words(effect.name), *row) for effect in scene.effects for row in _declared(effect)]
     return Sheet("Parameters of the scene", ("effect", "quantity", "value", "unit"), tuple(rows))
 
 
 def _declared(effect: Effect) -> Iterator[tuple[str, str, str]]:
-    """Quantity, value and unit of every number that an effect declares; of a surface, what it is in a word."""
+    """Yields quantity, value and unit of every parameter of an effect; for a surface, only its type."""
     from pftwin.base.quantities import declarations
     from pftwin.geometry.patch.fit import name_of
 
@@ -94,7 +94,7 @@ def _declared(effect: Effect) -> Iterator[tuple[str, str, str]]:
 
 
 def _value(leaf: Any, scale: float) -> str:
-    """One number; the range of many."""
+    """Formats one number, or the range of several."""
     values = scale * np.asarray(leaf, dtype=np.float64).ravel()
     if values.size == 1 or np.ptp(values) == 0:
         return number(values[0])
@@ -102,7 +102,7 @@ def _value(leaf: Any, scale: float) -> str:
 
 
 def forces(run: ReportedRun) -> Sheet:
-    """Smallest, mean and largest values of the run's tendon and contact forces and of its angles."""
+    """Smallest, mean and largest values of a run's forces, angles and offset from the groove."""
     rows = []
     for name, variable in run.data.data_vars.items():
         unit = str(variable.attrs.get("units", ""))
@@ -120,7 +120,7 @@ def forces(run: ReportedRun) -> Sheet:
 
 
 def measurements(measured: Measured) -> Sheet:
-    """Frames without a value, and the longest gap, of every channel."""
+    """Number of frames, of frames without a value, and the longest gap, for every channel."""
     rows = []
     given = {**{words: getattr(measured, name) for words, name in _CHANNELS.items()}, **measured.readings}
     for words, values in given.items():
@@ -135,7 +135,7 @@ def measurements(measured: Measured) -> Sheet:
 
 
 def residuals(name: str, e: Estimate) -> Sheet:
-    """Residuals of a fit, by channel."""
+    """Root mean square residual and noise of a fit, by channel."""
     rows = []
     for channel in dict.fromkeys([*e.rmse, *e.noise]):
         scale, unit = _RESIDUALS.get(channel, as_read(e.readings.get(channel, "N")))
@@ -147,7 +147,7 @@ def residuals(name: str, e: Estimate) -> Sheet:
 
 
 def checks(run: ReportedRun) -> Sheet:
-    """Equilibrium, indentation and energy of a simulation, where its file has them."""
+    """Equilibrium, indentation, constraint drift and energy of a simulation, as far as its file has them."""
     rows = [
         (words, number(factor * float(run.about[key]), digits), unit)
         for words, key, factor, digits, unit in _CHECKS
@@ -159,7 +159,7 @@ def checks(run: ReportedRun) -> Sheet:
 
 
 def fitted(e: Estimate, scene: Scene | None) -> Sheet:
-    """Estimates with their intervals."""
+    """Estimates with their intervals and standard deviations, also for each trial where they differ."""
     rows = []
     for i, name in enumerate(e.names[: e.shared]):
         scale, unit = as_read(e.units[i])
@@ -173,12 +173,12 @@ def fitted(e: Estimate, scene: Scene | None) -> Sheet:
             cells = (number(scale * value), "", number(scale * sd, 3), "", unit)
             rows.append((f"{name} in {trial}", meaning(scene, name), *cells))
     against = "synthetic measurements" if e.synthetic else "measurements"
-    headings = ("parameter", "what it is", "estimate", "95 % interval", "standard deviation", "nominal", "unit")
+    headings = ("parameter", "meaning", "estimate", "95 % interval", "standard deviation", "nominal", "unit")
     return Sheet(f"Fitted to {against}", headings, tuple(rows))
 
 
 def meaning(scene: Scene | None, name: str) -> str:
-    """A parameter in words; its name where the scene is not known."""
+    """A parameter in words; its name if the scene is not known."""
     if scene is None:
         return name
     from pftwin.model.scene_parameters import find
@@ -187,34 +187,34 @@ def meaning(scene: Scene | None, name: str) -> str:
 
 
 def predicted(data: Dataset, most: int = 60) -> Sheet:
-    """A row for each variant of a prediction."""
+    """Outcomes of a prediction, with a row for each of at most `most` variants."""
     from fitting.prediction.plots import outcome_sheet
 
     return outcome_sheet(data, most)
 
 
 def how_sure(data: Dataset) -> list[str]:
-    """How far a prediction goes: variants that are missing, what widens its bands most, how often such bands hold."""
+    """Sentences on the uncertainty of a prediction: missing variants, main source of its bands, measured coverage."""
     from fitting.prediction.plots import coverage_in
 
     left = data.attrs.get("variants_missing")
-    said = [f"The prediction was interrupted: {int(left)} variants are missing."] if left else []
+    lines = [f"The prediction was interrupted: {int(left)} variants are missing."] if left else []
     if "sample" not in data.dims:
-        return [*said, "The prediction has no bands: it was made without draws from a fit's uncertainty."]
-    return [*said, *_widest_source(data), f"{coverage_in(data)}."]
+        return [*lines, "The prediction has no bands: it was made without draws from a fit's uncertainty."]
+    return [*lines, *_widest_source(data), f"{coverage_in(data)}."]
 
 
 def _widest_source(data: Dataset) -> list[str]:
-    """What makes a prediction's bands wide more than anything else; nothing where its draws do not tell."""
+    """The main source of a prediction's bands, in a sentence; empty if its draws do not determine it."""
     from fitting.prediction.band_sources import band_sources
 
     if "parameter_kind" not in data.coords:
         return []
     found = band_sources(data)
-    told = [row for row in zip(found.sources[:-1], found.narrower, strict=False) if np.isfinite(row[1]).all()]
-    if not told:
+    finite = [row for row in zip(found.sources[:-1], found.narrower, strict=False) if np.isfinite(row[1]).all()]
+    if not finite:
         return []
-    name, shares = max(told, key=lambda row: row[1].mean())
+    name, shares = max(finite, key=lambda row: row[1].mean())
     if shares.mean() <= 0:
         return []
     names = data["parameter"].values[data["parameter_kind"].values == name]
@@ -225,26 +225,26 @@ def _widest_source(data: Dataset) -> list[str]:
 
 
 def reservations(data: Dataset) -> list[str]:
-    """Reservations to bear in mind when reading a prediction's table."""
+    """Notes on a prediction's table: parameters, meaning and coverage of its bands, invalid variants."""
     from fitting.prediction.plots import coverage_in, invalid_variants
 
-    said = [f"Parameters: {data.attrs.get('parameters', 'not in the file')}."]
+    lines = [f"Parameters: {data.attrs.get('parameters', 'not in the file')}."]
     if "sample" in data.dims:
         draws = data.sizes["sample"] - 1
-        said.append(f"In brackets: 95 % of those of {draws} draws that ran. {coverage_in(data)}.")
+        lines.append(f"In brackets: 95 % of those of {draws} draws that ran. {coverage_in(data)}.")
     if doubt := invalid_variants(data):
-        said.append(f"{doubt}: their rows are empty.")
-    return said
+        lines.append(f"{doubt}: their rows are empty.")
+    return lines
 
 
 def tracking(runs: Sequence[ReportedRun]) -> Sheet:
-    """What becomes of the patella in every run."""
-    title = "What becomes of the patella, with nominal springs"
+    """Tracking of the patella in every run of the demo."""
+    title = "Tracking of the patella, with nominal springs"
     return Sheet(title, ("case", "simulated"), tuple((run.name, run.tracking) for run in runs))
 
 
 def errors(path: Path) -> Sheet:
-    """Table 2 of the study in the demo's folder; InputError for another table."""
+    """Reads Table 2 of the study from the demo's folder; InputError for any other table."""
     lines = [csv_cells(line, path=path, number=i) for i, line in enumerate(read_lines(path)[0], 1) if line]
     if not lines or lines[0][:2] != ["row", "unit"] or any(len(line) != len(lines[0]) for line in lines):
         raise InputError("is not the demo's table", where=path, expected="the folder as `pftwin demo` wrote it")
@@ -266,7 +266,7 @@ def _cell(text: str) -> str:
 
 
 def versions(command: str, now: str) -> Sheet:
-    """Versions of the software that wrote this report, and the command line."""
+    """Date, command line and software versions of this report."""
     from pftwin.base.runtime import describe
 
     with_ = describe()
@@ -276,14 +276,14 @@ def versions(command: str, now: str) -> Sheet:
 
 
 def settings(title: str, about: dict[str, Any], words: dict[str, str]) -> Sheet:
-    """Settings of a simulation or prediction: the attributes of its file that are named in words."""
+    """Settings of a simulation or prediction: those attributes of its file that `words` gives a label."""
     found = ((shown, about[key]) for key, shown in words.items() if key in about)
     rows = tuple((shown, value if isinstance(value, str) else f"{value:g}") for shown, value in found)
     return Sheet(title, ("setting", "value"), rows)
 
 
 def fit(name: str, e: Estimate) -> Sheet:
-    """Settings of a fit."""
+    """Method, objective, channels, counts and bounds of a fit."""
     bounds = zip(e.names, e.lower, e.upper, e.units, strict=True)
     within = (f"{n} {number(low)} to {number(high)} {unit}".rstrip() for n, low, high, unit in bounds)
     objective = f"{e.objective}, {number(e.objective_value, 6)} {e.objective_unit}"
@@ -294,7 +294,7 @@ def fit(name: str, e: Estimate) -> Sheet:
 
 
 def files(paths: Sequence[Path]) -> Sheet:
-    """The files that a report was made from, with checksums."""
+    """Files that a report was made from, with size, checksum and time of last change."""
     rows = []
     for path in paths:
         about, digest = path.stat(), hashlib.sha256(path.read_bytes()).hexdigest()[:16]
@@ -303,7 +303,7 @@ def files(paths: Sequence[Path]) -> Sheet:
 
 
 def stamp(moment: datetime) -> str:
-    """Date and time to the minute."""
+    """Formats a date and time (UTC) to the minute."""
     return moment.strftime("%Y-%m-%d %H:%M UTC")
 
 

@@ -84,7 +84,7 @@ def test_forces_are_those_of_the_file(seen):
 def test_quality_and_settings_are_those_of_the_file(seen):
     result = small_result()
     assert seen.rows["largest indentation"] == [[shown(1e3 * result.largest_indentation, 3), "mm"]]
-    assert seen.rows["force left over at the start"] == [[shown(result.equilibrium.residual, 2), "N"]]
+    assert seen.rows["residual force at the start"] == [[shown(result.equilibrium.residual, 2), "N"]]
     assert f"Start: {result.equilibrium.description}" in seen.text
     assert result.dislocations().describe() in seen.text
     assert seen.rows["integrator"] == [[result.settings["integrator"]]]

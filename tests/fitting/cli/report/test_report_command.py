@@ -49,7 +49,7 @@ def test_writes_a_page_of_a_result(folder, tmp_path):
     ("arguments", "words"),
     [
         (("absent.nc", "-o", "r.html"), "no such file"),
-        (("notes.txt", "-o", "r.html"), "not a file that a report is made of"),
+        (("notes.txt", "-o", "r.html"), "not a file that a report can be made from"),
         (("other.json", "-o", "r.html"), "no estimate"),
         (("empty", "-o", "r.html"), "there is no fit.json in this folder"),
         (("variants.nc", "-o", "r.html"), "pftwin report fit.json --treatment variants.nc"),
@@ -61,7 +61,7 @@ def test_writes_a_page_of_a_result(folder, tmp_path):
         (("namesake.json", "-o", "r.html"), "--scene knee/scene.toml or --case N"),
         (
             ("knee.nc", "--case", "2", "-o", "r.html"),
-            "is of the scene 'small knee', and the scene that was named is 'rig",
+            "belongs to the scene 'small knee', but the given scene is 'rig",
         ),
     ],
 )

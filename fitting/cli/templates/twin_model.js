@@ -1,5 +1,5 @@
-// What `pftwin.simulate` does on the host, over programs in WebAssembly that were written from its own. No page: it
-// runs in a worker and in Node alike. `facts` is what fitting/cli/twin/facts.py tells.
+// The host side of `pftwin.simulate` in JavaScript; it calls programs that pftwin compiled to WebAssembly. It needs no
+// page, so it runs in a worker and in Node. `facts` is from `programs` and fitting/cli/twin/facts.py.
 function makeTwin(module, facts) {
     const { exports } = new WebAssembly.Instance(module, { Math });
     const slots = (address, size, real) => real ? new Float64Array(exports.memory.buffer, address, size)
@@ -35,7 +35,7 @@ function makeTwin(module, facts) {
         return second.converged[0] ? second : first;
     }
 
-    // As `accurate_enough` of pftwin.dynamics.tolerance: gives the first motion, then others until the error is small.
+    // As `accurate_enough` in pftwin.dynamics.tolerance: halves the step until the error is small; yields each motion.
     function* simulate(values) {
         const { rules } = facts, started = performance.now();
         const begin = settled(values);
@@ -59,7 +59,7 @@ function makeTwin(module, facts) {
         yield { ...here, ...judged(here), finished: true, total: performance.now() - started };
     }
 
-    // As pftwin.results.verdict and pftwin.results.tracking.
+    // Repeats pftwin.results.verdict and pftwin.results.tracking.
     function judged(motion) {
         const n = facts.frames, reasons = [], remarks = [];
         facts.flags.forEach(({ bit, words, most, everywhere }) => {

@@ -1,4 +1,4 @@
-// The page of a twin in a file: sliders, words, curves. Its worker simulates.
+// The page of a twin in a file: sliders, text and curves. Its worker simulates.
 (async function () {
     const text = (id) => document.getElementById(id).textContent;
     const facts = JSON.parse(text('facts')), state = document.getElementById('state');
@@ -106,9 +106,9 @@
         const span = facts.times[facts.frames - 1] - facts.times[0];
         const step = 1e3 * span / (facts.frames - 1) / after.substeps;
         document.getElementById('pace').textContent = `${span.toFixed(1)} s of motion, steps of ${step.toFixed(2)} ms: `
-            + `${after.ms.toFixed(0)} ms, ${(span * 1e3 / after.ms).toFixed(0)} \u00D7 real time; with the start and the runs that tell the error ${after.total.toFixed(0)} ms.`;
-        if (!after.finished) { tell('', 'Checking with shorter steps ...', 'Nothing is said of this motion until that is done.'); }
-        else if (after.verdict !== 'valid') { tell('bad', sentence(after.verdict), 'Nothing can be said of this motion.'); }
+            + `${after.ms.toFixed(0)} ms, ${(span * 1e3 / after.ms).toFixed(0)} \u00D7 real time; with the start and the runs that estimate the error ${after.total.toFixed(0)} ms.`;
+        if (!after.finished) { tell('', 'Checking with shorter steps ...', 'The verdict follows when this is done.'); }
+        else if (after.verdict !== 'valid') { tell('bad', sentence(after.verdict), 'Do not interpret this motion.'); }
         else if (after.events === null) { tell('doubt', `Dislocation: ${after.tracking}`, after.remarks.join('; ')); }
         else { tell(after.events.length ? 'bad' : 'good', `Dislocation: ${after.events.length ? 'yes' : 'no'}`, [sentence(after.tracking), ...after.remarks.map((r) => sentence(r))].join(' ')); }
         window.twin = { after, before };
@@ -121,6 +121,6 @@
         worker.onerror = (event) => tell('bad', `Not drawn: ${event.message}`);
         ask({ module: await WebAssembly.compile(whole), facts });
     } catch (error) {
-        tell('bad', `This browser cannot run the twin: ${error.message}`, 'WebAssembly and DecompressionStream are needed, as browsers since 2023 have them.');
+        tell('bad', `This browser cannot run the twin: ${error.message}`, 'It needs WebAssembly and DecompressionStream, which browsers have supported since 2023.');
     }
 }());

@@ -1,4 +1,4 @@
-// In the page's worker: simulates for the last values that it was sent, and gives up on those before.
+// Runs in the page's worker: simulates for the latest values received, and abandons earlier ones.
 if (typeof self !== 'undefined' && typeof window === 'undefined') {
     let twin = null, wanted = 0;
     self.onmessage = async ({ data }) => {
@@ -8,7 +8,7 @@ if (typeof self !== 'undefined' && typeof window === 'undefined') {
         try {
             for (const motion of twin.simulate(data.values)) {
                 self.postMessage({ number: mine, motion });
-                await new Promise((done) => { setTimeout(done); }); // newer values arrive meanwhile
+                await new Promise((done) => { setTimeout(done); }); // lets newer values arrive
                 if (wanted !== mine) { return; }
             }
         } catch (error) {

@@ -1,1 +1,1 @@
-"""The twin in a file of `pftwin twin`: a scene's compiled programs as WebAssembly, in one page that needs no Python."""
+"""The twin in a file (`pftwin twin`): a scene's programs compiled to WebAssembly, in one page that needs no Python."""

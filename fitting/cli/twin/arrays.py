@@ -1,7 +1,7 @@
-"""Arrays of a program that is written: known, in local variables, or in memory; and what is done with whole ones.
+"""Arrays of a program that is compiled to WebAssembly, and operations on them.
 
-A value is one of three: a numpy array that is known; an array of objects whose entries are operands (local variables or
-constants); a `Table` in memory.
+A value is one of three: a numpy array of constants, known at compile time; an array of objects whose entries are
+operands (local variables or constants); a `Table` in memory.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from fitting.cli.twin.primitives import kind_of
 from fitting.cli.twin.wasm import F64, I32, SLOT, Code, Module, Operand, type_of
 from pftwin.base.errors import InputError
 
-SMALL = 96  # most entries of an array that is kept in local variables
+SMALL = 96  # largest number of entries of an array held in local variables
 
 
 class Table(NamedTuple):
-    """An array in memory, row by row."""
+    """An array in memory, in row-major order."""
 
     address: int
     shape: tuple[int, ...]
@@ -32,7 +32,7 @@ Value = np.ndarray | Table
 
 
 def known(value: Value) -> bool:
-    """Whether a value depends on no input."""
+    """Whether a value is constant, that is, depends on no input."""
     return not isinstance(value, Table) and value.dtype != object
 
 
@@ -41,18 +41,18 @@ class Arrays:
 
     def __init__(self) -> None:
         self.module = Module()
-        self._written: dict[bytes, int] = {}  # addresses of data
+        self._written: dict[bytes, int] = {}  # addresses of constant data
 
     def reserve(self, like: Any) -> Table:
-        """Memory for an array of this shape and type."""
+        """Reserves memory for an array of the shape and type of `like`; InputError for an unsupported type."""
         if kind_of(like.dtype) is None:
-            expected = "float64, whole numbers and truth values"
+            expected = "float64, integers and booleans"
             raise InputError(f"numbers of type {like.dtype}", where="twin", expected=expected)
         size = int(np.prod(like.shape))
         return Table(self.module.reserve(size), tuple(like.shape), np.dtype(like.dtype))
 
     def elementwise(self, code: Code, write: Callable[..., Operand], params: Any, args: list[Value], out: Any) -> Value:
-        """Does the same with every entry, or with entries in the same place."""
+        """Applies an elementwise operation, written by `write`, to one array or several."""
         if int(np.prod(out.shape)) <= SMALL:
             flat = [np.broadcast_to(self.entries(code, a), out.shape).reshape(-1) for a in args]
             return array([write(code, params, *map(operand, x)) for x in zip(*flat, strict=True)], out.shape)
@@ -65,7 +65,7 @@ class Arrays:
         return made
 
     def moved(self, code: Code, move: Callable[[Any], Any], args: list[Value], out: Any) -> Value:
-        """The same numbers in other places: `move` rearranges an array of anything."""
+        """Rearranges or repeats the entries of an array by `move`, which accepts numpy arrays of any type."""
         if not isinstance(args[0], Table) and int(np.prod(out.shape)) <= SMALL:
             return move(args[0])
         if args[0].shape == () or int(np.prod(args[0].shape)) == 1:
@@ -75,25 +75,25 @@ class Arrays:
         if source.shape != () and int(np.prod(source.shape)) == int(np.prod(out.shape)):
             whole = move(np.arange(np.prod(source.shape)).reshape(source.shape)).reshape(-1)
             if (np.diff(whole) == 1).all():
-                return Table(source.address, made.shape, source.dtype)  # the same numbers in the same order
+                return Table(source.address, made.shape, source.dtype)  # order unchanged: no copy needed
         self._copy(code, source, move(np.arange(np.prod(source.shape)).reshape(source.shape)), made, None)
         return self.fetched(code, made)
 
     def joined(self, code: Code, join: Callable[[Any], Any], args: list[Value], out: Any) -> Value:
-        """Several arrays in one: `join` does it with arrays of anything."""
+        """Joins several arrays into one by `join`, which accepts numpy arrays of any type."""
         if int(np.prod(out.shape)) <= SMALL:
             return join([self.entries(code, a) for a in args])
         made, sizes = self.reserve(out), [int(np.prod(a.shape)) for a in args]
         ends = np.cumsum([0, *sizes])
         places = join([np.arange(n).reshape(a.shape) + e for n, a, e in zip(sizes, args, ends, strict=False)])
-        there = np.argsort(places.reshape(-1))  # of every entry of every argument
+        targets = np.argsort(places.reshape(-1))  # position in the result of every entry of every argument
         for a, begin, end in zip(args, ends, ends[1:], strict=False):
-            source = self.table(code, a)
-            self._copy(code, source, np.arange(end - begin).reshape(a.shape), made, there[begin:end].reshape(a.shape))
+            source, to = self.table(code, a), targets[begin:end].reshape(a.shape)
+            self._copy(code, source, np.arange(end - begin).reshape(a.shape), made, to)
         return made
 
     def _copy(self, code: Code, source: Table, taken: np.ndarray, made: Table, put: np.ndarray | None) -> None:
-        """Copies entries `taken` of a table to places `put` (None: in their order), which are even along each axis."""
+        """Copies entries `taken` of a table to positions `put` (None: in order); strides must be constant per axis."""
         put = np.arange(taken.size).reshape(taken.shape) if put is None else put
 
         def nest(axes: list[int], address: Operand, to: Operand) -> None:
@@ -108,12 +108,12 @@ class Arrays:
                 ]
                 nest(axes[1:], *moved)
 
-        # Whole addresses: an offset beyond one may not be negative, and steps of reversed arrays are.
+        # Full addresses, because strides of reversed arrays are negative, which an instruction's offset cannot be.
         first = source.address + SLOT * int(taken.flat[0]), made.address + SLOT * int(put.flat[0])
         nest([k for k in range(taken.ndim) if taken.shape[k] > 1], *first)
 
     def reduced(self, code: Code, write: Callable[..., Operand], axes: Any, x: Value, out: Any) -> Value:
-        """Sums, extremes and the like along axes."""
+        """Reduces an array along axes by the binary operation that `write` writes, for example a sum."""
         if not isinstance(x, Table) and x.size <= SMALL:
             kept = [k for k in range(x.ndim) if k not in axes]
             rows = x.transpose(*kept, *axes).reshape(int(np.prod(out.shape)), -1)
@@ -135,7 +135,7 @@ class Arrays:
         return self.fetched(code, made)
 
     def running(self, code: Code, write: Callable[..., Operand], x: Value, out: Any) -> Value:
-        """The same of all entries so far, of an array with one axis."""
+        """Cumulative version of `reduced`, for an array with one axis."""
         source, made = self.table(code, x), self.reserve(out)
         total = code.new(kind_of_table(source))
         code.set(total, code.load(total.type, source.address))
@@ -154,24 +154,24 @@ class Arrays:
         return total
 
     def kept(self, code: Code, value: Value) -> Value:
-        """A value as another function can read it: known, or in memory."""
+        """The value in a form that another function can read: constant, or in memory."""
         return value if known(value) else self.table(code, value)
 
     def fetched(self, code: Code, value: Value) -> Value:
-        """A table's numbers in local variables if it is small; other values as they are."""
+        """Loads a small table into local variables; returns other values unchanged."""
         if not isinstance(value, Table) or int(np.prod(value.shape)) > SMALL:
             return value
         return self.entries(code, value)
 
     def entries(self, code: Code, value: Value) -> np.ndarray:
-        """A value as an array of numbers or operands."""
+        """The value as an array of numbers or operands."""
         if not isinstance(value, Table):
             return value
         size = int(np.prod(value.shape))
         return array([code.load(kind_of_table(value), value.address + SLOT * k) for k in range(size)], value.shape)
 
     def table(self, code: Code, value: Value) -> Table:
-        """A value in memory."""
+        """The value as a table in memory."""
         if isinstance(value, Table):
             return value
         if known(value):
@@ -182,7 +182,7 @@ class Arrays:
         return made
 
     def store_all(self, code: Code, tables: Sequence[Table], values: Sequence[Value]) -> None:
-        """Writes values to memory."""
+        """Writes values to tables of the same shapes."""
         for table, value in zip(tables, values, strict=True):
             if table.shape != value.shape:
                 raise AssertionError(f"{table.shape} for {value.shape}")
@@ -195,7 +195,7 @@ class Arrays:
                 code.store(operand(x), table.address + SLOT * k)
 
     def single(self, code: Code, value: Value) -> Operand:
-        """The one entry of a value."""
+        """The first entry of a value."""
         return operand(self.entries(code, value).reshape(-1)[0])
 
     def _data(self, value: np.ndarray) -> int:
@@ -210,14 +210,14 @@ class Arrays:
 
 
 def operand(x: Any) -> Operand:
-    """A number of numpy as a constant; an operand as it is."""
+    """Converts a numpy number to a Python constant; returns an operand unchanged."""
     if isinstance(x, np.floating):
         return float(x)
     return int(x) if isinstance(x, np.integer | np.bool_) else x
 
 
 def kind_of_table(table: Table) -> int:
-    """How the numbers of a table are held."""
+    """WebAssembly type of a table's numbers."""
     kind = kind_of(table.dtype)
     assert kind is not None
     return kind
@@ -228,7 +228,7 @@ def _any_float(value: np.ndarray) -> bool:
 
 
 def array(entries: Sequence[Any], shape: tuple[int, ...]) -> np.ndarray:
-    """An array of objects; a tuple is one object."""
+    """An array of objects of this shape; a tuple is one object."""
     made = np.empty(len(entries), dtype=object)
     for k, x in enumerate(entries):
         made[k] = x
@@ -236,10 +236,10 @@ def array(entries: Sequence[Any], shape: tuple[int, ...]) -> np.ndarray:
 
 
 def stride(places: np.ndarray, axis: int) -> int:
-    """How far apart neighbours along an axis lie, in entries; InputError where that differs."""
+    """Distance of neighbours along an axis, in entries; InputError if it is not constant."""
     if places.shape[axis] < 2:
         return 0
     ahead = np.diff(places, axis=axis)
     if (ahead != ahead.flat[0]).any():
-        raise InputError("an array whose parts lie unevenly", where="twin", expected="slices and transposes")
+        raise InputError("an array with varying strides", where="twin", expected="slices and transposes")
     return int(ahead.flat[0])

@@ -23,14 +23,14 @@ MOST_BYTES = 1_500_000  # of a page
 def twin(
     scene: SceneArgument = None,
     *,
-    output: Annotated[Path, Option("-o", "--output", metavar="TWIN.html", help="The page.")],
+    output: Annotated[Path, Option("-o", "--output", metavar="TWIN.html", help="File for the page.")],
     case: CaseOption = None,
     knee: NaturalOption = None,
     contact: ContactOption = None,
-    browser: Annotated[bool, Option("--open", help="Show the page in the browser.")] = False,
+    browser: Annotated[bool, Option("--open", help="Open the page in the browser.")] = False,
     json: JsonOption = None,
 ) -> None:
-    """Write the twin into one page that simulates by itself, offline and without Python, at every move of its sliders.
+    """Write the twin as one page that simulates at every move of its sliders, offline and without Python.
 
     Example: `pftwin twin --case 2 -o twin.html`
     """
@@ -40,7 +40,7 @@ def twin(
     from pftwin.base.text_files import write_text
 
     synthetic = chosen.scene.synthetic
-    with spinner(f"writing the programs of {chosen.scene.name}, half a minute"):
+    with spinner(f"compiling {chosen.scene.name}, about half a minute"):
         page = twin_page(chosen.scene)
     write_text(output, page)
     size = len(page.encode("utf-8"))
@@ -55,10 +55,10 @@ def twin(
 
 
 def twin_page(scene: Scene) -> str:
-    """The page of a scene, with sliders for the tibial tuberosity and both tendons.
+    """Renders the page of a scene, with sliders for the tibial tuberosity and both tendons.
 
     Raises:
-        InputError: the scene cannot be simulated in a page (contacts on meshes), or the page would be too large.
+        InputError: the scene cannot be compiled for a page (contacts on meshes), or the page would be too large.
     """
     from fitting.cli.live.knobs import Knobs
     from fitting.cli.live.words import AFTER, BEFORE, NOT_FOR_PATIENTS

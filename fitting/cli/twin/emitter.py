@@ -1,6 +1,6 @@
-"""From a program's jaxpr to WebAssembly: what depends on no input is computed here, small arrays are local variables.
+"""Compiler from jaxprs to WebAssembly: it evaluates constant expressions and keeps small arrays in local variables.
 
-Loops' bodies are functions of their own, so that browsers optimise them on the way.
+Bodies of loops become separate functions, so that browsers can optimise them while a loop runs.
 """
 
 from __future__ import annotations
@@ -18,17 +18,25 @@ from fitting.cli.twin.primitives import ELEMENTWISE, FOLDED, JOINED, MOVED, REDU
 from fitting.cli.twin.wasm import F64, I32, SLOT, Code, Operand
 from pftwin.base.errors import InputError
 
-_CALLED = ("jaxpr", "call_jaxpr", "fun_jaxpr")  # parameters of primitives that only call another program
+_CALLED = ("jaxpr", "call_jaxpr", "fun_jaxpr")  # parameters of primitives that only call another jaxpr
 
 
 class Emitter(Arrays):
-    """Writes programs into a module."""
+    """Compiles programs into a module."""
 
     def program(self, name: str, function: Callable[..., Any], *examples: Any) -> dict[str, Any]:
-        """Exports a function of arrays like the examples; gives addresses, sizes and kinds of its inputs and outputs.
+        """Compiles and exports a function under a name.
+
+        Args:
+            name: of the exported function.
+            function: traceable, of arrays with the shapes and types of the examples.
+            examples: trees of arrays.
+
+        Returns:
+            "inputs" and "outputs": [address, size, 1 for float64 or 0 for integers] of every array.
 
         Raises:
-            InputError: it has a primitive, or a type of number, that cannot be written.
+            InputError: the function has a primitive or a type of number that is not supported.
         """
         made, shape = jax.make_jaxpr(function, return_shape=True)(*examples)
         code = Code()
@@ -38,12 +46,12 @@ class Emitter(Arrays):
         self.store_all(code, outputs, found)
         self.module.function(code, name)
         return {
-            "inputs": list(map(_told, inputs)),
-            "outputs": jax.tree.unflatten(jax.tree.structure(shape), list(map(_told, outputs))),
+            "inputs": list(map(_place, inputs)),
+            "outputs": jax.tree.unflatten(jax.tree.structure(shape), list(map(_place, outputs))),
         }
 
     def run(self, code: Code, jaxpr: Any, consts: Sequence[Any], args: Sequence[Value]) -> list[Value]:
-        """Writes a program for these arguments; gives its results."""
+        """Compiles a jaxpr for these arguments; returns its results."""
         held: dict[Any, Value] = dict(zip(jaxpr.invars, args, strict=True))
         held |= {v: np.asarray(c) for v, c in zip(jaxpr.constvars, consts, strict=True)}
 
@@ -67,7 +75,7 @@ class Emitter(Arrays):
             closed = hasattr(inner, "consts")
             return self.run(code, inner.jaxpr if closed else inner, inner.consts if closed else (), args)
         if all(map(known, args)):
-            if name in FOLDED or name in MOVED or name in JOINED:  # an operation of JAX's own is compiled first
+            if name in FOLDED or name in MOVED or name in JOINED:  # numpy, as JAX would compile each
                 return [np.asarray(_folded(name, params, args), eqn.outvars[0].aval.dtype)]
             found = eqn.primitive.bind(*map(jnp.asarray, args), **params)
             return [np.asarray(x) for x in (found if eqn.primitive.multiple_results else [found])]
@@ -89,10 +97,10 @@ class Emitter(Arrays):
         if name == "dynamic_slice":
             return [self._dynamic_slice(code, args, out)]
         raise InputError(
-            f"the scene's program has the operation {name!r}",
+            f"the scene's program contains the operation {name!r}",
             where="twin",
-            expected="operations on numbers, loops and slices, as contacts on polynomial surfaces have",
-            remedy="--contact P5 with a scene file or --case; pftwin app takes other contacts, too",
+            expected="arithmetic, loops and slices, as in contacts on polynomial surfaces",
+            remedy="--contact P5 with a scene file or --case; pftwin app supports further contacts",
         )
 
     def _typed(self, name: str, eqn: Any) -> dict[str, Any]:
@@ -170,7 +178,7 @@ def _folded(name: str, params: Any, args: list[Any]) -> Any:
 
 
 def _used(jaxpr: Any) -> list[Any]:
-    """The equations that the results need."""
+    """The equations that the results depend on."""
     wanted, kept = {v for v in jaxpr.outvars if not isinstance(v, Literal)}, []
     for eqn in reversed(jaxpr.eqns):
         if wanted.intersection(eqn.outvars):
@@ -179,5 +187,5 @@ def _used(jaxpr: Any) -> list[Any]:
     return kept[::-1]
 
 
-def _told(table: Table) -> list[Any]:
+def _place(table: Table) -> list[Any]:
     return [table.address, int(np.prod(table.shape)), int(kind_of_table(table) == F64)]

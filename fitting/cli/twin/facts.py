@@ -1,4 +1,4 @@
-"""What the page of a twin in a file has to know beside its programs: sliders, frames, flags, groove, notes."""
+"""Data for the page of a twin in a file, besides its programs: sliders, frames, flags and groove."""
 
 from __future__ import annotations
 
@@ -17,7 +17,10 @@ from pftwin.results.verdict import IN_ORDER, most_frames
 
 
 def facts(scene: Scene, knobs: tuple[Knob, ...], missing: dict[str, str]) -> dict[str, Any]:
-    """Plain values for JSON; thresholds and words are those of the library."""
+    """Data of a scene for the page, as values for JSON; thresholds and texts are the library's.
+
+    `missing` gives, by group, why the page has no sliders for it.
+    """
     motion, contact = scene.motion, scene.contact
     surface: Any = None if contact is None else contact.groove_surface()
     shown = ("name", "label", "group", "unit", "least", "most", "step", "neutral", "hint")
@@ -48,7 +51,7 @@ def facts(scene: Scene, knobs: tuple[Knob, ...], missing: dict[str, str]) -> dic
 
 
 def _groove(surface: Any) -> dict[str, list[float]]:
-    """The groove's bottom over its course; without one the middle of the surface, as `groove_offset` has it."""
+    """Bottom line of the groove in chart coordinates; the surface's centre without a groove, as in `groove_offset`."""
     line = groove_line(surface)
     if line is None:
         return {"u": [0.0], "v": [float(getattr(surface, "center", (0.0, 0.0))[1])]}

@@ -1,4 +1,4 @@
-"""Primitives of JAX as instructions of WebAssembly: of single numbers, and of how numbers lie in arrays."""
+"""JAX primitives as WebAssembly instructions on single numbers, or as rearrangements of arrays."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _UNCHANGED = ("stop_gradient", "copy", "copy_p", "optimization_barrier", "reduce
 def _same(name: str) -> Callable[..., Operand]:
     def write(code: Code, _: Params, *x: Operand) -> Operand:
         kind = type_of(x[0])
-        if name == "mul" and 1.0 in x and kind == F64:  # exact, as the next
+        if name == "mul" and 1.0 in x and kind == F64:  # exact, like the next case
             return x[0] if x[1] == 1.0 else x[1]
         if name == "sub" and type(x[1]) is float and x[1] == 0.0 and not np.signbit(x[1]):
             return x[0]
@@ -121,7 +121,7 @@ RUNNING = {"cumsum": "add", "cumprod": "mul", "cummax": "max", "cummin": "min"}
 
 
 def kind_of(dtype: Any) -> int | None:
-    """How numbers of a type are held; None: not at all."""
+    """WebAssembly type for numbers of a numpy type; None if it is not supported."""
     kinds = {"float64": F64, "int64": I32, "int32": I32, "bool": I32}
     return kinds.get(str(np.dtype(dtype)))
 
@@ -138,7 +138,7 @@ def _sliced(params: Params, x: np.ndarray) -> np.ndarray:
     return x[tuple(map(slice, params["start_indices"], params["limit_indices"], steps))]
 
 
-# Of one array: the same numbers in other places.
+# Primitives that rearrange the entries of one array.
 MOVED: dict[str, Callable[[Params, np.ndarray], np.ndarray]] = {
     "reshape": lambda params, x: x.reshape(params["new_sizes"]),
     "squeeze": lambda params, x: x.squeeze(tuple(params["dimensions"])),
@@ -148,12 +148,12 @@ MOVED: dict[str, Callable[[Params, np.ndarray], np.ndarray]] = {
     "broadcast_in_dim": _broadcast,
     "slice": _sliced,
 }
-# Of several.
+# Primitives that join several arrays.
 JOINED: dict[str, Callable[[Params, list[np.ndarray]], np.ndarray]] = {
     "concatenate": lambda params, x: np.concatenate(x, params["dimension"]),
     "stack": lambda params, x: np.stack(x, params["axis"]),
 }
-# Of known arrays, as numpy has them.
+# Numpy functions for primitives of constant arrays.
 FOLDED: dict[str, Callable[..., Any]] = {
     "add": np.add, "sub": np.subtract, "mul": np.multiply, "neg": np.negative, "convert_element_type": np.asarray,
     "stop_gradient": np.asarray, "lt": np.less, "max": np.maximum, "min": np.minimum,

@@ -1,4 +1,4 @@
-"""The programs of a twin in a file: what `pftwin.simulate` computes of a treated scene, as functions of the sliders."""
+"""The programs of a twin in a file: the computations of `pftwin.simulate` for a treated scene, given slider values."""
 
 from __future__ import annotations
 
@@ -24,26 +24,26 @@ from pftwin.dynamics.tolerance import HALVINGS, UNCONFIRMED
 from pftwin.dynamics.trajectory import DEFAULT_STEP
 from pftwin.model.scene import Scene
 
-# Treatments that move numbers of a scene along straight lines, beside the tendons' stiffness: turns do not.
+# Treatments in which a scene's parameters are linear, as in the tendons' stiffness; rotations are not.
 _KINDS = ("tibial_tuberosity_transfer", "quadriceps_lengthening", "patellar_tendon_length_change")
-_CLOSE = 1e-12  # relative: rounding of a leaf's straight line
+_CLOSE = 1e-12  # tolerance of linearity, relative and absolute, for rounding
 _INTEGRATOR = BDF2()
 
 
 class Programs(NamedTuple):
-    """A module of WebAssembly, and what a page has to know to run it."""
+    """A WebAssembly module, and the data that a page needs to run it."""
 
     binary: bytes
     facts: dict[str, Any]
 
 
 def sliders(knobs: Knobs) -> tuple[Knob, ...]:
-    """Those of the live page's that a page has: tuberosity and tendons."""
+    """The live page's sliders that a twin in a file offers: tuberosity and tendons."""
     return tuple(k for k in knobs.usable if _offered(k))
 
 
 def missing(knobs: Knobs) -> dict[str, str]:
-    """By group why it has no sliders, of the groups that a page could have."""
+    """By group, the reason why it has no sliders, for the groups that a twin in a file can offer."""
     groups = {k.group for k in KNOBS if _offered(k)}
     return {group: why for group, why in knobs.missing.items() if group in groups}
 
@@ -53,10 +53,10 @@ def _offered(knob: Knob) -> bool:
 
 
 def programs(knobs: Knobs) -> Programs:
-    """Writes the programs of a scene with its sliders.
+    """Compiles the programs of a scene with its sliders.
 
     Raises:
-        InputError: the scene's programs cannot be written, as those of contacts on meshes.
+        InputError: the scene's programs cannot be compiled, for example those of contacts on meshes.
     """
     scene, emitter, changed = knobs.scene, Emitter(), _changed(knobs)
     values = jnp.asarray([k.neutral for k in sliders(knobs)], float)
@@ -114,7 +114,7 @@ def programs(knobs: Knobs) -> Programs:
     course = Course(three, jnp.zeros((n, 4)), three, each, each)
     place = pose.position.array(), pose.orientation.array()
     substeps = substeps_for(scene.motion.frame_interval, DEFAULT_STEP)
-    told = {
+    exported = {
         "settle": emitter.program("settle", settle, values, *place),
         "relaxed": emitter.program("relaxed", relaxed, values),
         "motion": emitter.program("motion", motion, values, jax.tree.leaves(empty), jnp.asarray(1)),
@@ -124,7 +124,7 @@ def programs(knobs: Knobs) -> Programs:
     }
     start_pose = [np.asarray(a, float).tolist() for a in place]
     rules = {"substeps": substeps + substeps % 2, "halvings": HALVINGS, "unconfirmed": UNCONFIRMED}
-    return Programs(emitter.module.binary(), {"programs": told, "start": start_pose, "rules": rules})
+    return Programs(emitter.module.binary(), {"programs": exported, "start": start_pose, "rules": rules})
 
 
 def _parts(error: ErrorEstimate) -> tuple[Array, Array, Array, Array]:
@@ -134,7 +134,7 @@ def _parts(error: ErrorEstimate) -> tuple[Array, Array, Array, Array]:
 def _changed(knobs: Knobs) -> Any:
     """The treated scene as a traceable function of the sliders' values (knobs,).
 
-    Every slider moves some numbers of the scene along straight lines, which is made sure of.
+    The scene's parameters must be linear in all sliders, which this checks at one further point; InputError if not.
     """
     own = sliders(knobs)
     rest = neutral()
@@ -143,7 +143,7 @@ def _changed(knobs: Knobs) -> Any:
         return jax.tree.flatten(knobs.scene_with(values).unnamed())
 
     base, structure = leaves(rest)
-    arrays = [jnp.asarray(a) for a in base]  # a traced number takes entries of JAX's arrays alone
+    arrays = [jnp.asarray(a) for a in base]  # traced indices work with JAX arrays only
     slopes = []
     for k in own:
         ends = [leaves({**rest, k.name: end})[0] for end in (k.least, k.most)]
@@ -160,7 +160,7 @@ def _changed(knobs: Knobs) -> Any:
     for i, a in enumerate(leaves({**rest, **trial})[0]):
         line = at(list(trial.values()), i, np) if i in lines else base[i]
         if not np.allclose(a, line, rtol=_CLOSE, atol=_CLOSE):
-            raise InputError("sliders that do not act along straight lines", where="twin", expected="linear changes")
+            raise InputError("sliders with a nonlinear effect on the scene", where="twin", expected="linear effects")
 
     def changed(values: Array) -> Scene:
         return jax.tree.unflatten(structure, [at(values, i, jnp) if i in lines else a for i, a in enumerate(arrays)])

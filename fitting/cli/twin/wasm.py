@@ -1,7 +1,7 @@
-"""A WebAssembly module under construction: the binary format's sections, and functions of instructions in SSA form.
+"""Writer of WebAssembly modules: functions of instructions in SSA form, and the sections of the binary format.
 
-Format: WebAssembly core specification, version 1 (with saturating conversions). Every value of an array takes a slot of
-8 bytes in memory: floats a float64, integers and truth values an int32.
+Format: WebAssembly core specification, version 1 (with saturating conversions). Every entry of an array occupies a slot
+of 8 bytes in memory: floats as float64, integers and booleans as int32.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ Operand = Local | float | int  # a float is a constant of type F64, an int one o
 
 
 def unsigned(n: int) -> bytes:
-    """LEB128 of a number that is not negative."""
+    """Unsigned LEB128 encoding."""
     out = bytearray()
     while n > 0x7F:
         out.append(n & 0x7F | 0x80)
@@ -40,7 +40,7 @@ def unsigned(n: int) -> bytes:
 
 
 def signed(n: int) -> bytes:
-    """LEB128 of a number with sign."""
+    """Signed LEB128 encoding."""
     out = bytearray()
     while not -64 <= n < 64:
         out.append(n & 0x7F | 0x80)
@@ -49,7 +49,7 @@ def signed(n: int) -> bytes:
 
 
 def type_of(operand: Operand) -> int:
-    """F64 or I32."""
+    """Type of an operand: F64 or I32."""
     return operand.type if isinstance(operand, Local) else F64 if type(operand) is float else I32
 
 
@@ -62,63 +62,63 @@ def _pushed(operand: Operand) -> bytes:
 
 
 class Code:
-    """The body of a function; each instruction's result is a local of its own, and equal instructions share one."""
+    """The body of a function; each instruction's result is a separate local, which equal instructions share."""
 
     def __init__(self, counted: bool = False) -> None:
-        """`counted`: with one parameter, an int32 that says which repetition this is."""
+        """`counted`: the function has one parameter, the int32 index of the repetition."""
         self.count = Local(I32, 0)
         self.counted, self._types, self._body = counted, [I32] if counted else [], bytearray()
         self._seen: dict[bytes, Local] = {}
 
     def new(self, kind: int) -> Local:
-        """A local variable."""
+        """Adds a local variable of a type."""
         self._types.append(kind)
         return Local(kind, len(self._types) - 1)
 
     def set(self, to: Local, value: Operand) -> None:
-        """Assigns to a variable."""
+        """Assigns a value to a local variable."""
         self._body += _pushed(value) + _SET + unsigned(to.index)
 
     def op(self, code: bytes, kind: int, *operands: Operand) -> Local:
-        """The result of an instruction without effects."""
+        """Adds an instruction without side effects; returns its result."""
         text = b"".join(map(_pushed, operands)) + code
         if text not in self._seen:
             self._seen[text] = self._result(text, kind)
         return self._seen[text]
 
     def load(self, kind: int, address: int, at: Operand = 0) -> Local:
-        """From memory, `at` bytes beyond an address."""
+        """Loads a number from memory, `at` bytes beyond an address."""
         return self._result(_pushed(at) + (b"\x2b\x03" if kind == F64 else b"\x28\x02") + unsigned(address), kind)
 
     def store(self, value: Operand, address: int, at: Operand = 0) -> None:
-        """To memory, `at` bytes beyond an address."""
+        """Stores a number in memory, `at` bytes beyond an address."""
         code = b"\x39\x03" if type_of(value) == F64 else b"\x36\x02"
         self._body += _pushed(at) + _pushed(value) + code + unsigned(address)
 
     def call(self, function: int, *operands: Operand) -> None:
-        """Calls a function without result."""
+        """Calls a function that returns nothing."""
         self._body += b"".join(map(_pushed, operands)) + _CALL + unsigned(function)
 
     @contextmanager
     def loop(self, times: int) -> Iterator[Local]:
-        """Repeats what is written inside; gives the counter, from 0."""
+        """Context whose instructions are repeated; yields the counter, from 0."""
         counter, known = self.new(I32), dict(self._seen)
         self.set(counter, 0)
         self._body += _LOOP + bytes([_EMPTY])
         yield counter
         self._body += _pushed(counter) + _pushed(1) + _ADD + _SET + unsigned(counter.index)
         self._body += _pushed(counter) + _pushed(times) + _LESS + _BRANCH_IF + b"\x00" + _END
-        self._seen = known  # what was computed inside is not there outside, or of the last time
+        self._seen = known  # results from inside the loop are not valid after it
 
     def repeat_while(self, condition: int, address: int, body: int) -> None:
-        """Calls `condition`, which stores a truth value at an address, and `body` as long as that is true."""
+        """Calls `condition`, which stores a boolean at an address, and `body` as long as that is true."""
         self._body += _LOOP + bytes([_EMPTY]) + _CALL + unsigned(condition)
         asked = self.load(I32, address)
         self._body += _pushed(asked) + _IF + bytes([_EMPTY]) + _CALL + unsigned(body)
         self._body += _BRANCH + b"\x01" + _END + _END
 
     def binary(self) -> bytes:
-        """As the module's code section has it: locals, instructions."""
+        """The function's entry in the code section: its locals and instructions."""
         own = self._types[int(self.counted) :]
         runs: list[list[int]] = []
         for kind in own:
@@ -137,7 +137,7 @@ class Code:
 
 
 _TYPES = (((), ()), ((I32,), ()), ((F64,), (F64,)), ((F64, F64), (F64,)))  # of functions: parameters and results
-# Functions of JavaScript's `Math` that modules import, in this order, and how many numbers they take.
+# Functions of JavaScript's `Math` that modules import, in this order, and their numbers of arguments.
 MATH = {
     **dict.fromkeys(
         ("sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh"), 1
@@ -157,12 +157,12 @@ class Module:
     size: int = SLOT  # of the memory that is in use [bytes]; an address is never 0
 
     def reserve(self, slots: int) -> int:
-        """The address of so many new slots."""
+        """Reserves slots of memory; returns their address."""
         self.size, address = self.size + SLOT * slots, self.size
         return address
 
     def function(self, code: Code, name: str | None = None) -> int:
-        """Adds a function, under a name for JavaScript if there is one; gives its number."""
+        """Adds a function, exported under a name if one is given; returns its index."""
         self.functions.append(code)
         number = len(MATH) + len(self.functions) - 1
         if name is not None:
@@ -170,7 +170,7 @@ class Module:
         return number
 
     def binary(self) -> bytes:
-        """The module's file."""
+        """The module in the binary format."""
         pages = -(-self.size // _PAGE)
         types = [b"\x60" + _list([bytes([a]) for a in of]) + _list([bytes([a]) for a in to]) for of, to in _TYPES]
         imports = [_name("Math") + _name(name) + b"\x00" + unsigned(1 + count) for name, count in MATH.items()]

@@ -15,7 +15,7 @@ OUTCOMES = ("largest_offset", "peak_contact_force", "mean_tilt", "medial_share")
 
 
 def test_a_scene_with_other_values_than_the_fit_began_from_is_doubted(tmp_path):
-    words = "This scene has other values of K1, L1, K2, L2 than the fit began from"
+    words = "This scene has other values of K1, L1, K2, L2 than at the start of the fit"
     assert words in words_of(fitted(tmp_path)).text
     same = fitted(tmp_path, nominal=np.array([156.0, 0.1432, 629.0, 0.0714]))
     assert "began from" not in words_of(same).text
@@ -56,8 +56,8 @@ def test_nothing_is_said_of_a_treatment_whose_untreated_knee_is_invalid(tmp_path
     text = words_of(material).text
     assert finding not in text
     assert table not in text
-    assert "Left out, since fitted is INVALID." in text
-    assert "Nothing is said of a treatment, since fitted is INVALID." in text
+    assert "Left out, because this is INVALID: fitted." in text
+    assert "No treatment is reported, because this is INVALID: fitted." in text
 
 
 def test_a_fit_that_may_not_be_spoken_of_is_in_the_verdict(tmp_path):

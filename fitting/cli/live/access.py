@@ -1,8 +1,8 @@
-"""Where the page is served, and which pages may connect to its server: only its own.
+"""Access control of the live page: addresses to serve at, and origins that may connect to the server.
 
-A browser lets every page that it shows, of whatever site, open a websocket to every address, this machine's own among
-them, and says in `Origin` whose page it is. A site can also give its name this machine's address (DNS rebinding): then
-`Host` and `Origin` agree, and the name is not one of this machine's.
+A browser lets a page of any site open a websocket to any address, local ones included, and states the page's site in
+`Origin`. A site can also resolve its name to this machine's address (DNS rebinding): then `Host` and `Origin` agree,
+but the name is not one of this machine's.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ Allowed = Callable[[list[str], str], bool]
 
 
 def loopback(host: str) -> bool:
-    """Whether an address can be reached from this machine alone."""
+    """Whether an address can be reached only from this machine."""
     address = _ip(host)
     return host == "localhost" or (address is not None and address.is_loopback)
 
 
 def _ip(name: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
-    """The address that a name spells out; None for other names."""
+    """Parses a numeric IP address; None for other names."""
     try:
         return ipaddress.ip_address(name)
     except ValueError:
@@ -38,8 +38,8 @@ def _ip(name: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address | None:
 
 
 def check_address(host: str, port: int) -> None:
-    """Refuses an address of another machine and a forbidden port; for a port in use the server takes the next one."""
-    expected = "127.0.0.1, or 0.0.0.0 for all of them"
+    """Raises InputError for an address of another machine and for a forbidden port; a port in use is allowed."""
+    expected = "127.0.0.1, or 0.0.0.0 for all addresses"
     unknown = InputError(f"{host!r} is no address of this machine", where="--host", expected=expected)
     try:
         family, kind, protocol, _, place = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
@@ -57,7 +57,7 @@ def check_address(host: str, port: int) -> None:
 
 
 def checked_origins(given: Collection[str]) -> frozenset[str]:
-    """Origins as browsers send them; InputError for anything else."""
+    """Checks and normalises origins such as "https://hub.example.org"; InputError for anything else."""
     for text in given:
         parts = urlsplit(text)
         if parts.scheme not in ("http", "https") or not parts.netloc or parts.path.strip("/") or parts.query:
@@ -66,9 +66,10 @@ def checked_origins(given: Collection[str]) -> frozenset[str]:
 
 
 def own_pages(host: str, also: Collection[str] = ()) -> Allowed:
-    """Whether a connection is of this server's own page, or of one of the origins `also`, by `Origin` and `Host`.
+    """Returns a function of a connection's `Origin` headers and `Host` header that tells whether it is allowed.
 
-    No browser leaves `Origin` out; other programs say what they like, and are let in.
+    Allowed are this server's own page and pages of the origins `also`. Connections without `Origin` are allowed too:
+    they are not from browsers, which always send it, and other programs could send any.
     """
     names = {"localhost", host.lower()}
     if not loopback(host):
@@ -93,9 +94,9 @@ def own_pages(host: str, also: Collection[str] = ()) -> Allowed:
 
 @contextmanager
 def guarded_servers(allowed: Allowed) -> Iterator[None]:
-    """Servers that viser starts inside this context admit only allowed connections; viser has no setting for it.
+    """Context in which servers that viser starts accept only allowed connections; viser has no setting for this.
 
-    Raises PftwinError if viser started none in the way that is guarded.
+    Raises PftwinError if viser started no server by `websockets.asyncio.server.serve`.
     """
     import websockets.asyncio.server as module
 
@@ -108,9 +109,9 @@ def guarded_servers(allowed: Allowed) -> Iterator[None]:
         async def checked(connection: Any, request: Any) -> Any:
             origins, asked = request.headers.get_all("Origin"), request.headers.get_all("Host")
             if "Upgrade" in request.headers and not allowed(origins, asked[0] if asked else ""):
-                said = ", ".join(origins)[:120].encode("ascii", "backslashreplace").decode()
-                advice = f"if it is yours: pftwin app --origin {said}"
-                sys.stderr.write(f"a page of another origin was refused: {said}; {advice}\n")
+                origin = ", ".join(origins)[:120].encode("ascii", "backslashreplace").decode()
+                advice = f"if it is yours: pftwin app --origin {origin}"
+                sys.stderr.write(f"a page of another origin was refused: {origin}; {advice}\n")
                 return connection.respond(HTTPStatus.FORBIDDEN, "This page is of another origin.\n")
             answer = process_request(connection, request)
             return await answer if inspect.isawaitable(answer) else answer

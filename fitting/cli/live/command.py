@@ -21,23 +21,21 @@ def app(
     scene: SceneArgument = None,
     *,
     case: CaseOption = None,
-    contact: Annotated[
-        str | None, Option(metavar="NAME", help="Contact to begin with; the page can choose others.")
-    ] = None,
+    contact: Annotated[str | None, Option(metavar="NAME", help="Initial contact; the page offers others.")] = None,
     estimate: EstimateOption = None,
     host: Annotated[
-        str, Option(metavar="ADDRESS", help="Address to serve at; by default this machine alone.")
+        str, Option(metavar="ADDRESS", help="Address to serve at; the default serves only this machine.")
     ] = "127.0.0.1",
-    port: Annotated[int, Option(min=0, max=65535, help="Port; the next free one if it is taken, 0: any.")] = 8080,
+    port: Annotated[int, Option(min=0, max=65535, help="Port; if in use, the next free one; 0: any.")] = 8080,
     origin: Annotated[
         list[str] | None,
-        Option(metavar="URL", help="Origin of pages that may use it besides its own; may be repeated."),
+        Option(metavar="URL", help="Also accept connections from pages of this origin; may be repeated."),
     ] = None,
-    browser: Annotated[bool, Option("--open", help="Show the page in the browser.")] = False,
+    browser: Annotated[bool, Option("--open", help="Open the page in the browser.")] = False,
 ) -> None:
-    """Turn treatments by sliders in the browser: every move simulates the whole motion anew.
+    """Set treatments with sliders in the browser: every move simulates the whole motion anew.
 
-    With --estimate the knee is the fitted one, and curves have bands from draws of the estimate.
+    With --estimate, the page shows the fitted knee, and curves have bands from draws of the estimate.
 
     Example: `pftwin app --case 2 --open`
     """
@@ -73,7 +71,12 @@ def app(
 
 
 def contacts_of(case: int | None, own: str | None) -> tuple[str, ...]:
-    """Names of the contacts that the page offers, the scene's own first."""
+    """Names of the contacts that the page offers, the scene's own first.
+
+    Args:
+        case: number of the rig's case; None for other scenes.
+        own: name of the scene's contact; None if it is as in the scene file.
+    """
     from pftwin.geometry.patch.fit import SPLINE
     from pftwin.rig.contacts import ON_MESHES
 
@@ -82,7 +85,7 @@ def contacts_of(case: int | None, own: str | None) -> tuple[str, ...]:
         return ("as in the file",)
     if case is not None:
         return tuple(dict.fromkeys((own, *smooth, *ON_MESHES)))
-    fitted = own == SPLINE or re.fullmatch(r"P\d+", own)  # a file's mesh, which others can be fitted to as well
+    fitted = own == SPLINE or re.fullmatch(r"P\d+", own)  # a file's mesh, which all patches can be fitted to
     return tuple(dict.fromkeys((own, *smooth))) if fitted else (own,)
 
 
@@ -90,7 +93,7 @@ def _announce(address: str, host: str, seconds: float, *, safe: bool) -> None:
     show(f"ready after {seconds:.1f} s: {address}  (Ctrl-C ends it)")
     if not safe:
         tell(
-            f"warning: {host} can be reached from other machines, and whoever reaches it can use this page: there is"
-            " no password and no encryption. Without --host it is for this machine alone.",
+            f"warning: {host} can be reached from other machines, and anyone who reaches it can use this page: there is"
+            " no password and no encryption. Without --host, the page is served only to this machine.",
             "yellow",
         )

@@ -1,4 +1,4 @@
-"""The charts of the page: tilt, shift and contact force over time, or stroke by stroke against knee flexion."""
+"""Charts of the live page: tilt, shift and contact force over time, or for each stroke against knee flexion."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from viser import GuiApi
 
 CHART = 142  # height of a chart [pixels]
-EDGES = 5.0  # edges of the charts are multiples of this, in degrees, mm or newtons
+EDGES = 5.0  # limits of the vertical axes are multiples of this [deg, mm or N]
 NAMES = {"tilt": "tilt [°]", "shift": "shift [mm]", "force": "contact force [N]"}
 SOLID, DASHED, DOTTED = (), (9.0, 5.0), (2.0, 4.0)
 AGAINST = "solid: bending; dashed: straightening; dotted: the patella is out of its groove"
@@ -24,15 +24,15 @@ _FAINT = f"{AFTER}38"
 
 
 class Piece(NamedTuple):
-    """Frames in a row along which the abscissa rises, and how their line is drawn."""
+    """Consecutive frames along which the abscissa increases, and the dash pattern of their line."""
 
     frames: NDArray[np.int64]
     dash: tuple[float, ...]
 
 
 def pieces(motion: ShownMotion, *, against_flexion: bool) -> list[Piece]:
-    """The lines of a motion: one over time; against flexion the strokes, broken where the patella leaves its groove or
-    comes back. InputError for a motion without a stroke."""
+    """Splits a motion into lines: one line over time; against flexion, one or more per stroke, split where the patella
+    leaves or re-enters its groove. Raises InputError for a motion without a stroke."""
     if not against_flexion:
         return [Piece(np.arange(motion.times.size), SOLID)]
     found = []
@@ -44,7 +44,7 @@ def pieces(motion: ShownMotion, *, against_flexion: bool) -> list[Piece]:
 
 
 def no_strokes(motion: ShownMotion) -> str:
-    """Why a motion cannot be drawn against flexion; empty where it can."""
+    """The reason why a motion cannot be drawn against flexion; empty if it can."""
     try:
         pieces(motion, against_flexion=True)
     except InputError as error:
@@ -53,7 +53,7 @@ def no_strokes(motion: ShownMotion) -> str:
 
 
 class Curves:
-    """Charts of the treated and if asked for the untreated motion, with a mark at the time shown, and bands."""
+    """Charts of the treated motion, optionally of the untreated one, with bands and a mark at the current time."""
 
     def __init__(self, gui: GuiApi, before: ShownMotion) -> None:
         self._before = self._after = before
@@ -76,21 +76,21 @@ class Curves:
     def set(
         self, before: ShownMotion, after: ShownMotion, band: Band | None, *, compared: bool, against_flexion: bool
     ) -> None:
-        """Takes other motions, which are drawn with the next mark; the untreated one only if they are compared."""
+        """Sets the motions and the band to draw at the next `mark`; the untreated one is drawn only if `compared`."""
         self._before, self._after, self._band = before, after, band
         self._compared, self._against_flexion = compared, against_flexion
 
     def mark(self, k: int) -> None:
-        """Draws what was taken, with the mark at a frame of the treated motion."""
+        """Draws the motions that were set, with the mark at a frame of the treated motion."""
         for name, (chart, drawn) in self._drawn.items():
             props, data = self._content(name, k)
-            for prop in (p for p in props if props[p] != drawn[p]):  # which makes a page rebuild its chart
+            for prop in (p for p in props if props[p] != drawn[p]):  # each makes the page rebuild the chart
                 setattr(chart, prop, props[prop])
             chart.data = data
             self._drawn[name] = chart, props
 
     def _content(self, name: str, k: int) -> tuple[dict[str, Any], tuple[Floats, ...]]:
-        """How a chart is to be, and its data: abscissa, ends of bands, lines, mark."""
+        """Properties of a chart, and its data series: abscissa, ends of bands, lines, mark."""
         along = self._after.flexion if self._against_flexion else self._after.times
         grid, at = np.unique(along, return_inverse=True)
         series: list[dict[str, Any]] = [{"label": "knee flexion [°]" if self._against_flexion else "time [s]"}]
@@ -127,12 +127,12 @@ class Curves:
         return props, (*data, mark)
 
     def _scales(self, data: list[Floats]) -> Any:
-        """Both axes, rounded outwards so that they stay while a slider is moved a little.
+        """Scales of both axes, with limits rounded outwards so that small moves of a slider do not change them.
 
-        uPlot would find no range for a mark that is at one place and missing (NaN) elsewhere.
+        They are explicit, because uPlot finds no range for a mark, which is missing (NaN) at all frames but one.
         """
         values = np.concatenate(data)
-        there = values[np.isfinite(values)]
-        low, high = (float(there.min()), float(there.max())) if there.size else (0.0, 1.0)
+        finite = values[np.isfinite(values)]
+        low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
         edges = EDGES * np.floor(low / EDGES - 0.05), EDGES * np.ceil(high / EDGES + 0.05)
         return {"x": {"time": False}, "y": {"range": tuple(float(e) for e in edges)}}

@@ -1,4 +1,4 @@
-"""What is drawn on the page: bones and moving parts of a knee at a frame (femur frame, mm)."""
+"""3D drawing of the live page: bones and moving parts of a knee at a frame (femur frame, mm)."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ if TYPE_CHECKING:
 
 BUMP = (9.5, 6.5, 8.0)  # half axes of a tuberosity [mm]
 POINT = 1.8  # radius of a contact point [mm]
-SIDE = 55.0  # of the words "lateral" and "medial" from the middle [mm]
+SIDE = 55.0  # distance of the labels "lateral" and "medial" from the middle [mm]
 
 
 def mesh(scene: SceneApi, name: str, shape: Shape, code: str, opacity: float = 1.0) -> Any:
-    """Adds a mesh, in the place of one of the same name."""
+    """Adds a mesh to the scene, replacing any of the same name; `code` is a colour such as "#D55E00"."""
     red, green, blue = bytes.fromhex(code[1:])
     return scene.add_mesh_simple(
         name,
@@ -37,7 +37,7 @@ def mesh(scene: SceneApi, name: str, shape: Shape, code: str, opacity: float = 1
 
 
 class Bones:
-    """Femur and tibia, drawn once for all treatments."""
+    """Femur and tibia, drawn once for all treatments, and the femoral component."""
 
     def __init__(self, scene: SceneApi, recorded: Recorded) -> None:
         self._scene = scene
@@ -46,12 +46,12 @@ class Bones:
         self._tibia = scene.add_frame("/tibia", show_axes=False)
         mesh(scene, "/tibia/shaft", shin.shape, shin.colour, shin.opacity)
         self._beyond: Any = None
-        self._component: Any = None  # vertices that are drawn
+        self._component: Any = None  # vertices of the drawn component
         for words, y in (("lateral", SIDE), ("medial", -SIDE)):
             scene.add_label(f"/{words}", words, position=(0.0, y, 25.0), anchor="center-center")
 
     def set_component(self, recorded: Recorded) -> None:
-        """Draws the femoral component if it is another: its mesh, or its fitted surface made solid."""
+        """Draws the femoral component if it changed: its mesh, or its fitted surface as a solid."""
         found = recorded.mesh("femur") or recorded.mesh("surface")
         if found is None or (self._component is not None and np.array_equal(found[0], self._component)):
             return
@@ -60,14 +60,14 @@ class Bones:
             mesh(self._scene, "/component", part.shape, METAL)
 
     def set_beyond(self, beyond: Shape | None) -> None:
-        """Draws the fitted surface beyond its edge, as far as it is touched."""
+        """Draws the extrapolated part of the fitted surface; hides it if None."""
         if beyond is not None:
             self._beyond = mesh(self._scene, "/beyond", beyond, paler(METAL, 0.5), 0.6)
         elif self._beyond is not None:
             self._beyond.visible = False
 
     def frame(self, shown: Shown, k: int) -> None:
-        """Sets the tibia to a frame."""
+        """Moves the tibia to its pose at a frame."""
         track = shown.tracks["tibia"]
         self._tibia.position, self._tibia.wxyz = track.position[k], track.wxyz[k]
 
@@ -87,7 +87,7 @@ class DrawnKnee:
         self._whole.visible = visible
 
     def set(self, shown: Shown) -> None:
-        """Draws another motion in the place of the current one."""
+        """Replaces the drawn motion."""
         others = self._others
         before = None if self._shown is None else self._shown.recorded.geometry
         places = [n for n in ("button_center", "button_vertices") if n in shown.recorded.geometry]
@@ -112,7 +112,7 @@ class DrawnKnee:
             others[name] = self._mesh(name, way, self._code)
 
     def frame(self, k: int) -> None:
-        """Sets everything to a frame."""
+        """Moves all parts to their poses at a frame."""
         shown = self._shown
         if shown is None:
             return

@@ -1,4 +1,4 @@
-"""Simulates the whole motion for given slider values, with one compiled program per contact."""
+"""Simulation of the whole motion for given slider values, with one compiled program per contact."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ if TYPE_CHECKING:
     from pftwin.results.result import Result
 
 UNTREATED, TREATED = "untreated", "treated"
-DRAWS = 24  # from an estimate, for bands
-FAR = 0.045  # beyond the edges of a fitted surface that its continuation is made [m]
-HEIGHT = 0.02  # over the chart of the points that only say how far the continuation goes [m]
-MOST_ANGLE = 2.8  # of a cylinder's chart, which closes at pi [rad]
+DRAWS = 24  # draws from an estimate, for bands
+FAR = 0.045  # reach of the extrapolated surface beyond the edges of the fitted one [m]
+HEIGHT = 0.02  # height over the chart of the corners that limit the extrapolation [m]
+MOST_ANGLE = 2.8  # largest angle on a cylinder's chart, which closes at pi [rad]
 
 
 @dataclass(frozen=True, eq=False)
 class LiveModel:
-    """A scene with one contact, ready to be simulated at once."""
+    """A scene with one contact, compiled and ready to simulate."""
 
     contact: str
     knobs: Knobs
@@ -46,31 +46,34 @@ class LiveModel:
 
 
 class Engine:
-    """Simulates a scene after treatments, with one of several contacts, as an estimate has it where there is one.
+    """Simulates a treated scene with one of several contacts, with the parameters of an estimate if there is one.
 
-    Safe to be used by several threads. What `run` gives is what `pftwin.simulate` gives of the treated scene.
+    It is thread-safe. `run` computes the same motion as `pftwin.simulate` for the treated scene.
     """
 
     def __init__(
         self, load: Callable[[str], Scene], contacts: tuple[str, ...], estimate: Estimate | None = None
     ) -> None:
-        """For scenes of these contacts, loaded by name; loads the first one, and raises InputError if that fails."""
+        """Loads the scene of the first contact; `load` maps a contact's name to its scene and may raise InputError."""
         self._load, self.contacts, self.estimate = load, contacts, estimate
         self._models: dict[str, LiveModel] = {}
-        self._tracing = threading.Lock()  # two threads cannot trace at once
+        self._tracing = threading.Lock()  # only one thread may trace at a time
         self._first = load(contacts[0])
         self._draws = () if estimate is None else estimate.samples(DRAWS)[:, : estimate.shared]
 
     def ready(self, contact: str) -> bool:
-        """Whether this contact is compiled."""
+        """Whether the model of this contact is compiled."""
         return contact in self._models
 
     def model(self, contact: str) -> LiveModel:
-        """The model of a contact that is ready."""
+        """The model of a contact that is ready; KeyError for others."""
         return self._models[contact]
 
     def prepare(self, contact: str) -> LiveModel:
-        """Compiles for a contact, unless that is done; takes seconds. InputError if its scene cannot be simulated."""
+        """Compiles the model of a contact, which takes seconds, or returns it if it is ready.
+
+        Raises InputError for an unknown contact and for a scene that cannot be simulated.
+        """
         with self._tracing:
             if contact in self._models:
                 return self._models[contact]
@@ -80,7 +83,7 @@ class Engine:
             knobs = Knobs.of(self._first if contact == self.contacts[0] else self._load(contact), self.estimate)
             rest = knobs.scene_with(neutral())
             still = Still(rest)
-            _simulated(rest, UNTREATED, still)  # compiles this, and the small programs of what is shown
+            _simulated(rest, UNTREATED, still)  # compiles the simulation, and small programs for the drawing
             prepare_relaxation(rest)
             before = _simulated(rest, UNTREATED, still.of(rest))
             before.refuse_if_lost()
@@ -88,9 +91,9 @@ class Engine:
             return self._models.setdefault(contact, LiveModel(contact, knobs, still, before))
 
     def run(self, contact: str, values: Mapping[str, float]) -> ShownMotion:
-        """The whole motion with these values of the knobs and a contact that is ready.
+        """Simulates the whole motion for these slider values, with a contact that is ready.
 
-        Raises InputError for values that are not allowed, and for a motion without an equilibrium or with lost frames.
+        Raises InputError for values that are not allowed, and for a motion without equilibrium or with lost frames.
         """
         model = self._models[contact]
         scene = model.knobs.scene_with(values)
@@ -101,50 +104,50 @@ class Engine:
     def band(
         self, contact: str, values: Mapping[str, float], answer: ShownMotion, wanted: Callable[[], bool]
     ) -> Band | None:
-        """The band of a motion that `run` gave; None without an estimate, and as soon as it is no longer wanted.
+        """Computes the band of a motion from `run`; None as soon as `wanted` returns False.
 
-        Draws are simulated one by one by the program that is there: a batch of so few takes minutes to compile.
+        Draws are simulated one by one with the compiled program, because a batch would take minutes to compile.
         """
         found: list[Result] = []
         for theta in self._draws:
             if not wanted():
                 return None
-            with contextlib.suppress(InputError):  # of a draw that makes the scene impossible: counted as lost
+            with contextlib.suppress(InputError):  # a draw with an impossible scene counts as lost
                 found.append(simulate(self._models[contact].knobs.scene_with(values, theta)))
         good = [result for result in found if result.verdict.valid]
         if not good:
-            return Band({}, f"No bands: none of {len(self._draws)} draws from the estimate has a motion.")
+            return Band({}, f"No bands: none of {len(self._draws)} draws from the estimate has a valid motion.")
         return Band.of(good, answer, len(self._draws))
 
 
 def _simulated(scene: Scene, name: str, still: Still) -> ShownMotion:
-    """Simulates with the default integrator and step of every command."""
+    """Simulates with the default integrator and step, as all commands do."""
     began = time.perf_counter()
     answer = ShownMotion.of(simulate(scene), name, still.geometry(scene), still.continued)
     return replace(answer, seconds=time.perf_counter() - began)
 
 
 class Still:
-    """What is drawn of a scene and made once as long as no knob changes it: meshes and surfaces."""
+    """Meshes and surfaces of a scene's drawing, reused while no slider changes the contact."""
 
     def __init__(self, scene: Scene) -> None:
         self._contact, self._bodies = scene.contact, geometry(scene)
         self._beyond = _beyond(scene)
 
     def of(self, scene: Scene) -> Still:
-        """This one for a scene with the same contact, else that of the scene."""
+        """Returns this object if the scene has the same contact, else a new one for the scene."""
         return self if eqx.tree_equal(scene.contact, self._contact) else Still(scene)
 
     def geometry(self, scene: Scene) -> Dataset:
-        """The dataset of a treated scene: the still parts, and its own lines of force."""
+        """Geometry of a treated scene: the reused parts, and its own lines of force."""
         contact = scene.contact
         lines = geometry(scene if contact is None else scene.without(contact.name))
         return self._bodies.assign(lines.data_vars)
 
     def continued(self, points: Floats) -> Shape | None:
-        """The surface beyond its fitted rectangle, as far as contact points (k, 3) [m] reach; None where they do not.
+        """The extrapolated surface as far as contact points (k, 3) [m] reach; None if all are on the fitted rectangle.
 
-        Missing points are NaN, so that arrays of one size need one program.
+        Missing points are NaN, so that the array's size, and with it the compiled program, stays the same.
         """
         if self._beyond is None or not len(points):
             return None
@@ -165,8 +168,8 @@ def _along(chart: Any, points: Floats) -> tuple[Floats, Floats]:
 
 
 def _beyond(scene: Scene) -> tuple[Any, list[tuple[float, float]], Shape, tuple[Floats, Floats]] | None:
-    """The continuation of a fitted surface: its chart, the edges of the rectangle that was fitted [m], the shape as far
-    as it is ever drawn, and the middles of its triangles along the chart (m,) each [m]."""
+    """The extrapolation of a fitted surface: its chart, the edges of the fitted rectangle [m], its shape at the largest
+    extent, and chart coordinates of its triangles' centroids, (m,) each [m]; None without a fitted rectangle."""
     surface: Any = scene.surface
     contact = scene.contact
     if surface is None or contact is None or contact.femur_triangles() is not None or not has_rectangle(surface):

@@ -1,4 +1,4 @@
-"""The sliders of the page: amounts of every treatment in the table, and stiffnesses of tendons."""
+"""Sliders of the live page: amounts of all treatments, and stiffnesses of the tendons."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from pftwin.model.scene import Scene
 if TYPE_CHECKING:
     from fitting.estimate import Estimate
 
-_ROUNDING = 1e-9  # of a value that a browser sends
+_ROUNDING = 1e-9  # tolerance for rounding of values from a browser
 _STEPS = {"mm": 0.5, "deg": 0.5, "%": 5.0}
 _TENDONS = {QUADRICEPS: KINDS["quadriceps_lengthening"].part, PATELLAR_TENDON: PATELLAR_TENDON.replace("_", " ")}
 
 
 class Knob(NamedTuple):
-    """One slider."""
+    """A slider of the live page; values are in its display unit."""
 
     name: str
     label: str  # with the unit
@@ -32,17 +32,17 @@ class Knob(NamedTuple):
     unit: str
     least: float
     most: float
-    neutral: float  # where the scene is as it was
+    neutral: float  # value that leaves the scene unchanged
     hint: str
-    size: float  # of one unit [SI]
+    size: float  # one display unit in SI units
 
     @property
     def step(self) -> float:
-        """Between two of its values, in its unit."""
+        """Distance between two values, in its unit."""
         return _STEPS[self.unit]
 
     def checked(self, value: Any) -> float:
-        """The value as a number; InputError if it is none, not finite, or out of range."""
+        """The value as a float; InputError if it is not a number, not finite, or out of range."""
         where, expected = f"{self.group}, {self.label}", f"{self.least:g} to {self.most:g} {self.unit}"
         if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
             raise InputError(f"found {value!r:.40}", where=where, expected=expected)
@@ -56,7 +56,7 @@ def _group(part: str) -> str:
 
 
 def _stiffness(tendon: str) -> Knob:
-    hint = "Of what the scene has; damping stays."
+    hint = "Percentage of the scene's stiffness; damping is unchanged."
     return Knob(f"{tendon}.stiffness", "stiffness [%]", _group(_TENDONS[tendon]), "%", 10.0, 400.0, 100.0, hint, 0.01)
 
 
@@ -73,20 +73,20 @@ GROUPS = tuple(dict.fromkeys(_group(about.part) for about in KINDS.values()))  #
 
 
 def neutral() -> dict[str, float]:
-    """Values that leave a scene as it is."""
+    """Slider values that leave a scene unchanged, by name."""
     return {k.name: k.neutral for k in KNOBS}
 
 
 class Turned(eqx.Module):
-    """Scenes by a row of numbers [SI]: parameters that were fitted, if any, then values of knobs. Pure."""
+    """Pure function from a row of numbers [SI] to a scene: first fitted parameters, if any, then slider values."""
 
-    fitted: Any  # of an estimate: a function of scene and parameters; None without one
-    parameters: int = eqx.field(static=True)
+    fitted: Any  # function of scene and parameters that applies an estimate; None without one
+    parameters: int = eqx.field(static=True)  # number of fitted parameters
     tendons: tuple[str, ...] = eqx.field(static=True)
     treatment: Treatment
 
     def __call__(self, scene: Scene, row: Any) -> Scene:
-        """The scene with the parameters, after the treatment."""
+        """Applies the parameters, the stiffnesses and the treatment to a scene."""
         if self.fitted is not None:
             scene = self.fitted(scene, row[: self.parameters])
         amounts = self.parameters + len(self.tendons)
@@ -99,16 +99,16 @@ _turned = eqx.filter_jit(lambda turned, scene, row: turned(scene, row))
 
 
 class Knobs(NamedTuple):
-    """The knobs for which a scene has the parts, and by group why it lacks the others."""
+    """The sliders that a scene has the parts for."""
 
-    scene: Scene  # nominal
+    scene: Scene  # with nominal parameters
     estimate: Estimate | None
     turned: Turned
-    missing: dict[str, str]
+    missing: dict[str, str]  # reasons why sliders are missing, by group
 
     @classmethod
     def of(cls, scene: Scene, estimate: Estimate | None = None) -> Knobs:
-        """Asks every treatment; InputError for a scene without what the estimate has fitted."""
+        """Finds the sliders that apply to a scene; InputError for a scene without the fitted parameters."""
         fitted = None if estimate is None else estimate.apply
         own, treatment, tendons = scene if fitted is None else fitted(scene), Treatment(), []
         missing: dict[str, str] = {}
@@ -129,15 +129,15 @@ class Knobs(NamedTuple):
 
     @property
     def usable(self) -> tuple[Knob, ...]:
-        """In the order of the numbers of `turned`."""
+        """The sliders that apply, in the order of the numbers of `turned`."""
         names = [*(f"{tendon}.stiffness" for tendon in self.turned.tendons), *self.turned.treatment.names]
         by_name = {k.name: k for k in KNOBS}
         return tuple(by_name[name] for name in names)
 
     def scene_with(self, values: Mapping[str, float], theta: Floats | None = None) -> Scene:
-        """The scene with every knob applied, neutral ones too, so that all values share one compiled program.
+        """The scene with all sliders applied, neutral ones too, so that all values share one compiled program.
 
-        Parameters (p,) are the estimate's if left out. Raises InputError for a value that is not allowed.
+        Parameters `theta` (p,) default to the estimate's. Raises InputError for a value that is not allowed.
         """
         amounts = [k.checked(values.get(k.name)) * k.size for k in self.usable]
         own = () if self.estimate is None else self.estimate.values[: self.turned.parameters]

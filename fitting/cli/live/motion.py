@@ -1,4 +1,4 @@
-"""A simulated motion as the page needs it: its numbers and words, and the arrays that are drawn. Femur frame, mm."""
+"""A simulated motion as the live page shows it: time series, texts and arrays for the drawing (femur frame, mm)."""
 
 from __future__ import annotations
 
@@ -27,27 +27,27 @@ _REMEDY = "other values"
 
 @dataclass(frozen=True, eq=False)
 class ShownMotion:
-    """The numbers of one motion; series are at the frames that are shown (n,)."""
+    """Time series and results of one motion; series are at the displayed frames (n,)."""
 
     result: Result
     recorded: Recorded
-    dislocates: bool | None  # None: there is no groove to leave, or the motion may not be spoken of
+    dislocates: bool | None  # None: without a groove, or if the motion is INVALID
     finite: bool
     settled: bool  # whether it starts from an equilibrium
     flexion: Floats  # of the knee [deg]
-    out: NDArray[np.bool_]  # frames in which the patella has left its groove
+    out: NDArray[np.bool_]  # whether the patella is out of its groove
     tilt: Floats  # [deg]
     shift: Floats  # [mm]
     force: Floats  # of the contact [N]; NaN without one
     highest_force: float  # over all frames [N]
-    continued: Callable[[Floats], Shape | None]  # the surface as far beyond its edge as points (k, 3) [m] reach
-    seconds: float = 0.0  # from the treated scene to here
+    continued: Callable[[Floats], Shape | None]  # extrapolated surface as far as contact points (k, 3) [m] reach
+    seconds: float = 0.0  # computing time
 
     @classmethod
     def of(
         cls, result: Result, name: str, geometry: Dataset, continued: Callable[[Floats], Shape | None]
     ) -> ShownMotion:
-        """From a result, under a name for the legend, and what there is to draw of its scene."""
+        """From a result, a name for the legend, the geometry of its scene, and a function for `continued`."""
         from pftwin.dynamics.status import Status
 
         outcome = result.dislocations()
@@ -76,15 +76,15 @@ class ShownMotion:
 
     @property
     def times(self) -> Floats:
-        """Of the frames that are shown (n,) [s]."""
+        """Times of the displayed frames (n,) [s]."""
         return self.recorded.times
 
     def named(self, name: str) -> ShownMotion:
-        """The same under another name."""
+        """The same motion under another name."""
         return replace(self, recorded=replace(self.recorded, name=name))
 
     def refuse_if_lost(self, unlike: ShownMotion | None = None) -> None:
-        """Raises InputError for lost frames, and for a start without equilibrium where the untreated motion has one."""
+        """Raises InputError for non-finite frames, and for a start without equilibrium if that of `unlike` has one."""
         if not self.finite:
             raise InputError("the patella is lost in this motion (frames are not finite)", remedy=_REMEDY)
         if not self.settled and unlike is not None and unlike.settled:
@@ -92,21 +92,21 @@ class ShownMotion:
 
 
 class Band(NamedTuple):
-    """Between what the middle 90 % of draws from an estimate lie, at the frames that are shown."""
+    """Range of the middle 90 % of draws from an estimate, at the displayed frames."""
 
-    ends: dict[str, tuple[Floats, Floats]]  # (n,) each, by the curve's name in `ShownMotion`
+    ends: dict[str, tuple[Floats, Floats]]  # low and high, (n,) each, by the curve's name in `ShownMotion`
     words: str
 
     @classmethod
     def of(cls, results: Sequence[Result], answer: ShownMotion, draws: int) -> Band:
-        """Of those draws that have a motion which may be spoken of, around the motion of the estimate itself."""
+        """Computes the band from the valid motions of `draws` draws; `answer` is the estimate's own motion."""
         contact, rows = answer.result.contact, []
         for result in results:
             force = np.full(result.times.size, np.nan) if contact is None else result.effects[contact]["force"]
             rows.append((np.degrees(result.angles.tilt), 1e3 * result.shift, force))
         low, high = np.quantile(rows, [0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL], axis=0)[..., answer.recorded.frames]
         lost = draws - len(results)
-        left_out = f"; {lost} without a motion were left out" if lost else ""
+        left_out = f"; {lost} without a valid motion were omitted" if lost else ""
         out = sum(bool(found.events) for r in results if (found := r.dislocations()) is not None)
         words = f"Bands: the middle {100 * LEVEL:.0f} % of {draws} draws from the estimate{left_out}. {out} dislocate."
         return cls({name: (low[k], high[k]) for k, name in enumerate(("tilt", "shift", "force"))}, words)
@@ -114,7 +114,7 @@ class Band(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ShownTrack:
-    """Place, rotation, size and presence of a drawn part at every frame (n)."""
+    """Position, rotation, scale and presence of a drawn part at every frame (n)."""
 
     position: Floats  # (n, 3) [mm]
     wxyz: Floats  # (n, 4)
@@ -123,7 +123,7 @@ class ShownTrack:
 
     @classmethod
     def of(cls, matrices: Matrices, present: NDArray[np.bool_] | None = None) -> ShownTrack:
-        """From model matrices (n, 4, 4), whose scale is the same along all axes."""
+        """From model matrices (n, 4, 4) with uniform scale."""
         from scipy.spatial.transform import Rotation
 
         turn = matrices[:, :3, :3].astype(np.float64)
@@ -136,16 +136,17 @@ class ShownTrack:
 class Shown:
     """The drawing of one motion.
 
-    tracks: of "patella" and "tibia"; of each facet's contact point, "at FACET", and force, "on FACET": an arrow of
-        length 1 along z.
-    paths: of each contact point, "way FACET".
-    lines: tendons, ligaments and muscles, as tubes or ribbons: vertices (n, v, 3) and triangles, by name.
-    origins: mean origin on the tibia of each effect's lines, tibia frame (3,) [mm].
-    touched: all contact points (k, 3) [m].
+    Attributes:
+        tracks: of "patella" and "tibia"; of each facet's contact point, "at FACET", and force, "on FACET": an arrow of
+            length 1 along z.
+        paths: of each contact point, "way FACET".
+        lines: tendons, ligaments and muscles, as tubes or ribbons: vertices (n, v, 3) and triangles, by name.
+        origins: mean origin on the tibia of each effect's lines, tibia frame (3,) [mm].
+        touched: all contact points (k, 3) [m].
     """
 
     def __init__(self, recorded: Recorded, newtons: float) -> None:
-        """Forces are drawn by arrows of 10 mm for so many newtons."""
+        """Draws a motion; an arrow of 10 mm stands for a force of `newtons`."""
         self.recorded = recorded
         self.tracks = {"patella": ShownTrack.of(recorded.patella), "tibia": ShownTrack.of(recorded.tibia)}
         self.paths: dict[str, Shape] = {}

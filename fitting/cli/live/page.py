@@ -1,4 +1,4 @@
-"""The page of one client: sliders, buttons, curves, words and the drawing; events go to its session."""
+"""The live page of one client: sliders, buttons, curves, texts and the drawing; events go to its session."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ if TYPE_CHECKING:
 
     from fitting.cli.live.session import Session
 
-GHOST = 0.45  # how opaque the untreated knee is beside the treated one
+GHOST = 0.45  # opacity of the untreated knee
 
 
 class Page:
-    """What a client sees; the session sets `state`, `pace`, `knobs`, `contacts`, `time`, `play` and `untreated`."""
+    """The page of one client; its session sets `state`, `pace`, `knobs`, `contacts`, `time`, `play`, `untreated`."""
 
     def __init__(self, client: ClientHandle, engine: Engine, model: LiveModel, session: Session) -> None:
         self._client, self._gui, self._session = client, client.gui, session
@@ -55,28 +55,28 @@ class Page:
             self._whole = self._gui.add_html("")
             why = no_strokes(model.before)
             self._over = self._gui.add_checkbox("against knee flexion", False, disabled=bool(why), hint=why or AGAINST)
-            self._tell_of(self._over, self._session.redraw)
+            self._on_input(self._over, self._session.redraw)
             self._said = self._gui.add_html("")
             self._curves = Curves(self._gui, model.before)
-        with panel.add_tab("Times"):  # of the program: no matter of a treatment
+        with panel.add_tab("Times"):  # computing times, apart from the results
             self.pace = self._gui.add_html(words.pace_text((), (), 0.0))
         panel.dock_left()
         panel.set_width(400)
 
     def tell(self, model: LiveModel, after: ShownMotion) -> None:
-        """Takes another motion into the table and the curves, which are redrawn with the next numbers."""
+        """Sets the motion of the table and the curves, which are redrawn at the next call of `number`."""
         if self._contact != model.contact:
             self._offer(model)
         self._before, self._after, self._band = model.before, after, None
         self._retell()
 
     def tell_band(self, band: Band | None) -> None:
-        """Takes the band of the motion that is shown into the curves."""
+        """Sets the band of the current motion in the curves."""
         self._band = band
         self._retell()
 
     def draw(self, model: LiveModel, shown: Shown) -> None:
-        """Draws another motion: the knee and its continued surface."""
+        """Draws another motion: the knee and its extrapolated surface."""
         if self._contact != model.contact:
             self._contact = model.contact
             self.untreated.set(Shown(model.before.recorded, self.newtons))
@@ -86,21 +86,23 @@ class Page:
         self._bones.set_beyond(self._after.continued(shown.touched))
 
     def frame(self, k: int) -> None:
-        """Sets the drawing to a frame."""
+        """Moves the drawing to a frame."""
         self._bones.frame(self._shown, k)
         self._treated.frame(k)
         if self._compared.value:
             self.untreated.frame(k)
 
     def number(self, k: int, at: float) -> None:
-        """Writes the numbers of a time, and marks it in the curves."""
+        """Shows the numbers at time `at` [s], frame `k`, and marks it in the curves."""
         motions, colours = self._shown_motions()
         self._numbers.content = words.with_margins(readout([m.recorded for m in motions], colours, at))
         self._curves.mark(k)
 
     def redraw(self) -> None:
-        """Shows the untreated knee, its curves and numbers or hides them, those of a time with the next ones, and draws
-        the curves over what was asked for."""
+        """Applies the checkboxes: shows or hides the untreated knee, its curves and its numbers, and sets the abscissa.
+
+        Curves and numbers of a time follow at the next call of `number`.
+        """
         self.untreated.show(self._compared.value)
         self._legend.content = self._legend_text()
         self._retell()
@@ -108,22 +110,22 @@ class Page:
     def _retell(self) -> None:
         shown = {"compared": self._compared.value, "against_flexion": self._over.value}
         self._curves.set(self._before, self._after, self._band, **shown)
-        said = [AGAINST] if self._over.value else []
-        self._said.content = words.aside(*said, *([] if self._band is None else [self._band.words]))
+        notes = [AGAINST] if self._over.value else []
+        self._said.content = words.aside(*notes, *([] if self._band is None else [self._band.words]))
         self._whole.content = words.whole_motion(*self._shown_motions())
 
     def _shown_motions(self) -> tuple[list[ShownMotion], list[str]]:
-        """The motions that are shown, and their colours: the untreated one where it was asked for."""
+        """The displayed motions and their colours; the untreated one only if it is to be compared."""
         both = [self._before, self._after], [BEFORE, AFTER]
         return both if self._compared.value else (both[0][1:], both[1][1:])
 
     def _legend_text(self) -> str:
         motions, colours = self._shown_motions()
-        said = [*notes([self._before.recorded], self.newtons), *self._notes, words.NOT_FOR_PATIENTS]
-        return words.with_margins(legend([m.recorded for m in motions], colours, said).replace("max-width:290px", ""))
+        lines = [*notes([self._before.recorded], self.newtons), *self._notes, words.NOT_FOR_PATIENTS]
+        return words.with_margins(legend([m.recorded for m in motions], colours, lines).replace("max-width:290px", ""))
 
     def _sliders(self) -> dict[str, Any]:
-        """A slider for every knob, in folders; `_offer` hides what a model has no part for."""
+        """Adds a slider for every knob, in folders; `_offer` hides those that do not apply to a model."""
         found = {}
         for group in GROUPS:
             self._folders[group] = self._gui.add_folder(group, expand_by_default=group == GROUPS[0])
@@ -131,14 +133,14 @@ class Page:
                 for k in (k for k in KNOBS if k.group == group):
                     numbers = (k.least, k.most, k.step, k.neutral)
                     found[k.name] = self._gui.add_slider(k.label, *numbers, hint=k.hint, marks=(k.neutral,))
-                    self._tell_of(found[k.name], partial(self._session.turn, k))
+                    self._on_input(found[k.name], partial(self._session.turn, k))
         self._missing = self._gui.add_folder("Cannot be changed here", expand_by_default=False)
         with self._missing:
             self._reasons = self._gui.add_html("")
         return found
 
     def _offer(self, model: LiveModel) -> None:
-        """Shows the knobs that act on a model, and says why there are no others."""
+        """Shows the sliders that apply to a model, and the reasons why others are missing."""
         usable = {k.name for k in model.knobs.usable}
         for name, slider in self.knobs.items():
             slider.visible = name in usable
@@ -147,13 +149,13 @@ class Page:
         self._missing.visible = bool(model.knobs.missing)
         self._reasons.content = "".join(words.state("doubt", g, why) for g, why in model.knobs.missing.items())
 
-    def _tell_of(self, element: Any, told: Callable[[Any], None]) -> None:
-        """Has every new value of an element told that comes from the client and not from here."""
+    def _on_input(self, element: Any, handler: Callable[[Any], None]) -> None:
+        """Calls `handler` with every new value of an element that the client, not this program, has set."""
 
         @element.on_update
         async def _(event: Any) -> None:
             if event.client is not None:
-                told(element.value)
+                handler(element.value)
 
     def _model(self, engine: Engine) -> None:
         with self._gui.add_folder("Model"):
@@ -161,8 +163,8 @@ class Page:
             self._compared = self._gui.add_checkbox("compare with untreated", False)
             reset = self._gui.add_button("Reset")
         self.untreated.show(False)
-        self._tell_of(self.contacts, self._session.choose)
-        self._tell_of(self._compared, self._session.redraw)
+        self._on_input(self.contacts, self._session.choose)
+        self._on_input(self._compared, self._session.redraw)
 
         @reset.on_click
         async def _(_: Any) -> None:
@@ -173,7 +175,7 @@ class Page:
         begin, end = float(times[0]), float(times[-1])
         self.time = self._gui.add_slider("time [s]", begin, end, round(float(np.diff(times).min()), 4), begin)
         self.play = self._gui.add_button("Play")
-        self._tell_of(self.time, self._session.seek)
+        self._on_input(self.time, self._session.seek)
 
         @self.play.on_click
         async def _(_: Any) -> None:

@@ -1,4 +1,4 @@
-"""The web server: who may reach it, how it answers messages that make no sense, and how it ends."""
+"""The web server of the live page, with access control and handling of malformed messages."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from pftwin.results.viewer.assembly import views
 
 
 def viser() -> Any:
-    """The package; MissingExtraError if it is not installed."""
+    """Imports the package viser; MissingExtraError if it is not installed."""
     try:
         import viser as package
     except ImportError as error:
@@ -30,14 +30,14 @@ def viser() -> Any:
 
 
 class LiveServer:
-    """Serves a page to every client, until it is stopped."""
+    """Serves a separate page to every client until `stop` is called."""
 
     def __init__(
         self, engine: Engine, host: str = "127.0.0.1", port: int = 8080, origins: Collection[str] = ()
     ) -> None:
-        """Begins to serve an engine whose first contact is prepared; its own pages may connect, and those of `origins`.
+        """Starts to serve an engine whose first contact is prepared, to its own pages and to pages of `origins`.
 
-        A port in use is skipped. InputError if this machine has no such address.
+        If the port is in use, takes the next free one. Raises InputError if this machine has no such address.
         """
         package = viser()
         check_address(host, port)
@@ -48,7 +48,7 @@ class LiveServer:
         _quiet_about_broken_messages()
 
         class Private(package.ViserServer):
-            """Never opens the way to the public internet that viser's pages can ask for."""
+            """Never opens the public tunnel that viser's pages can request."""
 
             def request_share_url(self, verbose: bool = True) -> str | None:
                 del verbose
@@ -65,7 +65,7 @@ class LiveServer:
 
     @property
     def address(self) -> str:
-        """What to open in a browser."""
+        """URL to open in a browser."""
         host = "localhost" if self.host in ("0.0.0.0", "::") else self.host
         return f"http://{f'[{host}]' if ':' in host else host}:{self.port}"
 
@@ -98,7 +98,7 @@ class LiveServer:
         session = Session(client, self._engine, *self._workers)
         with self._lock:
             self._sessions[client.client_id] = session
-        if client.client_id not in self._server.get_clients():  # it left while its page was made
+        if client.client_id not in self._server.get_clients():  # disconnected meanwhile
             self._left(client)
 
     def _left(self, client: Any) -> None:
@@ -108,15 +108,15 @@ class LiveServer:
             session.close()
 
     def _nonsense(self, loop: Any, context: dict[str, Any]) -> None:
-        """Reports a message that makes no sense in one line here and on its page; everything goes on."""
+        """Reports a malformed message in one line on stderr and on its page; the server continues."""
         error = context.get("exception")
         if error is None:
             loop.default_exception_handler(context)
             return
-        sys.stderr.write(f"a page sent what makes no sense, and nothing was done: {_line(error)}\n")
+        sys.stderr.write(f"ignored a malformed message from a page: {_line(error)}\n")
         session = self._sessions.get(_client_of(error))
         if session is not None:
-            session.refuse(f"the page sent what makes no sense: {_line(error)}")
+            session.refuse(f"the page sent a malformed message: {_line(error)}")
 
 
 def _line(error: BaseException) -> str:
@@ -124,13 +124,13 @@ def _line(error: BaseException) -> str:
 
 
 def _client_of(error: BaseException) -> Any:
-    """The number of the client whose message caused an error, from the frames of viser's handlers."""
+    """Id of the client whose message caused an error, from the frames of viser's handlers."""
     numbers = [f.f_locals.get("client_id") for f, _ in traceback.walk_tb(error.__traceback__)]
     return next((n for n in reversed(numbers) if n is not None), None)
 
 
 class _OneLine(logging.Formatter):
-    """One line without a traceback: a message that cannot be read is no bug in the program."""
+    """Formats errors in one line without a traceback, because an unreadable message is not a bug in this program."""
 
     def format(self, record: logging.LogRecord) -> str:
         error = record.exc_info[1] if record.exc_info else None
@@ -139,7 +139,7 @@ class _OneLine(logging.Formatter):
 
 
 def _quiet_about_broken_messages() -> None:
-    """Reports broken connections and unreadable messages in one line each; closed connections not at all."""
+    """Sets up one-line reports of broken connections and unreadable messages, and none of closed connections."""
     warnings.filterwarnings("ignore", message="Queued a .* on a closed connection", category=UserWarning)
     logger = logging.getLogger("websockets.server")
     if not logger.handlers:
@@ -151,6 +151,6 @@ def _quiet_about_broken_messages() -> None:
 
 @contextlib.contextmanager
 def _viser_silenced() -> Iterator[None]:
-    """Suppresses the box that viser prints: the command says where the page is."""
+    """Suppresses the box that viser prints, because the command prints the address itself."""
     with contextlib.redirect_stdout(io.StringIO()):
         yield

@@ -1,4 +1,4 @@
-"""The state of one page: the values of its sliders, its motion and its drawing. Pages share none of it."""
+"""The state of one live page: slider values, motion and drawing; pages share none of it."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from pftwin.base.errors import InputError
 if TYPE_CHECKING:
     from viser import ClientHandle
 
-_REST = 0.3  # that a slider has to rest before the band is begun [s]
-_NUMBERS_EVERY = 0.1  # between numbers, and marks in the curves, while it plays [s]
+_REST = 0.3  # wait after the last move of a slider before a band is computed [s]
+_NUMBERS_EVERY = 0.1  # time between updates of numbers and marks while the motion plays [s]
 
 
 class Session:
-    """The page of one client.
+    """Connects the page of one client to the engine.
 
-    Events come in on the server's event loop, simulations are made by the worker's thread, frames by the player's: what
-    they share is changed under a lock.
+    Events arrive on the server's event loop, simulations run in the worker's thread, and frames are set by the player's
+    thread: shared state is changed under a lock.
     """
 
     def __init__(
@@ -37,7 +37,7 @@ class Session:
     ) -> None:
         self._client, self._engine = client, engine
         self._simulating, self._preparing, self._drawing_bands = simulating, preparing, drawing_bands
-        self._asked = 0  # motions so far
+        self._asked = 0  # number of motions requested so far
         self._lock = threading.RLock()
         self._closed, self._numbered = False, 0.0
         self._values = neutral()
@@ -72,7 +72,7 @@ class Session:
         self._ask(began)
 
     def choose(self, contact: Any) -> None:
-        """Chooses another contact; until it is compiled, everything goes on with the one before."""
+        """Chooses another contact; until it is compiled, the page continues with the previous one."""
         began = time.perf_counter()
         if contact not in self._engine.contacts:
             self.refuse(f"no contact {str(contact)[:40]!r}")
@@ -86,7 +86,7 @@ class Session:
         self._preparing.submit(self, lambda: self._prepare(contact))
 
     def seek(self, at: Any) -> None:
-        """Goes to the time of the slider that was moved."""
+        """Pauses and goes to the time that the time slider was moved to [s]."""
         self.pause()
         begin, end = self._after.times[[0, -1]]
         if isinstance(at, int | float) and begin - 1e-3 <= at <= end + 1e-3:
@@ -96,7 +96,7 @@ class Session:
             self._page.time.value = self._now
 
     def play_or_pause(self) -> None:
-        """Plays, or pauses what plays."""
+        """Plays the motion, or pauses it if it is playing."""
         if self._player.playing:
             self.pause()
         else:
@@ -104,7 +104,7 @@ class Session:
             self._page.play.label = "Pause"
 
     def pause(self) -> None:
-        """Stops at the current frame."""
+        """Pauses at the current frame."""
         self._player.pause()
         self._page.play.label = "Play"
         self._frame(self._now, numbers=True)
@@ -119,12 +119,12 @@ class Session:
                 self._frame(self._now, numbers=True)
 
     def refuse(self, why: str) -> None:
-        """Says why nothing new is drawn."""
-        still = "The drawing and the curves are those of the last values that worked."
+        """Shows why no new motion is drawn."""
+        still = "The drawing and the curves still show the last values that worked."
         self._say(words.state("bad", f"Not drawn: {why}", still))
 
     def close(self) -> None:
-        """Frees what belongs to the client, who has left."""
+        """Stops all work for the client, after it has disconnected."""
         with self._lock:
             self._closed = True
         self._player.pause()
@@ -133,7 +133,7 @@ class Session:
         self._drawing_bands.forget(self)
 
     def _prepare(self, contact: str) -> None:
-        """Compiles for a contact, in the preparing worker's thread."""
+        """Compiles the model of a contact, in the preparing worker's thread."""
         try:
             self._engine.prepare(contact)
         except Exception as error:
@@ -148,12 +148,12 @@ class Session:
                 self._ask(time.perf_counter())
 
     def _ask(self, began: float) -> None:
-        """Asks for a motion of the values at the time when its turn comes."""
+        """Queues a simulation, which uses the slider values at the time when it starts."""
         self._asked += 1
         self._simulating.submit(self, lambda: self._answer(began))
 
     def _answer(self, began: float) -> None:
-        """In the worker's thread: simulates, then sends the words and numbers, then the drawing, which takes longer."""
+        """In the worker's thread: simulates, sends texts and numbers, then the drawing, which takes longer."""
         contact, values = self._wanted if self._engine.ready(self._wanted) else self._contact, dict(self._values)
         try:
             model = self._engine.model(contact)
@@ -182,7 +182,7 @@ class Session:
         self._ask_band(contact, values)
 
     def _ask_band(self, contact: str, values: dict[str, float]) -> None:
-        """Asks for the band of what is shown, if there is an estimate; the next move drops it."""
+        """Queues the band of the current motion, if there is an estimate; the next move of a slider cancels it."""
         if self._engine.estimate is not None:
             after, asked = self._after, self._asked
             wanted = lambda: self._asked == asked and not self._closed  # noqa: E731
@@ -191,7 +191,7 @@ class Session:
     def _answer_band(
         self, contact: str, values: dict[str, float], after: ShownMotion, wanted: Callable[[], bool]
     ) -> None:
-        """In the bands' thread, once the slider rests: simulates draws, and draws their band."""
+        """In the bands' thread, after a pause: simulates draws, and draws their band."""
         time.sleep(_REST)
         band = self._engine.band(contact, values, after, wanted)
         with self._lock:
@@ -230,11 +230,11 @@ class Session:
                     self._page.time.value = at
 
     def _nearest(self, at: float) -> int:
-        """The frame of a time."""
+        """The displayed frame nearest to a time [s]."""
         return int(np.argmin(np.abs(self._after.times - at)))
 
     def _failed(self, error: Exception) -> None:
-        """Says why; of a bug in the program, where to read more."""
+        """Shows why a motion failed; for a bug in the program, refers to the terminal."""
         own = isinstance(error, InputError)
         self.refuse(str(error) if own else f"an error in the program, {type(error).__name__}: see the terminal")
 

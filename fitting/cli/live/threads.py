@@ -1,4 +1,4 @@
-"""The threads of the live page: one that simulates for all pages, and one that plays a motion."""
+"""Threads of the live page: a worker that serves all pages, and a player of a motion."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ RATE = 30.0  # most frames a second
 
 
 class Worker:
-    """One thread that does jobs for several owners in turn; an owner's new job replaces its waiting one.
+    """One thread that runs jobs of several owners in turn; an owner's new job replaces its waiting one.
 
-    A job that raises is reported on stderr with its traceback, and the thread goes on.
+    If a job raises, the traceback is printed on stderr, and the thread continues.
     """
 
     def __init__(self, name: str) -> None:
@@ -25,18 +25,18 @@ class Worker:
         self._thread.start()
 
     def submit(self, owner: Hashable, job: Job) -> None:
-        """Queues a job in the place of the owner's job that has not begun, if there is one."""
+        """Queues a job; it replaces the owner's waiting job, if there is one."""
         with self._change:
             self._waiting[owner] = job
             self._change.notify()
 
     def forget(self, owner: Hashable) -> None:
-        """Drops the owner's job if it has not begun."""
+        """Cancels the owner's waiting job."""
         with self._change:
             self._waiting.pop(owner, None)
 
     def stop(self, timeout: float = 5.0) -> None:
-        """Ends the thread after its current job, for which it waits at most `timeout` seconds."""
+        """Ends the thread after its current job, and waits for that at most `timeout` seconds."""
         with self._change:
             self._ends = True
             self._waiting.clear()
@@ -58,7 +58,7 @@ class Worker:
 
 
 class Player:
-    """Calls `show` with times of the motion, at its own pace and over and over, from a thread of its own."""
+    """Calls `show` in a separate thread with times [s] of the motion, in real time and in a loop."""
 
     def __init__(self, show: Callable[[float], None], begin: float, end: float) -> None:
         self._show, self._begin, self._end = show, begin, end
@@ -67,11 +67,11 @@ class Player:
 
     @property
     def playing(self) -> bool:
-        """Whether it runs."""
+        """Whether the motion is playing."""
         return self._thread is not None
 
     def play(self, now: float) -> None:
-        """Begins at a time [s]; from the start if that is the end."""
+        """Plays from a time [s], or from the start if that is the end."""
         self.pause()
         self._stop = threading.Event()
         first = self._begin if now >= self._end - 1e-6 else now
@@ -79,7 +79,7 @@ class Player:
         self._thread.start()
 
     def pause(self) -> None:
-        """Stops at the last frame."""
+        """Stops at the current frame."""
         self._stop.set()
         thread, self._thread = self._thread, None
         if thread is not None and thread is not threading.current_thread():

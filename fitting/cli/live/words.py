@@ -1,4 +1,4 @@
-"""The page's text as HTML: its state, the outcome of a motion, and how long it took to compute."""
+"""Texts of the live page as HTML: its state, the outcome of a motion, and computing times."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from fitting.cli.pages import sentence, template
 from pftwin.results.plots import COLOURS
 
 BEFORE, AFTER = COLOURS[:2]
-KEPT = 50  # times of answers of which the median and the worst are shown
+KEPT = 50  # number of response times from which the median and the worst are shown
 NOT_FOR_PATIENTS = "Research software: no treatment should be decided by it alone."
 
 
 def times_taken(times: Sequence[float]) -> str:
-    """The last times that the page took to answer [s], in words."""
+    """Describes response times [s]: the last one, the median and the worst."""
     if not times:
         return "none yet"
     last, middle, worst = (f"{1e3 * t:.0f}" for t in (times[-1], median(times), max(times)))
@@ -30,15 +30,15 @@ def _written(macro: str, *content: Any) -> str:
 
 
 def state(tone: str, head: str, more: str = "") -> str:
-    """A line in the colour of its tone ("good", "bad", "wait" or "doubt"), and a smaller one below it."""
+    """A heading in the colour of its tone ("good", "bad", "wait" or "doubt"), and a smaller line below it."""
     return _written("state", tone, head, more)
 
 
 def outcome(answer: ShownMotion) -> str:
-    """Whether the patella dislocates and when, and how far to trust that."""
+    """Whether and when the patella dislocates, with reservations; for an INVALID motion, the reasons."""
     tracking, status = answer.result.tracking, answer.result.status.describe()
     if not answer.result.verdict.valid:
-        return state("bad", tracking, "Nothing can be said of this motion.")
+        return state("bad", tracking, "Do not interpret this motion.")
     doubts = "" if status == "ok" else f"Reservations in some frames: {status}."
     if answer.dislocates is None:
         return state("doubt", f"Dislocation: {tracking}", doubts)
@@ -47,12 +47,12 @@ def outcome(answer: ShownMotion) -> str:
 
 
 def waiting(contact: str, shown: str) -> str:
-    """While a contact's program is compiled."""
-    return state("wait", f"Preparing contact {contact} ...", f"Until then everything shown and turned is with {shown}.")
+    """Text shown while a contact is compiled."""
+    return state("wait", f"Preparing contact {contact} ...", f"Until then the page and its sliders use {shown}.")
 
 
 def whole_motion(motions: Sequence[ShownMotion], colours: Sequence[str]) -> str:
-    """Extremes of motions in a table."""
+    """Table of the extremes of motions."""
     rows = []
     for answer, colour in zip(motions, colours, strict=True):
         out = {None: "—", True: "yes", False: "no"}[answer.dislocates]
@@ -62,7 +62,7 @@ def whole_motion(motions: Sequence[ShownMotion], colours: Sequence[str]) -> str:
 
 
 def pace_text(motions: Sequence[float], drawings: Sequence[float], seconds: float) -> str:
-    """How long the page takes."""
+    """Response times of the page, and the computing time of the last simulation [s]."""
     rows = {
         "slider to new motion": times_taken(motions),
         "slider to drawing sent": times_taken(drawings),
@@ -72,16 +72,16 @@ def pace_text(motions: Sequence[float], drawings: Sequence[float], seconds: floa
 
 
 def aside(*lines: str) -> str:
-    """Small lines beside the curves."""
+    """Small lines of text next to the curves."""
     return _written("aside", lines)
 
 
 def with_margins(content: str) -> str:
-    """HTML of the viewer with the page's margins."""
+    """Adds the page's margins to HTML of the viewer."""
     return f"<div style='padding:2px 12px'>{content}</div>"
 
 
 def _range(values: np.ndarray) -> str:
-    there = values[np.isfinite(values)]
-    text = f"{there.min():.0f} to {there.max():.0f}" if there.size else "—"
+    finite = values[np.isfinite(values)]
+    text = f"{finite.min():.0f} to {finite.max():.0f}" if finite.size else "—"
     return text.replace("-", "−")

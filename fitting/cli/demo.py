@@ -90,8 +90,8 @@ def _table_2(study: PaperStudy, case: int) -> Sheet:
     what = "pathology, fitted" if case == PATHOLOGY else f"treatment, predicted with springs of case {PATHOLOGY}"
     title = (
         f"Case {case} ({what}): pftwin against SYNTHETIC\n"
-        "measurements of the virtual rig. A: springs fitted with the paper's objective, on P5;\n"
-        "B: by simulations, with nuisance parameters, on the spline; C: as B, with one force;\n"
+        "measurements of the virtual rig. A: springs by the paper's objective, on P5;\n"
+        "B: by simulations, with nuisance parameters, on the spline; C: B and one force;\n"
         "paper: section 3 and Table 2 of Michaud et al. 2024 (on their rig; errors of\n"
         "springs without signs)"
     )
@@ -108,7 +108,7 @@ def _springs(study: PaperStudy, fit: str) -> Sheet:
     from fitting.demo.paper_study_tables import SPRINGS, spring_rows
 
     title = f"Springs, {SPRINGS[fit]}, to SYNTHETIC measurements of case 2"
-    about = "line: straight line nearest to the rig's spring; off: error relative to nominal, as in the paper"
+    about = "line: straight line nearest to the plant's; off: against nominal, as in the paper"
     headings = ["", "nominal", "line", "fitted", "95 % interval", "which\ncovers", "off,\n%", "off\nline,\n%"]
     headings += ["paper\noff,\n%"] if fit == "paper" else []
     rows = []

@@ -71,12 +71,7 @@ def app(
 
 
 def contacts_of(case: int | None, own: str | None) -> tuple[str, ...]:
-    """Names of the contacts that the page offers, the scene's own first.
-
-    Args:
-        case: number of the rig's case; None for other scenes.
-        own: name of the scene's contact; None if it is as in the scene file.
-    """
+    """Names of the contacts that the page offers, the scene's own first; `case` is the rig's, None for other scenes."""
     from pftwin.geometry.patch.fit import SPLINE
     from pftwin.rig.contacts import ON_MESHES
 

@@ -98,7 +98,7 @@ class LiveServer:
         session = Session(client, self._engine, *self._workers)
         with self._lock:
             self._sessions[client.client_id] = session
-        if client.client_id not in self._server.get_clients():  # disconnected meanwhile
+        if client.client_id not in self._server.get_clients():  # left during set-up
             self._left(client)
 
     def _left(self, client: Any) -> None:

@@ -75,7 +75,7 @@ class Emitter(Arrays):
             closed = hasattr(inner, "consts")
             return self.run(code, inner.jaxpr if closed else inner, inner.consts if closed else (), args)
         if all(map(known, args)):
-            if name in FOLDED or name in MOVED or name in JOINED:  # numpy, as JAX would compile each
+            if name in FOLDED or name in MOVED or name in JOINED:  # by numpy: JAX would compile it first
                 return [np.asarray(_folded(name, params, args), eqn.outvars[0].aval.dtype)]
             found = eqn.primitive.bind(*map(jnp.asarray, args), **params)
             return [np.asarray(x) for x in (found if eqn.primitive.multiple_results else [found])]

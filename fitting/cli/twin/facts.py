@@ -17,10 +17,7 @@ from pftwin.results.verdict import IN_ORDER, most_frames
 
 
 def facts(scene: Scene, knobs: tuple[Knob, ...], missing: dict[str, str]) -> dict[str, Any]:
-    """Data of a scene for the page, as values for JSON; thresholds and texts are the library's.
-
-    `missing` gives, by group, why the page has no sliders for it.
-    """
+    """Data of a scene for the page, as values for JSON; `missing` gives reasons for missing sliders, by group."""
     motion, contact = scene.motion, scene.contact
     surface: Any = None if contact is None else contact.groove_surface()
     shown = ("name", "label", "group", "unit", "least", "most", "step", "neutral", "hint")

@@ -83,13 +83,10 @@ Given = list[tuple[Amount, str]]  # amounts and their values as the user wrote t
 def with_amounts(
     metavar: str, more: str = "", *, argument: str = "amounts", made: Callable[[Given], Any] = lambda given: given
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Returns a decorator that replaces one argument of a command by an option for each amount.
+    """Returns a decorator that replaces an argument of a command by an option for each amount.
 
-    Args:
-        metavar: form of the options' values, for the help.
-        more: text that follows the unit in the help.
-        argument: name of the argument that is replaced.
-        made: computes its value from the amounts that the user wrote.
+    `metavar` is the form of the options' values, `more` follows the unit in their help, and `made` computes the
+    argument from the amounts that the user wrote.
     """
     options = [
         inspect.Parameter(

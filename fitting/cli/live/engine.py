@@ -70,10 +70,7 @@ class Engine:
         return self._models[contact]
 
     def prepare(self, contact: str) -> LiveModel:
-        """Compiles the model of a contact, which takes seconds, or returns it if it is ready.
-
-        Raises InputError for an unknown contact and for a scene that cannot be simulated.
-        """
+        """Compiles a contact's model, in seconds, unless it is ready; InputError if its scene cannot be simulated."""
         with self._tracing:
             if contact in self._models:
                 return self._models[contact]

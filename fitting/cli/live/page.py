@@ -99,10 +99,8 @@ class Page:
         self._curves.mark(k)
 
     def redraw(self) -> None:
-        """Applies the checkboxes: shows or hides the untreated knee, its curves and its numbers, and sets the abscissa.
-
-        Curves and numbers of a time follow at the next call of `number`.
-        """
+        """Applies the checkboxes: shows or hides the untreated knee, its curves and its numbers, and sets the abscissa;
+        curves and numbers of a time follow at the next call of `number`."""
         self.untreated.show(self._compared.value)
         self._legend.content = self._legend_text()
         self._retell()

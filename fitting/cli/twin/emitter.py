@@ -25,12 +25,7 @@ class Emitter(Arrays):
     """Compiles programs into a module."""
 
     def program(self, name: str, function: Callable[..., Any], *examples: Any) -> dict[str, Any]:
-        """Compiles and exports a function under a name.
-
-        Args:
-            name: of the exported function.
-            function: traceable, of arrays with the shapes and types of the examples.
-            examples: trees of arrays.
+        """Compiles a traceable function of arrays like the examples, and exports it under a name.
 
         Returns:
             "inputs" and "outputs": [address, size, 1 for float64 or 0 for integers] of every array.

@@ -1,4 +1,4 @@
-"""A cohort file: which patients, how they are fitted, and which treatments are predicted for them."""
+"""Reads a cohort file: which patients, how they are fitted, and which treatments are predicted for them."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def _file_name(name: str) -> str:
 
 
 def _amounts(given: Any) -> list[float]:
-    """In the field's unit, from a number, a list of numbers, or text: "0:20:5"."""
+    """Values in the field's unit, from a number, a list of numbers, or a text such as "0:20:5"."""
     if isinstance(given, str):
         try:
             return several_amounts(given, "")
@@ -45,7 +45,7 @@ def _amounts(given: Any) -> list[float]:
     return numbers
 
 
-# Patients' files are named after them, on whatever system they are copied to.
+# Patients' files are named after them, so names must be valid on every system.
 PatientName = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$"), AfterValidator(_file_name)]
 
 
@@ -55,7 +55,7 @@ Method = Literal["least_squares", "gradient", "genetic", "matlab_ga", "cma_es", 
 
 
 def _nuisance(given: str) -> str:
-    """Itself, if it says what `fitting.Nuisance` may be."""
+    """The text, if `fitting.Nuisance.of` accepts it."""
     try:
         Nuisance.of(given)
     except InputError as error:
@@ -114,7 +114,7 @@ class PatientTable(Section):
 
 
 def amount_field(name: str, way: Way) -> str:
-    """What a treatment's amount is called in the file: its name with its unit."""
+    """The field of a treatment's amount in the file: its name with its unit."""
     return f"{name}_{_UNITS[way.shown_unit]}"
 
 
@@ -131,7 +131,7 @@ def _kind_table(kind: str) -> type[Section]:
 
 
 class _TreatmentTable(Section):
-    """One treatment, of one kind or of several after each other: all combinations of its amounts."""
+    """One treatment, of one kind or of several in sequence: all combinations of its amounts."""
 
     @model_validator(mode="after")
     def _something(self) -> _TreatmentTable:
@@ -176,7 +176,7 @@ class CohortTable(Section):
         return self
 
 
-_MOST_MEMBERS = 1_000_000  # variants and draws of a patient
+_MOST_MEMBERS = 1_000_000  # most simulations of a patient: variants times draws
 
 Amounts = dict[str, dict[str, list[float]]]  # of one treatment, by kind and amount; mm, degrees and percent
 
@@ -186,15 +186,15 @@ class Patient:
     """One knee of a cohort."""
 
     name: str
-    scene: Path | None  # or
-    case: int | None  # of the virtual rig
+    scene: Path | None  # scene file, or None if it is a case
+    case: int | None  # case of the virtual rig
     contact: str | None
     fit: dict[str, Any] | None  # options of `fitting.fit_tendons`; None: parameters stay as in the scene
 
 
 @dataclass(frozen=True)
 class Cohort:
-    """What a cohort file says."""
+    """The content of a cohort file."""
 
     name: str
     path: Path
@@ -203,22 +203,22 @@ class Cohort:
     treatments: tuple[Amounts, ...]
     predict: dict[str, Any]  # samples, seed, dt [s]
     allow_outside: bool = False  # whether scene files may name files outside their folders
-    limits: Mapping[str, float] = field(default_factory=dict)  # of what a knee can be, in place of the scene files'
+    limits: Mapping[str, float] = field(default_factory=dict)  # plausibility limits that replace the scene files'
 
 
 def read_cohort(
     path: str | os.PathLike[str], *, allow_outside: bool = False, limits: Mapping[str, float] | None = None
 ) -> Cohort:
-    """What a TOML file says of a cohort. Scene files are not read here: a broken one is reported with its patient.
+    """Reads a cohort's TOML file. Scene files are not read here: a broken one is reported with its patient.
 
     Args:
         path: the file; relative paths in it start at its folder.
         allow_outside: whether it, and the scene files, may name files outside their folders.
-        limits: of what a knee can be (`pftwin.model.limits.Limits`), by name, in place of those of the scene files.
+        limits: limits of plausible knees (`pftwin.model.limits.Limits`), by name, that replace those of scene files.
 
     Raises:
-        InputError: a file that cannot be read, unknown or missing fields, values that cannot be right, two patients of
-            one name; one message that lists every problem with its line and field.
+        InputError: a file that cannot be read, unknown or missing fields, invalid values, two patients of one name; one
+            message lists every problem with its line and field.
     """
     table, document = validated(Document.read(path, allow_outside=allow_outside), CohortTable)
     _check_names(table, document)
@@ -246,7 +246,7 @@ def _patient(table: PatientTable, i: int, cohort: CohortTable, document: Documen
 
 
 def _inside(document: Document, name: str) -> Path:
-    """As `Document.file`, in words that fit this file."""
+    """As `Document.file`, with a message that fits this file."""
     try:
         return document.file(name)
     except InputError:
@@ -268,7 +268,7 @@ def _contact(table: PatientTable) -> str:
 
 
 def _check_names(table: CohortTable, document: Document) -> None:
-    """Upper and lower case count as the same, as in the file names of many systems."""
+    """Raises InputError for names that differ only in case, which many file systems do not distinguish."""
     counts = Counter(p.name.lower() for p in table.patient)
     for i, patient in enumerate(table.patient):
         if (count := counts[patient.name.lower()]) > 1:

@@ -1,4 +1,4 @@
-"""A cohort's folder of results: locked by one process, cleared of a killed one's leftovers, and checked."""
+"""A cohort's folder of results: locks it for one process, removes a killed one's leftovers, and checks its files."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SOUND, DAMAGED, OUTDATED, ABSENT, LEFT_OVER = "sound", "damaged", "out of date",
 LOCK = ".lock"
 _ANOTHER = "another folder, with --out"
 _PROBE = bytes(1 << 16)
-# What `written_whole` calls the files that it has not finished: ".NAME." and eight letters.
+# Names that `written_whole` gives to unfinished files: ".NAME." and eight letters.
 _UNFINISHED = {
     "": re.compile(r"^\.(?:manifest\.[a-z0-9_]{8}\.json|summary\.[a-z0-9_]{8}\.parquet)$"),
     PATIENTS: re.compile(r"^\.[A-Za-z0-9_.-]+\.[a-z0-9_]{8}\.(?:json|nc)$"),
@@ -28,9 +28,9 @@ _UNFINISHED = {
 
 @contextmanager
 def opened(folder: Path, cohort: str, *, resume: bool) -> Iterator[Manifest]:
-    """The folder's manifest, while no other process works there; the folder is made if it is not there. Raises
-    InputError: it holds results without `resume`, those of another cohort, a damaged manifest, or another process is at
-    work there. Raises OutputError: it cannot be made or written to."""
+    """The folder's manifest, while no other process works there; makes the folder if needed. Raises InputError if it
+    holds results without `resume`, those of another cohort, or a damaged manifest, or another process is at work there.
+    Raises OutputError if it cannot be made or written to."""
     make_folder(folder, _ANOTHER)
     with _locked(folder):
         manifest = _existing_or_new(folder, cohort, resume)
@@ -42,8 +42,8 @@ def opened(folder: Path, cohort: str, *, resume: bool) -> Iterator[Manifest]:
 
 
 def check_room(folder: Path) -> None:
-    """Refuses a folder that cannot be written to, before hours are spent on what would be written. Raises OutputError:
-    it cannot be written to, or the disk is full."""
+    """Checks that a folder can be written to, before hours are spent on its content. Raises OutputError if it cannot,
+    or the disk is full."""
     try:
         with tempfile.NamedTemporaryFile(dir=folder, prefix=".room.", suffix=".nc") as file:
             file.write(_PROBE)
@@ -54,7 +54,7 @@ def check_room(folder: Path) -> None:
 
 
 def _existing_or_new(folder: Path, cohort: str, resume: bool) -> Manifest:
-    """The manifest that is there, or a new one."""
+    """The existing manifest, or a new one."""
     if not (folder / NAME).exists():
         if there := [name for name in (PATIENTS, SUMMARY) if (folder / name).exists()]:
             expected = "an empty folder, or one that pftwin cohort wrote"
@@ -75,7 +75,7 @@ def _existing_or_new(folder: Path, cohort: str, resume: bool) -> Manifest:
 
 @contextmanager
 def _locked(folder: Path) -> Iterator[None]:
-    """The system releases the lock when the process ends, however it ends."""
+    """Locks the folder; the system releases the lock when the process ends, however it ends."""
     try:
         file = (folder / LOCK).open("w")
     except OSError as error:
@@ -96,7 +96,7 @@ def _locked(folder: Path) -> Iterator[None]:
 
 
 class FileFinding(NamedTuple):
-    """About one file."""
+    """The result of a check of one file."""
 
     file: str
     verdict: str
@@ -104,7 +104,7 @@ class FileFinding(NamedTuple):
 
 
 def check_cohort(cohort: Cohort, folder: str | os.PathLike[str] | None = None) -> list[FileFinding]:
-    """Every file of a cohort's folder against checksum and key. Reads all of them; changes nothing.
+    """Checks every file of a cohort's folder against checksum and key. Reads all of them; changes nothing.
 
     Raises:
         InputError: no manifest, or a damaged one.
@@ -140,7 +140,7 @@ def check_cohort(cohort: Cohort, folder: str | os.PathLike[str] | None = None) -
 
 
 def _summary(manifest: Manifest, path: Path) -> FileFinding:
-    """A killed run may have left a summary that lacks the last patient."""
+    """Checks the summary: a killed run may have left one that lacks the last patient."""
     try:
         digest = file_digest(path) if path.is_file() else None
     except OSError as error:

@@ -1,4 +1,4 @@
-"""Units of work with their keys, and manifest.json: every finished file, what failed, and why.
+"""Units of work with their keys, and manifest.json, which records finished files and failures.
 
 A unit's key is a hash of the content of all its input files, its settings and the software versions.
 """
@@ -25,7 +25,7 @@ PATIENTS = "patients"  # folder of the units' files
 
 @dataclass(frozen=True)
 class Unit:
-    """What is computed, written and recorded at once: a patient's fit, or its predictions."""
+    """What is computed, written and recorded in one step: a patient's fit, or its predictions."""
 
     patient: str
     kind: Literal["fit", "prediction"]
@@ -34,8 +34,7 @@ class Unit:
 
 
 def units_of(cohort: Cohort, patient: Patient) -> tuple[Unit, ...]:
-    """The units of a patient, in their order. Raises InputError: the scene file, or a file that it names, cannot be
-    read."""
+    """The units of a patient, in order. Raises InputError if the scene file, or one that it names, cannot be read."""
     inputs = _inputs(patient, cohort.allow_outside)
     if cohort.limits:
         inputs["limits"] = json.dumps(cohort.limits, sort_keys=True)
@@ -57,7 +56,7 @@ def versions() -> dict[str, str]:
 
 
 def file_digest(path: Path) -> str:
-    """SHA-256 of a file, in hexadecimal. Raises OSError: it cannot be read."""
+    """SHA-256 of a file, in hexadecimal. Raises OSError if it cannot be read."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
@@ -70,7 +69,7 @@ def _key(kind: str, inputs: dict[str, str], settings: dict[str, Any]) -> str:
 
 
 def _inputs(patient: Patient, allow_outside: bool) -> dict[str, str]:
-    """Digests of the files by their names in the scene file: a cohort that is moved keeps its keys."""
+    """Digests of the files by their names in the scene file, so that a cohort that is moved keeps its keys."""
     if patient.scene is None:
         from pftwin.rig.recording import recording_files
 
@@ -109,23 +108,23 @@ class Entry:
     bytes: int
     sha256: str
     date: str
-    seconds: float  # that its unit took
+    seconds: float  # duration of its computation [s]
     versions: dict[str, str]
 
 
 @dataclass(frozen=True)
 class Failure:
-    """Why a patient has no results, or not all."""
+    """Why a patient has no or incomplete results."""
 
     stage: str  # files, fit, prediction or summary
-    error: str  # its kind
+    error: str  # class of the error
     message: str
-    traceback: str | None = None  # of an unforeseen error
+    traceback: str | None = None  # of an unexpected error
 
 
 @dataclass(frozen=True)
 class Announced:
-    """The summary, which is written after the manifest: at any moment its file matches one of these two checksums."""
+    """Checksums of the summary, which is written after the manifest: at any moment its file matches one of them."""
 
     sha256: str
     before: str | None  # None: there was no summary
@@ -141,7 +140,7 @@ def _checked_name(name: str) -> str:
 
 @dataclass
 class Manifest:
-    """What `manifest.json` holds. It is written after every unit, whole or not at all."""
+    """The content of `manifest.json`, which is written after every unit, complete or not at all."""
 
     cohort: str
     files: dict[Annotated[str, AfterValidator(_checked_name)], Entry]  # by name in the cohort's folder
@@ -149,7 +148,7 @@ class Manifest:
     summary: Announced | None
 
     def record(self, unit: Unit, folder: Path, seconds: float) -> None:
-        """Records a unit whose file has been written. Raises OSError: it cannot be read."""
+        """Records a unit whose file has been written. Raises OSError if it cannot be read."""
         path = folder / unit.file
         size, digest = path.stat().st_size, file_digest(path)
         self.files[unit.file] = Entry(
@@ -162,13 +161,13 @@ class Manifest:
         return entry is not None and entry.key == unit.key and file_fault(entry, folder / unit.file) is None
 
     def save(self, folder: Path) -> None:
-        """Writes it. Raises OutputError: it cannot be written."""
+        """Writes the manifest. Raises OutputError if it cannot be written."""
         content = {"format": FORMAT, "date": now(), "versions": versions(), **asdict(self)}
         write_text(folder / NAME, json.dumps(content, indent=1) + "\n")
 
     @staticmethod
     def load(folder: Path) -> Manifest:
-        """The manifest of a folder. Raises InputError: there is none, or it is damaged."""
+        """The manifest of a folder. Raises InputError if there is none, or it is damaged."""
         path = folder / NAME
         content = read_json(path, expected=_EXPECTED)
         try:

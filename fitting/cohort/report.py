@@ -1,4 +1,4 @@
-"""A cohort's progress, the time left, and the outcome of each patient."""
+"""A cohort's progress, the time left, and each patient's outcome."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from fitting.cohort.manifest import Failure, Unit
 
 
 class CohortProgress(NamedTuple):
-    """Progress of one run, without the units that earlier runs had done."""
+    """Progress of one run, without the units that earlier runs completed."""
 
     unit: Unit
     share: float  # share of the unit that is done
     ended: bool  # whether its file is written and recorded, or it has failed
-    number: int  # of the unit, from 1
-    of: int  # units that this run has to do
-    seconds: float  # seconds spent on the unit so far
-    left: float | None  # for all that is to be done, at the pace so far [s]; None before the first unit has ended
+    number: int  # number of the unit in this run, from 1
+    of: int  # number of units in this run
+    seconds: float  # time spent on the unit so far [s]
+    left: float | None  # time left for all units at the pace so far [s]; None before the first unit has ended
     failure: Failure | None = None
 
 
@@ -33,18 +33,18 @@ class Pace:
         self._began = 0.0
 
     def began(self, unit: Unit) -> None:
-        """A unit begins."""
+        """Records the start of a unit."""
         self.waiting.remove(unit)
         self.number += 1
         self._began = time.perf_counter()
 
     def progress(self, unit: Unit, share: float) -> CohortProgress:
-        """While a unit runs."""
+        """Progress while a unit runs."""
         seconds = time.perf_counter() - self._began
         return self._told(unit, share, seconds, max(self._usual(unit.kind) - seconds, 0.0) if self.times else 0.0)
 
     def ended(self, unit: Unit, failure: Failure | None) -> CohortProgress:
-        """A unit ends. After a failure the patient's other units are not run, and its time is not counted."""
+        """Records the end of a unit. After a failure the patient's other units are skipped and its time not counted."""
         seconds = time.perf_counter() - self._began
         if failure is None:
             self.times.setdefault(unit.kind, []).append(seconds)
@@ -59,30 +59,30 @@ class Pace:
 
     def _usual(self, kind: str) -> float:
         known = self.times.get(kind) or [t for times in self.times.values() for t in times]
-        # The first of a kind compiles what the others use: it counts while there is no other.
+        # The first unit of a kind includes compilation: it counts only until there is another.
         steady = known[1:] or known
         return sum(steady) / len(steady)
 
 
 @dataclass
 class Outcome:
-    """Of one patient."""
+    """Outcome of one patient."""
 
     patient: str
     status: str = "pending"  # done, failed
     computed: int = 0  # units in this run
-    kept: int = 0  # units that were done before
+    kept: int = 0  # units completed by earlier runs
     failure: Failure | None = None
     at_bounds: tuple[str, ...] = ()  # fitted parameters that ended at a bound: their true value may lie beyond
 
 
 @dataclass
 class CohortReport:
-    """Of all of them."""
+    """Outcomes of all patients."""
 
     folder: Path
     outcomes: list[Outcome]
-    unwritten: dict[str, str] = field(default_factory=dict)  # why manifest or summary could not be written in the end
+    unwritten: dict[str, str] = field(default_factory=dict)  # why the manifest or summary could not be written
     seconds: float = 0.0
 
     @property
@@ -92,7 +92,7 @@ class CohortReport:
 
     @property
     def sound(self) -> bool:
-        """Whether everything is there."""
+        """Whether all results are complete and written."""
         return not self.failed and not self.unwritten
 
     def to_dict(self) -> dict[str, Any]:

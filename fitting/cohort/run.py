@@ -1,4 +1,4 @@
-"""The loop over a cohort's units: each is computed, written and recorded; a failure does not stop the others."""
+"""`run_cohort`: computes, writes and records a cohort's units; a failure does not stop the others."""
 
 from __future__ import annotations
 
@@ -27,21 +27,21 @@ Tell = Callable[[float], None]  # called with the share of a unit that is done
 
 
 class Work:
-    """Computes units, by `fitting.fit_tendons` and `fitting.predict`."""
+    """Computes units with `fitting.fit_tendons` and `fitting.predict`."""
 
     def __init__(self, cohort: Cohort) -> None:
         self.cohort = cohort
         self._last: tuple[Patient, Scene] | None = None  # a patient's units follow each other
 
     def about(self, patient: Patient) -> dict[str, Any]:
-        """`scene`, its name, and `synthetic`, whether its motion or measurements are: 0 or 1."""
+        """The scene's name (`scene`), and whether its motion or measurements are synthetic (`synthetic`, 0 or 1)."""
         scene = self._scene(patient)
         measured = scene.measured is not None and scene.measured.synthetic
         return {"scene": scene.name, "synthetic": int(scene.synthetic or measured)}
 
     def fit(self, patient: Patient, tell: Tell) -> Estimate:
-        """The patient's parameters. Raises InputError: what `fitting.fit_tendons` refuses. Raises PftwinError: the
-        fitted motion may not be spoken of. Raises KeyboardInterrupt: Ctrl-C; an unfinished fit is discarded."""
+        """Fits the patient's parameters. Raises InputError as `fitting.fit_tendons` does, PftwinError if the estimate
+        is INVALID, and KeyboardInterrupt after Ctrl-C, which discards an unfinished fit."""
         from fitting.fit import fit_tendons
 
         scene = self._scene(patient)
@@ -53,8 +53,8 @@ class Work:
         return estimate
 
     def predict(self, patient: Patient, estimate: Estimate | None, tell: Tell) -> Dataset | None:
-        """Outcomes of the cohort's treatments; None if it has none. Raises InputError: what `fitting.predict` refuses;
-        no variant that could be simulated."""
+        """Outcomes of the cohort's treatments; None if it has none. Raises InputError as `fitting.predict` does, and if
+        no variant could be simulated."""
         if not self.cohort.treatments:
             return None
         from fitting.prediction.plots import main_finding
@@ -96,14 +96,14 @@ def run_cohort(
     work: Work | None = None,
     progress: Callable[[CohortProgress], None] | None = None,
 ) -> CohortReport:
-    """Computes whatever a cohort's folder still lacks: fits, predictions, the summary, the manifest.
+    """Computes what a cohort's folder still lacks: fits, predictions, the summary, the manifest.
 
     Args:
         cohort: what to compute.
-        folder: of the results; by default the cohort's own.
-        resume: whether to go on where the folder holds results already. Units that are there with the right key and
-            checksum are kept, all others are computed; a folder without results is begun either way.
-        work: what computes the units; by default pftwin does.
+        folder: folder of the results; by default the cohort's own.
+        resume: whether to continue if the folder already holds results. Units with the right key and checksum are kept,
+            all others are computed. A folder without results is accepted either way.
+        work: computes the units; by default with pftwin.
         progress: called while units run, and when they end.
 
     Returns:
@@ -111,7 +111,7 @@ def run_cohort(
         and do not stop the other patients.
 
     Raises:
-        InputError: results are there and `resume` is not given, or another process is at work there.
+        InputError: the folder holds results and `resume` is false, or another process is using it.
         OutputError: the folder cannot be made or written to.
         MissingExtraError: pyarrow is not installed.
     """
@@ -148,7 +148,7 @@ class _CohortRun:
         return self.report
 
     def _plan(self) -> list[Unit]:
-        """The units that are not done."""
+        """The units that are still to be computed."""
         missing: list[Unit] = []
         self.manifest.failures.clear()
         for patient in self.cohort.patients:
@@ -157,7 +157,7 @@ class _CohortRun:
                 units = units_of(self.cohort, patient)
                 lacking = [u for u in units if not self.manifest.holds(u, self.folder)]
                 if lacking and lacking[-1] is not units[-1]:
-                    lacking.append(units[-1])  # predictions follow their fit
+                    lacking.append(units[-1])  # a new fit requires new predictions
                 outcome.kept = len(units) - len(lacking)
                 missing += lacking
                 if not lacking:
@@ -180,13 +180,13 @@ class _CohortRun:
             self._take(outcome, units[-1])
 
     def _take(self, outcome: Outcome, unit: Unit) -> None:
-        """Reads the store of a patient who is done. Raises InputError: it is none."""
+        """Reads a completed patient's store. Raises InputError if it is not one."""
         self.summary.take(outcome.patient, unit)
         outcome.at_bounds = tuple(self.summary.rows[outcome.patient][0].get("at_bounds", "").split())
 
     def _unit(self, patient: Patient, unit: Unit) -> None:
-        """Computes a unit, writes its file and records it in the manifest. Raises PftwinError: it cannot be computed or
-        written."""
+        """Computes a unit, writes its file and records it in the manifest. Raises PftwinError if it cannot be computed
+        or written."""
         began = time.perf_counter()
         self.pace.began(unit)
         self.tell(self.pace.progress(unit, 0.0))
@@ -197,7 +197,7 @@ class _CohortRun:
             self._check_inputs(patient, unit)
             estimate.save(path)
         else:
-            fitted = None  # from its file: a prediction is the same whether its fit was of this run or not
+            fitted = None  # read from its file, so that the prediction does not depend on which run made the fit
             if patient.fit is not None:
                 from fitting.estimate import Estimate
 
@@ -209,7 +209,7 @@ class _CohortRun:
         self.manifest.record(unit, self.folder, time.perf_counter() - began)
 
     def _check_inputs(self, patient: Patient, unit: Unit) -> None:
-        """Refuses the result if the input files changed while it was computed."""
+        """Raises InputError if the input files changed during the computation."""
         if unit.key not in [u.key for u in units_of(self.cohort, patient)]:
             raise InputError("its files changed while it was computed", where=patient.name, remedy="--resume")
 
@@ -220,7 +220,7 @@ class _CohortRun:
 
     @contextmanager
     def _caught(self, outcome: Outcome, stage: str) -> Iterator[None]:
-        """Records a patient's failure; Ctrl-C does not count as one."""
+        """Records a patient's failure; Ctrl-C is not caught."""
         try:
             yield
         except Exception as error:
@@ -233,7 +233,7 @@ class _CohortRun:
 
     @contextmanager
     def _noted(self, what: str) -> Iterator[None]:
-        """Reports what kept the manifest or the summary from being written, unless a later write succeeds."""
+        """Reports why the manifest or the summary could not be written, unless a later write succeeds."""
         self.report.unwritten.pop(what, None)
         try:
             yield

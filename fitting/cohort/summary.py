@@ -33,8 +33,8 @@ _NUMBERS = ("objective_value", "serial_correlation", "condition", "seed", "evalu
 def write_store(
     path: Path, unit: Unit, scene: dict[str, Any], estimate: Estimate | None, prediction: Dataset | None
 ) -> None:
-    """Writes a store, whole or not at all; `scene` says where the numbers come from. Raises OutputError: it cannot be
-    written."""
+    """Writes a store, complete or not at all; `scene` states the scene and whether it is synthetic. Raises OutputError
+    if it cannot be written."""
     from xarray import Dataset
 
     from pftwin.files.result_files import save_dataset
@@ -47,7 +47,7 @@ def write_store(
 
 
 def fit_dataset(estimate: Estimate) -> Dataset:
-    """An estimate over its parameters, in SI units."""
+    """An estimate as a dataset over its parameters, in SI units."""
     from xarray import Dataset
 
     low, high = estimate.intervals.T
@@ -84,7 +84,7 @@ def fit_dataset(estimate: Estimate) -> Dataset:
 
 
 def read_store(path: Path) -> tuple[dict[str, Any], Dataset | None, Dataset | None]:
-    """Attributes of a store, its fit, and its prediction. Raises InputError: no store."""
+    """Attributes of a store, its fit, and its prediction. Raises InputError if the file is not a store."""
     from pftwin.files.result_files import load_dataset
 
     about = dict(load_dataset(path).attrs)
@@ -94,19 +94,19 @@ def read_store(path: Path) -> tuple[dict[str, Any], Dataset | None, Dataset | No
 
 
 # Columns of every summary; those of parameters, amounts and outcomes follow, all float64.
-_TYPES = {"synthetic": "bool", "variant": "int64", "variant_failed": "bool"}  # of those that are no strings
+_TYPES = {"synthetic": "bool", "variant": "int64", "variant_failed": "bool"}  # of columns that are not strings
 _NAMES = (
     *("patient", "status", "failed_at", "reason", "scene", "synthetic"),  # status: done, failed, pending
     *("fit_method", "fit_stopped", "at_bounds", "variant", "treatment", "verdict", "variant_failed"),
 )
 FIXED = {name: _TYPES.get(name, "string") for name in _NAMES}
-_IN_THE_STORE_ALONE = ("status", "status_frames")  # `verdict` sums them up; `status` here is the patient's
+_IN_THE_STORE_ALONE = ("status", "status_frames")  # `verdict` summarises them; `status` here is the patient's
 Row = dict[str, Any]
 Units = dict[str, str]
 
 
 def require_pyarrow() -> None:
-    """Checks early for pyarrow, which is needed only at the end of a long run. Raises MissingExtraError: pyarrow is not
+    """Checks early for pyarrow, which is needed only at the end of a long run. Raises MissingExtraError if it is not
     installed."""
     try:
         import pyarrow.parquet  # noqa: F401
@@ -115,7 +115,7 @@ def require_pyarrow() -> None:
 
 
 def rows_of(path: Path) -> tuple[list[Row], Units]:
-    """A patient's rows from the store, one for each variant, and the columns' units. Raises InputError: no store."""
+    """A patient's rows from the store, one per variant, and the columns' units. Raises InputError for no store."""
     about, fit, prediction = read_store(path)
     units: Units = {}
     row: Row = {"patient": str(about["patient"]), "status": "done", "scene": str(about["scene"])}
@@ -128,7 +128,7 @@ def rows_of(path: Path) -> tuple[list[Row], Units]:
 
 
 def table(rows: Iterable[Row], units: Mapping[str, str], about: Mapping[str, Any]) -> bytes:
-    """The Parquet table, with null for what a row lacks; its metadata hold the columns' units and `about`."""
+    """The Parquet table, with null for missing values; its metadata hold the columns' units and `about`."""
     import pyarrow as pa
     from pyarrow import parquet
 
@@ -147,7 +147,7 @@ def table(rows: Iterable[Row], units: Mapping[str, str], about: Mapping[str, Any
 def _fitted(fit: Dataset, units: Units) -> Row:
     about = fit.attrs
     row: Row = {"fit_method": about["method"], "fit_stopped": about["reason"], "at_bounds": about["at_bounds"]}
-    besides = str(about.get("besides", "")).split()  # in the store alone
+    besides = str(about.get("besides", "")).split()  # nuisance parameters are in the store alone
     for name, unit in zip(fit["parameter"].values, fit["parameter_unit"].values, strict=True):
         if name in besides:
             continue
@@ -185,7 +185,7 @@ def _predicted(data: Dataset, units: Units) -> Iterable[Row]:
 
 
 class SummaryFile:
-    """Rows of the patients that are done, as their stores hold them."""
+    """The cohort's summary, from the stores of the completed patients."""
 
     def __init__(self, cohort: Cohort, folder: Path, manifest: Manifest) -> None:
         self.cohort, self.folder, self.manifest = cohort, folder, manifest
@@ -193,12 +193,12 @@ class SummaryFile:
         self.units: Units = {}
 
     def take(self, patient: str, unit: Unit) -> None:
-        """Reads a patient's store. Raises InputError: it is none."""
+        """Reads a patient's store. Raises InputError if it is not one."""
         self.rows[patient], units = rows_of(self.folder / unit.file)
         self.units |= units
 
     def write(self, failures: dict[str, Failure]) -> None:
-        """Announces the summary in the manifest, then writes it, unless it is already there. Raises OutputError: the
+        """Announces the summary in the manifest, then writes it unless it is unchanged. Raises OutputError if the
         manifest or the summary cannot be written."""
         rows: list[Row] = []
         for patient in self.cohort.patients:

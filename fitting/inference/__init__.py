@@ -1,1 +1,1 @@
-"""Posteriors learned from simulated recordings: what parameters, of all those that could be, leave such a recording?"""
+"""Posteriors learned from simulated recordings: which parameters, of all possible ones, produce such a recording."""

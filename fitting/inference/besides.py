@@ -1,12 +1,12 @@
-"""Nuisance of a posterior, given what is asked for: by knees that are simulated where the posterior lies.
+"""Posterior of nuisance parameters, given the requested ones, from knees simulated where the posterior lies.
 
-Summaries x of a recording are nearly linear in all parameters there. With what is asked for, u, given, nuisance z with
-a normal prior is then normal too:
+There summaries x of a recording are nearly linear in all parameters. Given the requested parameters u, nuisance
+parameters z with a normal prior are then normal too:
 
     x = a + A u + B z + e,    cov(e) = C,    z ~ N(m, V)
     precision of z:  B' C^-1 B + V^-1,    mean:  its inverse times  B' C^-1 (x - a - A u) + V^-1 m
 
-C is what noise and errors of sensors do to summaries, and what the straight model leaves of the simulated ones.
+C covers the effect of noise and sensor errors on summaries, and the residual of the linear model.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from fitting.stiffening import working_of
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import PftwinError
 
-_TIMES = 3  # from the prior on, each time where the one before put it
-_KNEES, _PER_PARAMETER = 192, 6  # simulated each time, at least, and so many times the number of parameters
-_TRIES = 100  # of drawing within the bounds
-_OF_SPRINGS = ("stiffness", "slack_length", "stiffening")  # of a tendon that stiffens
-_ALIKE = 1e-9  # spread of knees' numbers, as a share of their mean, that is rounding
+_TIMES = 3  # iterations, from the prior on; each simulates knees from the posterior of the one before
+_KNEES, _PER_PARAMETER = 192, 6  # knees per iteration, at least, and per parameter
+_TRIES = 100  # most attempts to draw within the bounds
+_OF_SPRINGS = ("stiffness", "slack_length", "stiffening")  # parameters of a tendon that stiffens
+_ALIKE = 1e-9  # spread of a parameter over the knees, as a share of its mean, that is rounding
 
 
 def with_nuisance(
@@ -43,10 +43,10 @@ def with_nuisance(
     substeps: int,
     random: np.random.Generator,
 ) -> Floats:
-    """Draws (N, p) of all parameters of a problem, from draws (N, d) of what is asked for.
+    """Draws (N, p) of all parameters of a problem, from draws (N, d) of the requested ones.
 
-    `recording` (n, m) is from what recordings are `held` against; what was `learned` tells summaries and noise. Where
-    too few of the knees run to fit a straight model, nuisance is as it was the time before, at first from its prior.
+    `recording` (n, m) is relative to the motion in `held`; `learned` provides summaries and noise. If too few knees run
+    to fit the linear model, nuisance parameters stay as in the iteration before, at first as drawn from their prior.
     """
     parameters, d = problem.parameters, asked.shape[1]
     if len(parameters) == d:
@@ -56,7 +56,7 @@ def with_nuisance(
         some = draws[: max(_KNEES, _PER_PARAMETER * len(parameters))]
         seen = problem.evaluator.values(some, substeps)
         freedom = int(seen.usable.sum()) - len(parameters) - 1
-        if freedom < 1.2 * learned.middle.size:  # too few to tell what they scatter by
+        if freedom < 1.2 * learned.middle.size:  # too few to estimate a covariance
             break
         values = seen.values[seen.usable]
         x = learned.seen(held.residuals(values).astype(np.float32))
@@ -68,7 +68,7 @@ def with_nuisance(
 
 
 class _Straight(NamedTuple):
-    """Summaries, whitened, as a straight function of all parameters."""
+    """Whitened summaries as a linear function of all parameters."""
 
     center: Floats  # (p,)
     at: Floats  # (k,) summaries there
@@ -77,13 +77,13 @@ class _Straight(NamedTuple):
 
     @staticmethod
     def of(theta: Floats, x: Floats, misread: Floats, noise_root: Floats) -> _Straight:
-        """Through summaries (N, k) of simulated knees (N, p), and by how much (N, k) their sensors change them."""
+        """Fits summaries (N, k) of simulated knees (N, p); `misread` (N, k) are the changes due to sensor errors."""
         center, at, spread = theta.mean(axis=0), x.mean(axis=0), theta.std(axis=0)
-        scale = np.where(spread > _ALIKE * np.abs(center), spread, np.inf)  # knees that are alike in it tell nothing
+        scale = np.where(spread > _ALIKE * np.abs(center), spread, np.inf)  # no slope for a parameter that is constant
         t = (theta - center) / scale
         slopes = np.linalg.lstsq(t, x - at, rcond=None)[0]
         left = x - at - t @ slopes
-        # The inverse of a covariance from few knees is too large by freedom / (freedom - k - 1) in the mean.
+        # The inverse of a covariance from few knees is too large by freedom / (freedom - k - 1) on average.
         covariance = noise_root @ noise_root.T + left.T @ left / (len(x) - t.shape[1] - 2 - x.shape[1])
         covariance += misread.T @ misread / len(x)
         values, vectors = np.linalg.eigh(covariance)
@@ -91,12 +91,12 @@ class _Straight(NamedTuple):
         return _Straight(center, whitening @ at, whitening @ slopes.T / scale, whitening)
 
     def given(self, x: Floats, asked: Floats, parameters: Parameters) -> tuple[Floats, Floats]:
-        """Means (N, q) of nuisance given a recording's summaries (k,) and what is asked for (N, d), and the root (q, q)
-        of its covariance."""
+        """Means (N, q) of nuisance parameters given a recording's summaries (k,) and the requested ones (N, d), and the
+        root (q, q) of their covariance."""
         d = asked.shape[1]
         priors = [p.prior or (0.5 * (p.lower + p.upper), p.upper - p.lower) for p in parameters.items[d:]]
         prior, sd = np.array(priors).T
-        b = self.slopes[:, d:] * sd  # of nuisance in its prior's deviations
+        b = self.slopes[:, d:] * sd  # in units of the priors' standard deviations
         left = self.whitening @ x - self.at - (asked - self.center[:d]) @ self.slopes[:, :d].T
         middle = (self.center[d:] - prior) / sd
         precision = b.T @ b + np.eye(len(sd))
@@ -106,7 +106,7 @@ class _Straight(NamedTuple):
 
 
 def _within(mean: Floats, root: Floats, parameters: Parameters, random: np.random.Generator) -> Floats:
-    """Normal draws (N, q) about means; rows beyond the bounds are drawn again, and in the end moved to them."""
+    """Normal draws (N, q) about means; rows beyond the bounds are drawn again, and finally clipped."""
     d = len(parameters) - mean.shape[1]
     lower, upper = parameters.lower[d:], parameters.upper[d:]
     drawn = mean + random.standard_normal(mean.shape) @ root.T
@@ -119,13 +119,13 @@ def _within(mean: Floats, root: Floats, parameters: Parameters, random: np.rando
 
 
 def at_own_lengths(problem: Problem, besides: Nuisance, draws: Floats) -> tuple[Nuisance, Floats]:
-    """Draws (N, p), and nuisance, with the lengths at which tendons work in the motions of the draws' mean.
+    """Draws (N, p) and nuisance, re-expressed for the lengths at which tendons work in the motions of the draws' mean.
 
-    Springs that stiffen are learned from as lines over the lengths at which the nominal knee's tendons work, which are
-    the same for all simulations. What a laboratory finds with a load cell is the line over what occurred. Draws are
-    told by it: their springs stay what they are. Tendons of which stiffness, slack length and stiffening are not all
-    free are left as they are, those of which one differs between trials, and those that would hang slack in some draw;
-    so are all where that motion cannot be simulated, which is told where the fit is judged.
+    Stiffening springs are learned as lines over the nominal knee's working lengths, which are the same for all
+    simulations. A laboratory with a load cell would measure the line over the lengths that occurred. Draws are given
+    by that line; their springs are unchanged. A tendon is left as it is if its stiffness, slack length and stiffening
+    are not all free, one of them differs between trials, or it would be slack in some draw. All are left if that motion
+    cannot be simulated, which is reported when the fit is judged.
     """
     parameters = problem.parameters
     vary = {parameters.items[at].place for at, _ in parameters.differences}

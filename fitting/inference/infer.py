@@ -1,10 +1,10 @@
-"""The posterior of a scene's parameters from simulated recordings, in rounds.
+"""Infers the posterior of a scene's parameters from simulated recordings, in rounds.
 
-1. Parameters are drawn from their priors (what is asked for uniformly within its bounds), nuisance included, and
-   simulated as recordings: motions with noise. The noise is like what no simulation explains of the measurements.
-2. Networks learn the posterior of what is asked for from summaries of these recordings (`fitting.inference.network`);
-   nuisance, given what is asked for, follows from knees simulated there (`fitting.inference.besides`).
-3. The next round draws from where this posterior lies (`fitting.inference.region`), until that changes no more.
+1. Parameters are drawn from their priors (requested ones uniformly within their bounds), including nuisance, and
+   simulated as recordings: motions with noise like the part of the measurements that simulations do not explain.
+2. Networks learn the posterior of the requested parameters from summaries of these recordings
+   (`fitting.inference.network`); nuisance, given those, follows from a linear model (`fitting.inference.besides`).
+3. The next round draws from where this posterior lies (`fitting.inference.region`), until it no longer changes.
 """
 
 from __future__ import annotations
@@ -26,25 +26,25 @@ from fitting.sensors import sensed
 from pftwin.base.errors import InputError
 
 PER_ROUND = 8000  # simulations
-TOGETHER = 64  # simulations that two cores run in two calls of 32. With 128 a call each takes as long, compiling twice
+TOGETHER = 64  # simulations that two cores run in two calls of 32; 128 per call takes as long, and compiles twice
 ROUNDS = 6  # at most
-DRAWS = 2000
-_MOST_ASKED = 12
-_MOST_STEPS = 8  # times as many as before anything is known of their errors, at most
-_MOVED = 0.15  # most that half the step may move the posterior's mean, in its deviations: all shorter ones twice that
-_SETTLED = 0.35  # changes of the region's mean log half width, and of its middle in deviations, that count as none
-_FEWEST_USABLE = 0.2  # share of simulations
+DRAWS = 2000  # of the posterior
+_MOST_ASKED = 12  # requested parameters
+_MOST_STEPS = 8  # most steps between two frames, as a multiple of the number before their error has been checked
+_MOVED = 0.15  # largest shift of the posterior's mean, in its SD, when steps are halved: in all at most twice that
+_SETTLED = 0.35  # largest change of the region's mean log half width, and of its centre in SD, that counts as none
+_FEWEST_USABLE = 0.2  # least share of simulations that must run
 _FEWEST_SIMULATIONS = 1000
-MOST_NUMBERS = 100_000_000  # of all recordings of a round: they are held in memory
+MOST_NUMBERS = 100_000_000  # values of all recordings of a round, which are held in memory
 
 
 class Inferred(NamedTuple):
     """The last round's posterior, and how it was obtained."""
 
     answer: Answer
-    noise: Noise  # that recordings were given
+    noise: Noise  # noise of the simulated recordings
     simulations: int  # of all rounds
-    dropped: int  # of them, without an equilibrium or a finite motion
+    dropped: int  # of these, without an equilibrium or a finite motion
     substeps: int
     history: list[dict[str, float]]
     reason: str
@@ -52,8 +52,8 @@ class Inferred(NamedTuple):
 
 
 def check_size(parameters: Parameters, simulations: int, numbers: int) -> None:
-    """Refuses what cannot be learned: `numbers` are those of a recording. Raises InputError: too many parameters are
-    asked for; too few simulations, or more than memory holds."""
+    """Checks the size of a problem; `numbers` is the number of values of a recording. Raises InputError for too many
+    requested parameters, too few simulations, or more than fit in memory."""
     if (asked := parameters.asked) > _MOST_ASKED:
         found = f"{asked} parameters beside nuisance"
         raise InputError(found, where="free", expected=f"at most {_MOST_ASKED} for simulations")
@@ -66,8 +66,7 @@ def check_size(parameters: Parameters, simulations: int, numbers: int) -> None:
 
 
 def check_enough(usable: int, simulations: int, problem: Problem) -> None:
-    """Refuses to learn from what is left of so many simulations. Raises InputError: too few found an equilibrium and a
-    finite motion."""
+    """Raises InputError if too few of the simulations found an equilibrium and a finite motion to learn from."""
     if usable < max(_FEWEST_USABLE * simulations, min(simulations, _FEWEST_SIMULATIONS) / 2):
         raise InputError(
             f"{simulations - usable} of {simulations} simulations found no equilibrium or no finite motion",
@@ -84,12 +83,12 @@ def infer(
     rounds: int,
     report: Callable[[dict[str, float], int], None],
 ) -> Inferred:
-    """The posterior of a problem's parameters, in at most so many rounds of so many simulations.
+    """Infers the posterior of a problem's parameters, in at most `rounds` rounds of `simulations`.
 
-    Noise that the objective states is taken as known; recordings have errors of sensors besides. `report` is told each
-    round's entry of the history (the spread is the posterior's, as a share of the bounds), and the number of rounds.
-    Raises InputError: too few of the simulations can be run. Raises PftwinError: the posterior that was learned lies
-    beyond the bounds.
+    Noise that the objective states is taken as known; recordings also have sensor errors. `report` is called with each
+    round's entry of the history (its spread is the posterior's, as a share of the bounds) and the number of rounds.
+    Raises InputError if too few simulations can be run, and PftwinError if the learned posterior lies beyond the
+    bounds.
     """
     whole = region = Region(problem.parameters)
     noise = Noise.initial(problem.objective)
@@ -120,10 +119,10 @@ def infer(
 
 
 def _steps_needed(problem: Problem, learned: Learned, answer: Answer, substeps: int, seed: list[int]) -> int:
-    """Steps between two frames that the next round needs: half as long ones leave the posterior where it is.
+    """Steps between two frames that the next round needs, so that halving them would not move the posterior.
 
-    Where the noise is not stated but found in what simulations leave, the error of their steps is part of it: they are
-    halved once a round there, while the motion is off by more than an answer may be.
+    If the noise is not stated but estimated from what simulations leave unexplained, it includes the error of their
+    steps. The steps are then halved once per round, while the motion's error exceeds the limit for answers.
     """
     evaluator, there = problem.evaluator, answer.draws.mean(axis=0)
     if problem.objective.noise is None:
@@ -151,13 +150,13 @@ def _round(
     simulations: int,
     random: np.random.Generator,
 ) -> tuple[Learned, Answer, int, float]:
-    """One round's posterior, how many simulations found no equilibrium or finite motion, and their least objective."""
+    """One round's posterior, number of simulations without equilibrium or finite motion, and their least objective."""
     theta = region.drawn(simulations, random)
     seen = problem.evaluator.values(theta, substeps)
     theta, values = theta[seen.usable], seen.values[seen.usable]
     check_enough(len(theta), simulations, problem)
     apart = problem.objective.residuals(sensed(values, nuisance, problem, random)).astype(np.float32)
-    nothing = np.zeros_like(apart[0])  # the measurements' distance from themselves
+    nothing = np.zeros_like(apart[0])  # the measurements, relative to themselves
     learned = learn(region, theta, apart, nothing, problem.objective, noise, random)
     cost = problem.objective.value(Prediction(values, None, np.ones(len(values), bool)))
     best = float(np.min(cost + problem.parameters.prior_terms(theta)[0]))

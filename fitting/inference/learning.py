@@ -1,4 +1,4 @@
-"""What simulated recordings tell about a measured one."""
+"""Learns the posterior of the requested parameters from simulated recordings, and answers a measured one."""
 
 from __future__ import annotations
 
@@ -17,59 +17,59 @@ if TYPE_CHECKING:
     from fitting.inference.network import PosteriorNetwork
 
 
-_SUMMARIES = 80
-_SOME = 2000  # recordings that tell directions of the summaries, and the noise
-_NETWORKS = 3  # trained from different starts
-_WORSE = 0.3  # networks that tell less than the best by more than this [nats] are left out
-_NOISE_ROUNDS, _NOISE_DRAWS = 3, 100  # of a search for noise that leaves what measurements leave
-_TRIES = 100  # of drawing
+_SUMMARIES = 80  # principal components
+_SOME = 2000  # recordings used to compute the principal components and the noise
+_NETWORKS = 3  # trained from different initial weights
+_WORSE = 0.3  # networks whose loss exceeds the best by more than this [nats] are discarded
+_NOISE_ROUNDS, _NOISE_DRAWS = 3, 100  # iterations and draws in the estimation of the noise
+_TRIES = 100  # most attempts to draw within the region
 
 
 class Answer(NamedTuple):
     """The posterior of one recording."""
 
-    draws: Floats  # (N, p); of what is asked for alone before nuisance is added
-    distance: float  # of its farthest summary from the simulations' mean, in their standard deviations
-    level: float  # of its noise, by that which was learned from
+    draws: Floats  # (N, p); the requested parameters alone before nuisance is added
+    distance: float  # largest distance of a summary from the simulations' mean, in their standard deviations
+    level: float  # its unexplained part, in units of the training noise
 
     def doubts(self, source: str, limits: Limits) -> list[str]:
-        """What is said of a recording from this source that lies far from those that were simulated. Raises InputError:
-        it lies farther from them than the limits allow."""
+        """Doubts if the recording lies far from the simulated ones. Raises InputError if it lies farther than the
+        limits allow."""
         far = f"a summary of them is {self.distance:.0f} standard deviations from its mean"
         said = f"the measurements lie outside of what was simulated: {far}"
         return bounded("simulated", self.distance, said, source, limits)
 
 
 class Learned(NamedTuple):
-    """The posterior of what is asked for, of any recording like the simulated ones."""
+    """The learned posterior of the requested parameters, for any recording like the simulated ones."""
 
     region: Region
     networks: tuple[PosteriorNetwork, ...]
     table: Table
     summaries: Summaries
-    middle: Floats  # (k,) and
-    size: Floats  # (k,) of summaries, which networks have scaled
-    center: Floats  # (d,) and
-    scale: Floats  # (d,) of the region's coordinates
-    noise: Noise  # that recordings were given
-    added: SummaryNoise  # what it does to summaries
-    usual: float  # root mean square of what is left of noise alone, in its units
+    middle: Floats  # (k,) mean and
+    size: Floats  # (k,) standard deviation of summaries, by which networks' inputs are scaled
+    center: Floats  # (d,) mean and
+    scale: Floats  # (d,) standard deviation of the region's coordinates
+    noise: Noise  # noise of the training recordings
+    added: SummaryNoise  # the same in summaries
+    usual: float  # root mean square of the unexplained part of noise alone, in its units
 
     def seen(self, recordings: Rows) -> Floats:
-        """Summaries (N, k), scaled, of recordings (N, n, m): how far they are from what simulated ones were held to."""
+        """Scaled summaries (N, k) of recordings (N, n, m), which are relative to the same motion as in training."""
         return (self.summaries(self.table.rows(recordings)) - self.middle) / self.size
 
     def answer(self, recording: Rows, count: int, random: np.random.Generator, wider: Floats | float = 1.0) -> Answer:
-        """The posterior of a recording (n, m), as `seen` has it, with so many draws of what is asked for; `wider` (d,):
-        how many times it is to be as wide. Raises PftwinError: hardly any of what the networks say lies within the
-        region."""
+        """The posterior of a recording (n, m), as in `seen`, with `count` draws of the requested parameters; `wider`
+        (d,): factors by which it is widened. Raises PftwinError if hardly any of the networks' posterior lies within
+        the region."""
         at = self.seen(recording[None])[0]
         left = self.summaries.unexplained(self.table.rows(recording[None]))
         distance = float(np.abs(at).max())
         return Answer(self._draws(at, count, random, wider), distance, float(np.sqrt(np.mean(left**2))) / self.usual)
 
     def coordinates_drawn(self, at: Floats, count: int, random: np.random.Generator) -> Floats:
-        """Scaled coordinates (N, M, d) of recordings with summaries (N, k), bounds aside; M is at least `count`."""
+        """Scaled coordinates (N, M, d) for recordings with summaries (N, k), ignoring bounds; M is at least `count`."""
         each = -(-count // len(self.networks))
         return np.concatenate([net.draws(at, each, random) for net in self.networks], axis=1)
 
@@ -97,13 +97,13 @@ def learn(
     noise: Noise,
     random: np.random.Generator,
 ) -> Learned:
-    """From recordings simulated without noise, but with what sensors may be off by, of parameters `theta` (N, p) from
-    the region.
+    """Learns from recordings simulated without noise, but with sensor errors, of parameters `theta` (N, p) from the
+    region.
 
-    `simulated` (N, n, m) tells how far each is from some other recording, as `Objective.residuals` has it, `measured`
-    (n, m) the same of the measurements, which tell what noise is like; `noise` is that of the round before.
+    `simulated` (N, n, m) and `measured` (n, m) are relative to the same motion, as in `Objective.residuals`; the noise
+    is estimated from the measurements, starting from `noise`, that of the previous round.
     """
-    from fitting.inference.network import trained  # with optax, which no other fit needs
+    from fitting.inference.network import trained  # imports optax, which other fits do not need
 
     some = random.permutation(len(simulated))[:_SOME]
     noise = _noise_like(objective, simulated[some], measured, noise, random)
@@ -138,7 +138,7 @@ def learn(
 def _noise_like(
     objective: Objective, simulated: Rows, measured: Rows, noise: Noise, random: np.random.Generator
 ) -> Noise:
-    """Noise like what no simulation explains of the measurements, found from a first guess."""
+    """Noise like the part of the measurements that simulations do not explain, by iteration from a first guess."""
     shape = objective.present.shape
     for _ in range(_NOISE_ROUNDS):
         table = Table(1, noise.deviations)

@@ -1,9 +1,9 @@
-"""A network that tells the distribution of parameters from a recording's summaries: a mixture of normal distributions.
+"""Network that maps a recording's summaries to a distribution of parameters: a mixture of normal distributions.
 
 For each summary vector it gives weights, means and covariances (as Cholesky factors of precisions). It is trained to
-make the parameters of simulated recordings as likely as it can, so that it comes to the posterior under the prior from
-which they were drawn, without a likelihood ever being written down. Source: Papamakarios & Murray 2016 (NeurIPS 29),
-without their correction of proposals: here they are the prior, cut off (Deistler, Goncalves & Macke 2022, NeurIPS 35).
+maximise the likelihood of the parameters of simulated recordings, and so converges to the posterior under the prior
+from which they were drawn, without an explicit likelihood. Source: Papamakarios & Murray 2016 (NeurIPS 29), without
+their correction for proposals: here these are the truncated prior (Deistler, Goncalves & Macke 2022, NeurIPS 35).
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ from fitting.methods.problem import standard_promotion
 from pftwin.base.arrays import Floats
 
 _COMPONENTS, _WIDTH, _DEPTH = 4, 128, 3
-_EPOCHS, _PATIENCE = 100, 12  # at most; epochs without progress on recordings kept aside, after which training ends
+_EPOCHS, _PATIENCE = 100, 12  # most epochs; epochs without progress on held-out recordings after which training ends
 _BATCH, _RATE, _DECAY = 256, 1e-3, 1e-3
-_ASIDE, _NOISES_ASIDE = 0.1, 4  # share of the recordings kept aside, and how often each, with other noise
+_ASIDE, _NOISES_ASIDE = 0.1, 4  # share of held-out recordings, and how often each is used, with different noise
 _LARGEST_LOG = 8.0  # of a precision's root: parameters and summaries have unit variance
 
 
 class Mixture(NamedTuple):
-    """Normal distributions of p numbers, mixed."""
+    """A mixture of k normal distributions of p parameters."""
 
     log_weights: Array  # (k,)
     means: Array  # (k, p)
@@ -39,7 +39,7 @@ class Mixture(NamedTuple):
 
 
 class PosteriorNetwork(eqx.Module):
-    """Summaries (s,) to a mixture over parameters (p,), both of zero mean and unit variance."""
+    """Maps summaries (s,) to a mixture over parameters (p,), both of zero mean and unit variance."""
 
     bent: eqx.nn.MLP
     straight: eqx.nn.Linear  # means are mostly linear in summaries
@@ -64,7 +64,7 @@ class PosteriorNetwork(eqx.Module):
         return Mixture(jax.nn.log_softmax(weights), means.reshape(k, p) + self.straight(summaries), roots)
 
     def log_density(self, summaries: Array, parameters: Array) -> Array:
-        """Of parameters (p,), up to a constant."""
+        """Log density of parameters (p,), up to a constant."""
         at = self(summaries)
         off = jnp.einsum("kij,ki->kj", at.roots, parameters - at.means)
         volume = jnp.sum(jnp.log(jnp.diagonal(at.roots, axis1=1, axis2=2)), axis=1)
@@ -84,13 +84,13 @@ class PosteriorNetwork(eqx.Module):
 
 
 def leaves_of(net: PosteriorNetwork) -> list[NDArray[np.float32]]:
-    """Its weights, for a file."""
+    """The network's weights, for a file."""
     return [np.asarray(leaf) for leaf in jax.tree.leaves(eqx.filter(net, eqx.is_inexact_array))]
 
 
 def network_of(summaries: int, parameters: int, leaves: list[NDArray[np.float32]]) -> PosteriorNetwork:
-    """A network of so many summaries and parameters, with weights from a file. Raises ValueError: they are not its
-    weights."""
+    """A network with this number of summaries and parameters, and weights from a file. Raises ValueError if their
+    shapes do not match."""
     weights, fixed = eqx.partition(PosteriorNetwork(summaries, parameters, 0), eqx.is_inexact_array)
     expected = [leaf.shape for leaf in jax.tree.leaves(weights)]
     if (found := [leaf.shape for leaf in leaves]) != expected:
@@ -100,10 +100,10 @@ def network_of(summaries: int, parameters: int, leaves: list[NDArray[np.float32]
 
 
 def trained(summaries: Floats, parameters: Floats, noise: SummaryNoise, seed: int) -> tuple[PosteriorNetwork, float]:
-    """A network for recordings' summaries (N, s) and their parameters (N, p), and minus the mean log density of those
-    kept aside: smaller is better. Summaries are without noise, which is drawn anew every epoch."""
+    """Trains a network on recordings' summaries (N, s) and parameters (N, p). Also returns its loss, minus the mean log
+    density of held-out recordings. Summaries are without noise, which is drawn anew every epoch."""
     random = np.random.default_rng(seed)
-    size = len(summaries) // _BATCH * _BATCH or len(summaries)  # few sizes, so that programs are shared
+    size = len(summaries) // _BATCH * _BATCH or len(summaries)  # few sizes, so that programs are reused
     order = random.permutation(len(summaries))[:size]
     aside = max(1, int(_ASIDE * size))
     x, y = (jnp.asarray(a[order], jnp.float32) for a in (summaries, parameters))
@@ -129,7 +129,7 @@ def trained(summaries: Floats, parameters: Floats, noise: SummaryNoise, seed: in
 
 @cache
 def _optimiser(steps: int) -> optax.GradientTransformation:
-    """For so many steps an epoch: one object, so that programs are shared."""
+    """Optimiser for this number of steps per epoch; cached, so that programs are reused."""
     return optax.chain(
         optax.clip_by_global_norm(5.0),
         optax.adamw(optax.cosine_decay_schedule(_RATE, _EPOCHS * steps), weight_decay=_DECAY),

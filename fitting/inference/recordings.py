@@ -1,4 +1,4 @@
-"""Simulated recordings: motions of drawn parameters, with noise like that of the measurements."""
+"""Noise and summaries of simulated recordings."""
 
 from __future__ import annotations
 
@@ -12,24 +12,24 @@ from fitting.objective import Objective
 from fitting.programs import ORIENTATION, POSITION
 from pftwin.base.arrays import Floats, Rows
 
-_NUMBERS = 1500  # of a recording, at most about as many: neighbouring frames are averaged
-_INITIAL = {POSITION: 2e-4, ORIENTATION: 2e-3}  # noise before anything is known [m], [rad]
-_INITIAL_SHARE = 0.01  # the same of a force, as a share of its root mean square
+_NUMBERS = 1500  # most values per recording, roughly: neighbouring frames are averaged
+_INITIAL = {POSITION: 2e-4, ORIENTATION: 2e-3}  # first guess of the noise [m], [rad]
+_INITIAL_SHARE = 0.01  # the same for a force, as a share of its root mean square
 _INITIAL_CORRELATION, _LARGEST_CORRELATION = 0.9, 0.999  # of the noise of neighbouring frames
-_ROUNDING = 1e-10  # share of the largest variance: smaller ones are rounding
-_SPAN = 2.0  # a recording's noise is drawn between this many times less and more than the level, where it is not known
+_ROUNDING = 1e-10  # share of the largest variance below which variances are rounding
+_SPAN = 2.0  # if the noise is not stated, a recording's level is drawn between 1 / span and span times the estimate
 
 
 class Noise(NamedTuple):
-    """Noise of each residual column (m,), correlated from frame to frame (autoregressive of first order)."""
+    """Noise of each residual column (m,), first-order autoregressive from frame to frame."""
 
     deviations: Floats
     correlations: Floats
-    span: float  # 1: the level is known
+    span: float  # 1 if the level is known
 
     @staticmethod
     def initial(objective: Objective) -> Noise:
-        """What is drawn before anything is known but what was stated."""
+        """A first guess, or the stated noise."""
         levels = np.zeros(objective.present.shape[1])
         for channel, columns, rows in objective.columns():
             there = objective.present[:, rows.start]
@@ -38,8 +38,8 @@ class Noise(NamedTuple):
         return Noise(levels, np.full(len(levels), _INITIAL_CORRELATION), _SPAN)._within(objective)
 
     def like(self, objective: Objective, left: Floats, drawn: Floats) -> Noise:
-        """Noise of which as much would be left, as correlated, as of the measurements: simulations do not explain
-        `left` (1, n, m) of these, and `drawn` (N, n, m) of this noise."""
+        """Noise adjusted so that its unexplained part has the size and correlation of the measurements': simulations do
+        not explain `left` (1, n, m) of the measurements, and `drawn` (N, n, m) of the present noise."""
         there, both = objective.present, objective.present[1:] & objective.present[:-1]
         ours, theirs = (np.maximum(np.sum(np.where(there, a**2, 0.0), axis=-2), 1e-300) for a in (left, drawn))
         ratio = np.sqrt(ours[0] / theirs.mean(axis=0))
@@ -52,19 +52,19 @@ class Noise(NamedTuple):
         return Noise(self.deviations * ratio, bounded, _SPAN)._within(objective)
 
     def _within(self, objective: Objective) -> Noise:
-        """With the deviations that the objective was given, or at least those of rounding."""
+        """With the stated deviations, if any; otherwise at least those of rounding."""
         if objective.noise is not None:
             return self._replace(deviations=objective.noise_columns, span=1.0)
         return self._replace(deviations=np.maximum(self.deviations, np.sqrt(objective.floor)[objective.group_of]))
 
     def drawn(self, count: int, objective: Objective, random: np.random.Generator) -> Rows:
-        """(count, n, m), zero where nothing was measured."""
+        """Draws of the noise (count, n, m), zero where nothing was measured."""
         n, m = objective.present.shape
         out = np.empty((count, n, m), np.float32)
         sizes = self.span ** random.uniform(-1.0, 1.0, count)
         for column, (sd, rho) in enumerate(zip(self.deviations, self.correlations, strict=True)):
             white = random.standard_normal((count, n), dtype=np.float32)
-            for rows in objective.frames:  # trials know nothing of each other
+            for rows in objective.frames:  # trials are independent
                 steps = white[:, rows]
                 steps[:, 1:] *= np.float32(np.sqrt(1 - rho**2))
                 white[:, rows] = lfilter([1.0], [1.0, -rho], steps, axis=1)
@@ -73,18 +73,18 @@ class Noise(NamedTuple):
 
 
 class Table(NamedTuple):
-    """How recordings (N, n, m) become rows of numbers: means over blocks of frames, in units of the noise."""
+    """Converts recordings (N, n, m) to rows: means over blocks of frames, in units of the noise."""
 
     block: int
     scale: Floats  # (m,)
 
     @staticmethod
     def of(objective: Objective, noise: Noise) -> Table:
-        """For the measurements of an objective."""
+        """The table for an objective's measurements."""
         return Table(max(1, -(-objective.present.size // _NUMBERS)), noise.deviations)
 
     def rows(self, residuals: Rows) -> Rows:
-        """(N, d)."""
+        """Rows (N, d) of recordings (N, n, m)."""
         count, n, m = residuals.shape
         kept = n // self.block * self.block
         means = residuals[:, :kept].reshape(count, -1, self.block, m).mean(axis=2) / self.scale
@@ -92,7 +92,7 @@ class Table(NamedTuple):
 
 
 class Summaries(NamedTuple):
-    """The directions in which recordings differ most (principal components): k numbers of a row of d."""
+    """The k principal components of recordings' rows (d,)."""
 
     mean: Rows  # (d,)
     directions: Rows  # (d, k) orthonormal
@@ -100,7 +100,7 @@ class Summaries(NamedTuple):
 
     @staticmethod
     def of(rows: Rows, count: int) -> Summaries:
-        """Of rows without noise (N, d)."""
+        """Principal components of rows without noise (N, d)."""
         mean = rows.mean(axis=0)
         apart = (rows - mean).astype(np.float64)
         tall = len(rows) > rows.shape[1]
@@ -114,30 +114,30 @@ class Summaries(NamedTuple):
         return Summaries(mean, directions.astype(np.float32), values[there] / len(rows))
 
     def __call__(self, rows: Rows) -> Floats:
-        """(N, k)."""
+        """Summaries (N, k) of rows (N, d)."""
         return ((rows - self.mean) @ self.directions).astype(np.float64)
 
     def unexplained(self, rows: Rows) -> Rows:
-        """What is left of rows (N, d) in units of their noise, along directions that rise above it."""
+        """Residual of rows (N, d), in units of the noise, after removing components whose variance exceeds it."""
         apart, strong = rows - self.mean, self.directions[:, self.variances > 1]
         return np.asarray(apart - (apart @ strong) @ strong.T, dtype=np.float32)
 
 
 class SummaryNoise(NamedTuple):
-    """What a recording's noise does to its summaries: normal, of no mean."""
+    """Normal distribution, with zero mean, of the noise in a recording's summaries."""
 
-    root: Floats  # (k, k) of its covariance
+    root: Floats  # (k, k) root of its covariance
     span: float  # as `Noise.span`
 
     @staticmethod
     def of(noise: Noise, objective: Objective, table: Table, summaries: Summaries) -> SummaryNoise:
-        """From the noise of recordings, of which summaries are sums."""
+        """From the noise of recordings, of which summaries are linear functions."""
         m, k = objective.present.shape[1], summaries.directions.shape[1]
         shares = np.repeat(summaries.directions.reshape(-1, m, k) / table.block, table.block, axis=0)
         there, covariance = objective.present[: len(shares)], np.zeros((k, k))
         for column, (sd, rho) in enumerate(zip(noise.deviations / table.scale, noise.correlations, strict=True)):
             weights = sd * np.where(there[:, column, None], shares[:, column], 0.0)
-            for rows in objective.frames:  # as `Noise.drawn` makes it of white noise, transposed
+            for rows in objective.frames:  # the transpose of the filter in `Noise.drawn`
                 reacted = lfilter([1.0], [1.0, -rho], weights[rows][::-1], axis=0)[::-1].copy()
                 reacted[1:] *= np.sqrt(1 - rho**2)
                 covariance += reacted.T @ reacted
@@ -145,10 +145,10 @@ class SummaryNoise(NamedTuple):
         return SummaryNoise(vectors * np.sqrt(np.maximum(values, 0.0)), noise.span)
 
     def scaled(self, scale: Floats) -> SummaryNoise:
-        """Of summaries divided by a scale (k,)."""
+        """The noise of summaries divided by a scale (k,)."""
         return self._replace(root=self.root / scale[:, None])
 
     def drawn(self, count: int, random: np.random.Generator) -> Floats:
-        """(count, k)."""
+        """Draws of the noise (count, k)."""
         sizes = self.span ** random.uniform(-1.0, 1.0, (count, 1))
         return sizes * random.standard_normal((count, len(self.root))) @ self.root.T

@@ -1,7 +1,7 @@
-"""Where parameters are drawn: from their priors, within bounds, and within an ellipsoid once a posterior is known.
+"""Region in which parameters are drawn: their priors, within bounds, and within an ellipsoid once a posterior is known.
 
-Cutting a prior off where the posterior is as good as nothing leaves the posterior as it was, so recordings that are
-simulated within the cut need no weights: truncated proposals (Deistler, Goncalves & Macke 2022, NeurIPS 35).
+Truncating a prior where the posterior is negligible does not change the posterior, so recordings simulated within the
+region need no importance weights: truncated proposals (Deistler, Goncalves & Macke 2022, NeurIPS 35).
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ from fitting.parameters import Parameters
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 
-_NARROWEST = 0.01  # least half width of what nuisance is drawn from, as a share of its bounds
-_INSIDE, _MARGIN = 0.999, 1.6  # share of a normal posterior within the ellipsoid, and by how much it is larger still
-_TRIES = 200  # of drawing; each should give a good part of what is wanted
+_NARROWEST = 0.01  # least half width of the range of a nuisance parameter, as a share of its bounds
+_INSIDE, _MARGIN = 0.999, 1.6  # share of a normal posterior within the ellipsoid, and a factor by which it is enlarged
+_TRIES = 200  # most attempts to draw; each should give a good part of what is wanted
 
 
 class Ellipsoid(NamedTuple):
@@ -32,17 +32,17 @@ class Ellipsoid(NamedTuple):
 
     @staticmethod
     def around(draws: Floats) -> Ellipsoid:
-        """One that holds nearly all of a posterior with these draws (N, d)."""
+        """An ellipsoid that contains nearly all of a posterior with these draws (N, d)."""
         d = draws.shape[1]
         root = np.asarray(np.linalg.cholesky(np.cov(draws.T).reshape(d, d)), dtype=np.float64)
         return Ellipsoid(draws.mean(axis=0), root, _MARGIN * float(np.sqrt(chi2.ppf(_INSIDE, d))))
 
     def coordinates(self, theta: Floats) -> Floats:
-        """Of points (N, d): those within have norms below the radius."""
+        """Coordinates of points (N, d): those inside have norms below the radius."""
         return np.asarray(np.linalg.solve(self.root, (theta - self.mean).T).T, dtype=np.float64)
 
     def drawn(self, count: int, random: np.random.Generator) -> Floats:
-        """Points (count, d), uniform within."""
+        """Points (count, d), uniform within the ellipsoid."""
         d = len(self.mean)
         directions = random.standard_normal((count, d))
         lengths = self.radius * random.uniform(size=(count, 1)) ** (1 / d)
@@ -55,13 +55,13 @@ class Ellipsoid(NamedTuple):
 
 
 class Region(NamedTuple):
-    """Where all p parameters lie: within their bounds, and the first d, which are asked for, within an ellipsoid."""
+    """Where all p parameters are drawn: within their bounds, the first d, the requested ones, within an ellipsoid."""
 
     parameters: Parameters
     ellipsoid: Ellipsoid | None = None
 
     def around(self, draws: Floats) -> Region:
-        """The part of it that holds nearly all of a posterior with these draws (N, p)."""
+        """The part of the region that contains nearly all of a posterior with these draws (N, p)."""
         d, items = self.asked, list(self.parameters.items)
         reach = _MARGIN * float(norm.ppf(0.5 + 0.5 * _INSIDE)) * draws.std(axis=0)
         for i in range(d, len(items)):
@@ -73,16 +73,16 @@ class Region(NamedTuple):
 
     @property
     def asked(self) -> int:
-        """How many parameters are asked for, d."""
+        """Number of requested parameters, d."""
         return self.parameters.asked
 
     @property
     def size(self) -> float:
-        """The ellipsoid's; infinite without one."""
+        """Size of the ellipsoid (log of the mean half width); infinite without one."""
         return np.inf if self.ellipsoid is None else self.ellipsoid.size
 
     def like(self, before: Region, tolerance: float) -> bool:
-        """Whether size (in logarithms) and middle (in deviations) are those of the region before, to a tolerance."""
+        """Whether size (log) and centre (in standard deviations) agree with the previous region's, to a tolerance."""
         if self.ellipsoid is None or before.ellipsoid is None:
             return False
         moved = (self.ellipsoid.mean - before.ellipsoid.mean) / np.linalg.norm(self.ellipsoid.root, axis=1)
@@ -90,7 +90,7 @@ class Region(NamedTuple):
 
     @property
     def widest(self) -> float:
-        """As `size`, of the bounds."""
+        """As `size`, for the bounds."""
         lower, upper = self._bounds
         return float(np.log(0.5 * (upper - lower)).mean())
 
@@ -99,7 +99,7 @@ class Region(NamedTuple):
         return self.parameters.lower[: self.asked], self.parameters.upper[: self.asked]
 
     def contains(self, theta: Floats) -> NDArray[np.bool_]:
-        """Which of (N, d) lie within bounds and ellipsoid."""
+        """Which points (N, d) lie within bounds and ellipsoid."""
         lower, upper = self._bounds
         inside = np.asarray(((theta > lower) & (theta < upper)).all(axis=1))
         if self.ellipsoid is None:
@@ -107,8 +107,8 @@ class Region(NamedTuple):
         return inside & (np.linalg.norm(self.ellipsoid.coordinates(theta), axis=1) < self.ellipsoid.radius)
 
     def drawn(self, count: int, random: np.random.Generator) -> Floats:
-        """Parameters (count, p) from the priors, those asked for within the region. Raises InputError: next to nothing
-        of the priors lies in it."""
+        """Parameters (count, p) from the priors, the requested ones within the region. Raises InputError if almost none
+        of the prior lies in it."""
         theta = self.parameters.scattered(count, random)
         if self.ellipsoid is None:
             return theta
@@ -126,7 +126,7 @@ class Region(NamedTuple):
         raise InputError(found, where="bounds and priors", expected="wider ones")
 
     def coordinates(self, theta: Floats) -> Floats:
-        """(N, d) as numbers that a normal distribution describes well: the ellipsoid's, or free of bounds."""
+        """Points (N, d) in coordinates in which they are nearly normal: the ellipsoid's, or the logit of the bounds."""
         if self.ellipsoid is not None:
             return self.ellipsoid.coordinates(theta)
         lower, upper = self._bounds

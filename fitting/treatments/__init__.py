@@ -1,7 +1,7 @@
 """Treatments: what a surgeon or an engineer could change, as functions from a scene to a scene.
 
-Every function is pure and differentiable in its amounts, which are in metres and radians. A `Treatment` is a value that
-names one or several of them with their amounts, and prints itself in words.
+Every function is pure and differentiable in its amounts, which are in metres and radians. A `Treatment` combines one or
+several of them with their amounts, and can be printed in words.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The changes that treatments make: to the extensor mechanism, the patella's button and strands, the trochlea."""
+"""Changes that treatments make: to the extensor mechanism, the patella's button and strands, and the trochlea."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def tibial_tuberosity_transfer(
     anteriorisation (Fulkerson 1983), Elmslie-Trillat's medialisation alone.
 
     Args:
-        scene: whose tibia frame has x proximal, y lateral and z anterior.
+        scene: scene whose tibia frame has x proximal, y lateral and z anterior.
         medialisation: towards the midline.
         anteriorisation: towards the front.
         distalisation: towards the foot.
@@ -58,9 +58,9 @@ def tibial_tuberosity_transfer(
 
 
 def patellar_tendon_length_change(scene: Scene, lengthening: Amount = 0.0, *, tendon: str = PATELLAR_TENDON) -> Scene:
-    """The scene with a longer patellar tendon, or a shorter one where `lengthening` is negative [m].
+    """The scene with a longer patellar tendon, or a shorter one if `lengthening` is negative [m].
 
-    The length that changes is the slack length; of strands, every strand's alike. Tenodesis or imbrication shortens.
+    The slack length changes; for strands, by the same amount in each. Tenodesis or imbrication shortens it.
 
     Raises:
         InputError: no such tendon on the tibia.
@@ -78,10 +78,10 @@ def quadriceps_lengthening(scene: Scene, lengthening: Amount = 0.0, *, tendon: s
 
 
 def femoral_derotation(scene: Scene, external_rotation: Amount = 0.0, *, tendon: str = QUADRICEPS) -> Scene:
-    """The scene with the femur cut above the knee, and what is below the cut turned externally [rad].
+    """The scene with the femur cut above the knee, and its lower part rotated externally [rad].
 
-    Trochlea, ligaments and tibia go with the lower part, whose frame is the femur's: in it the quadriceps' origins turn
-    internally, about the frame's long axis (x), which is taken for that of the cut. Hip and foot are not looked at.
+    Trochlea, ligaments and tibia move with the lower part, whose frame is the femur's: in it the quadriceps' origins
+    rotate internally, about the frame's long axis (x), taken as that of the cut. Hip and foot are not considered.
 
     Raises:
         InputError: no such tendon or muscle on the femur.
@@ -93,7 +93,7 @@ def femoral_derotation(scene: Scene, external_rotation: Amount = 0.0, *, tendon:
     return scene.with_effect(found.with_origin_moved(turn.apply(origin) - origin))
 
 
-_LEFT = 1e-6  # share of its stiffness that a strand keeps when all is released: a scene's strands have some
+_LEFT = 1e-6  # share of its stiffness that a strand keeps when all is released, since it must stay positive
 
 
 def button_position(
@@ -101,7 +101,7 @@ def button_position(
 ) -> Scene:
     """The scene with the button elsewhere on the patella, along the patella's axes [m].
 
-    Anteriorisation buries it (a deeper cut, a thinner patella); negative, it makes the patella thicker. The button's
+    Anteriorisation buries it (a deeper cut, a thinner patella); negative values make the patella thicker. The button's
     sphere centre, whose path results show, moves with it.
 
     Raises:
@@ -130,13 +130,13 @@ def mpfl_graft(
     *,
     strands: str = MPFL,
 ) -> Scene:
-    """The scene with a graft in the place of the medial patellofemoral ligament (MPFL).
+    """The scene with a graft that replaces the medial patellofemoral ligament (MPFL).
 
     Args:
-        scene: with strands from the femur to the patella that stand for the ligament.
-        stiffening: of the graft over the ligament, as a share: 1 is twice as stiff.
+        scene: scene with strands from the femur to the patella that stand for the ligament.
+        stiffening: of the graft relative to the ligament, as a share: 1 is twice as stiff.
         shortening: of the slack length, which tensions the graft [m].
-        proximalisation: of the femoral attachment (Schoettle's point, missed) [m].
+        proximalisation: of the femoral attachment (a missed Schoettle point) [m].
         anteriorisation: of the femoral attachment [m].
         strands: their name in the scene.
 
@@ -148,17 +148,17 @@ def mpfl_graft(
     return scene.with_effect(moved.stiffened(1 + stiffening).lengthened(-shortening))
 
 
-LOWEST_DEGREE = 4  # least degree of a patch whose groove can be deepened while its ridges stay
+LOWEST_DEGREE = 4  # least degree of a patch whose groove can be deepened without moving its ridges
 _GRID = 61  # points per side on which the shape is fitted
 
 
 def deepening_shape(surface: PolynomialPatch) -> NDArray[np.float64]:
-    """The change of a patch's coefficients for a deepening by one metre; on the host, once per surface.
+    """Change of a patch's coefficients for a deepening by one metre; computed on the host, once per surface.
 
     The groove is lowered along its line and less and less towards the ridges, as (1 - d^2 / w^2)^2 with d the
     distance across the groove from its line and w that of the nearer edge of the patch: a smooth bump, flat at its
-    top, so the groove's line stays where it is, and flat at its edge. The patch's polynomials take the bump by least
-    squares, scaled so that the line is lowered by one on average.
+    top, so that the groove's line stays where it is, and flat at its edge. The patch's polynomials are fitted to the
+    bump by least squares, and scaled so that the line is lowered by one on average.
 
     Returns:
         (n,) coefficients, dimensionless.
@@ -207,9 +207,9 @@ def trochleoplasty(scene: Scene, deepening: Amount = 0.0, *, shape: Array | None
     """The scene with a deeper trochlear groove [m]; see `deepening_shape`. Linear in the depth.
 
     Args:
-        scene: whose trochlea is a polynomial patch of degree 4 or more.
+        scene: scene whose trochlea is a polynomial patch of degree 4 or more.
         deepening: of the groove's bottom, on average along its line.
-        shape: `deepening_shape` of the untreated surface, where the scene is traced (jit); else it is found here.
+        shape: `deepening_shape` of the untreated surface, required if the scene is traced (jit).
 
     Raises:
         InputError: another kind of surface, no groove, or a traced surface without its shape.
@@ -232,12 +232,12 @@ def trochleoplasty(scene: Scene, deepening: Amount = 0.0, *, shape: Array | None
 def femoral_component_rotation(
     scene: Scene, external_rotation: Amount = 0.0, flexion: Amount = 0.0, varus: Amount = 0.0
 ) -> Scene:
-    """The scene with the trochlea turned on the femur, about the origin of the femur's frame [rad].
+    """The scene with the trochlea rotated on the femur, about the origin of the femur's frame [rad].
 
-    The three make one rotation vector, so their order does not matter.
+    The three angles form one rotation vector, so their order does not matter.
 
     Args:
-        scene: whose femur frame has x proximal, y lateral and z anterior.
+        scene: scene whose femur frame has x proximal, y lateral and z anterior.
         external_rotation: about the femur's long axis; the trochlea's front turns laterally.
         flexion: about the medial-lateral axis; its front turns distally.
         varus: about the anterior-posterior axis; its distal end turns medially.

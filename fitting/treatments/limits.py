@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from xarray import DataArray, Dataset
 
 
-NO_NUMBER = ("dislocation_time", "dislocation_flexion", "re_engagement_time", "re_engagement_flexion")  # where none is
-_UNIT_SIZE = {"m": 1e-3, "rad": 0.01, "N": 1.0}  # scale of the margin where the bound is 0
+NO_NUMBER = ("dislocation_time", "dislocation_flexion", "re_engagement_time", "re_engagement_flexion")  # may be NaN
+_UNIT_SIZE = {"m": 1e-3, "rad": 0.01, "N": 1.0}  # scale of the margin if the limit is 0
 _WRITTEN = re.compile(r"\s*(\w+)\s*(<=|>=)(.*)")
 
 
@@ -48,10 +48,10 @@ class Limit:
 
     @staticmethod
     def parsed(text: str) -> Limit:
-        """From "dislocation_margin >= 3 mm": an outcome, a sense, a number and its unit.
+        """Parses a text such as "dislocation_margin >= 3 mm": an outcome, a relation, a number and its unit.
 
         Raises:
-            InputError: anything else; a unit that is missing or is not the outcome's.
+            InputError: any other text; a unit that is missing or does not fit the outcome.
         """
         example = 'such as "dislocation_margin>=3 mm" or "peak_contact_force<=40 N"'
         match = _WRITTEN.fullmatch(text)
@@ -68,11 +68,11 @@ class Limit:
         return Limit(outcome, at_most=value) if sense == "<=" else Limit(outcome, at_least=value)
 
     def room(self, value: Any) -> Any:
-        """The margin by which a value meets the limit; negative where it breaks it."""
+        """The margin by which a value meets the limit; negative if it does not."""
         return self.at_most - value if self.at_most is not None else value - self.at_least
 
     def describe(self) -> str:
-        """In words: "dislocation margin at least 3 mm"."""
+        """The limit in words: "dislocation margin at least 3 mm"."""
         sense = "at least" if self.at_most is None else "at most"
         return (
             f"{self.outcome.replace('_', ' ')} {sense} {in_units(self.outcome, self.at_most or self.at_least or 0.0)}"
@@ -80,29 +80,29 @@ class Limit:
 
     @property
     def size(self) -> float:
-        """The scale of its margin, so that limits on different outcomes can be compared."""
+        """Scale of the margin, so that limits on different outcomes can be compared."""
         return abs(float(self.at_most or self.at_least or 0.0)) or _UNIT_SIZE.get(MEASURES[self.outcome].unit, 0.01)
 
 
 def limitable() -> list[tuple[str, tuple[str, ...], str]]:
-    """Outcomes that take a limit: name, units in which it may be written ("" for a plain number), meaning."""
+    """Outcomes that can be limited: name, units in which it may be written ("" for a plain number), meaning."""
     numbers = ((name, about) for name, about in MEASURES.items() if name not in NO_NUMBER)
     return [(name, tuple(UNITS[about.unit]), about.long_name) for name, about in numbers]
 
 
 def smallest_margin(data: Dataset, limits: Sequence[Limit]) -> Floats:
-    """Smallest scaled margin over all limits, of every variant (and draw); minus infinity without a value."""
+    """Smallest scaled margin over all limits, for every variant (and draw); minus infinity without a value."""
     rooms = np.stack([lim.room(in_si(data[lim.outcome])) / lim.size for lim in limits]).min(axis=0)
     return np.where(np.isfinite(rooms), rooms, -np.inf)
 
 
 def in_si(values: DataArray) -> Floats:
-    """A prediction's outcome in the unit of `MEASURES`."""
+    """A predicted outcome in the unit of `MEASURES`."""
     return np.radians(values.values) if values.attrs["units"] == "deg" else values.values
 
 
 def in_units(outcome: str, value: float) -> str:
-    """An outcome's value in the units shown: lengths in mm, angles in degrees."""
+    """An outcome's value in the units shown to readers: lengths in mm, angles in degrees."""
     return shown(value, MEASURES[outcome].unit, 4)
 
 
@@ -110,20 +110,20 @@ def in_units(outcome: str, value: float) -> str:
 class TreatmentPlan:
     """The result of an optimisation."""
 
-    met: bool  # whether any amounts within the range meet all limits, in the share of draws that was asked for
+    met: bool  # whether any amounts within the range meet all limits, in the required share of draws
     treatment: Treatment  # the smallest that meets the limits; if none does, the one that comes nearest
-    outcomes: dict[str, float]  # outcomes with it, for the estimate, SI
+    outcomes: dict[str, float]  # outcomes with it, for the estimate, SI units
     limits: tuple[Limit, ...]
     simulations: int
     samples: int = 0  # draws from the estimate's uncertainty
-    confidence: float = 0.0  # required share of draws in which all limits hold
-    share: float | None = None  # share of draws in which they hold; None without draws
-    invalid: str = ""  # "INVALID" and why, where no amount has a motion that may be spoken of
-    coverage: str = NOT_KNOWN.plans  # how many such plans are safe, in words
-    trust: Mapping[str, Any] = field(default_factory=dict)  # "status" and "status_frames", of a single amount
+    confidence: float = 0.0  # required share of draws that meet all limits
+    share: float | None = None  # share of draws that meet them; None without draws
+    invalid: str = ""  # "INVALID" and why, if no amount has a valid motion
+    coverage: str = NOT_KNOWN.plans  # measured share of such plans that are safe, in words
+    trust: Mapping[str, Any] = field(default_factory=dict)  # "status" and "status_frames", for a single amount
 
     def describe(self) -> str:
-        """In a sentence or two."""
+        """The plan in a sentence or two."""
         if self.invalid:
             return self.invalid
         drawn = ""

@@ -1,7 +1,7 @@
-"""The smallest treatment that meets stated limits: a batched grid over the surgeon's range, then `refine`.
+"""`optimise_treatment`: the smallest treatment that meets stated limits, by a grid over the range, then `refine`.
 
 The grid finds where limits can be met at all, also where outcomes jump (dislocation). With draws from an estimate's
-uncertainty the limits have to hold for the estimate and, all of them together, for a stated share of the draws.
+uncertainty the limits must be met for the estimate and, all of them together, for a stated share of the draws.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from pftwin.model.scene import Scene
 from pftwin.results.tracking import DISLOCATED
 
 _GRID = {1: 41, 2: 15, 3: 8}  # grid points per side, by the number of amounts
-_AT_ONCE = 8  # grid points whose draws are simulated together
+_AT_ONCE = 8  # grid points whose draws are simulated in one batch
 
 
 def optimise_treatment(
@@ -41,34 +41,34 @@ def optimise_treatment(
     threshold: float = DISLOCATED,
     progress: Callable[[int, int, str], None] = lambda done, of, what: None,
 ) -> TreatmentPlan:
-    """The smallest treatment that meets the limits.
+    """Finds the smallest treatment that meets the limits.
 
         optimise_treatment(scene, Limit("dislocation_margin", at_least=0.003), {"medialisation": (0.0, 0.020)})
 
-    Smallest is measured by the amounts, each as a share of its range's larger end, as the root of the sum of squares.
+    Size is the root of the sum of squares of the amounts, each as a share of the larger end of its range.
 
     Args:
-        scene: untreated.
-        limits: all of which are to be met.
-        ranges: what the surgeon can do, by amount (SI, one to three amounts); amounts that are not named stay as the
-            treatment has them. By default medialisation from 0 to 20 mm.
-        treatment: its kind, or a treatment that has these amounts.
-        estimate: parameters in the place of the scene's own.
+        scene: the untreated scene.
+        limits: limits, all of which must be met.
+        ranges: (least, most) of one to three amounts, SI units, by name; other amounts keep the treatment's values. By
+            default medialisation from 0 to 20 mm.
+        treatment: a kind, or a treatment that has these amounts.
+        estimate: parameters that replace the scene's own.
         samples: draws from the estimate's uncertainty.
-        confidence: share of the draws in which all limits are to hold, besides for the estimate itself; a draw that
-            cannot be simulated keeps none.
+        confidence: share of the draws that must meet all limits, in addition to the estimate itself; a draw that cannot
+            be simulated meets none.
         seed: of the draws.
-        dt: longest time step [s]; by default as `predict` has it.
+        dt: longest time step [s]; by default as in `predict`.
         threshold: distance from the groove's bottom beyond which the button counts as dislocated [m].
-        progress: called with the number of simulations done, that of all, and of what, for the range and for the draws.
+        progress: called with the number of simulations done, of all, and the stage: the whole range, or the draws.
 
     Returns:
-        A plan, with the share of draws in which its limits hold; where no amount within the range meets the limits it
-        says so and holds the nearest.
+        A plan, with the share of draws that meet its limits. If no amount within the range meets the limits, it says so
+        and contains the nearest.
 
     Raises:
-        InputError: no limits, ranges that are empty, four amounts or more, a scene without what is to be changed;
-            samples without an estimate; a confidence that is no share.
+        InputError: no limits, empty ranges, more than three amounts, a scene that lacks what is to be changed; samples
+            without an estimate; a confidence that is no share.
     """
     wanted = (limits,) if isinstance(limits, Limit) else tuple(limits)
     ranges = dict(ranges or {"medialisation": (0.0, 0.020)})
@@ -107,7 +107,7 @@ def optimise_treatment(
             invalid=invalid_variants(coarse) if coarse["failed"].all() else "",
             coverage=(NOT_KNOWN if estimate is None else estimate.coverage).plans,
             trust=search.trust(at),
-            simulations=simulated + search.count,  # with those of the share and the outcomes
+            simulations=simulated + search.count,  # including those for the share and the outcomes
         )
 
     if not fine.size:
@@ -126,7 +126,7 @@ def optimise_treatment(
         if shares.max() > most:
             surest, most = part[int(np.argmax(shares))], float(shares.max())
         for k in part[shares >= (confidence if samples else 1.0) - 1e-9]:
-            if (search.room(amounts[k]) >= 0).all():  # from a simulation of its own
+            if (search.room(amounts[k]) >= 0).all():  # confirmed by a separate simulation
                 best = amounts[k]
                 if not best.any():
                     return plan(True, best)
@@ -135,27 +135,27 @@ def optimise_treatment(
 
 
 def _next_smaller(amounts: Floats, k: int, lower: Floats, upper: Floats) -> Floats:
-    """For a single amount, the next smaller grid value on the same side of zero; else the smallest of the range."""
+    """For a single amount, the next smaller grid value on the same side of zero, or the smallest of the range."""
     before = [a for a in amounts[:k] if (a * amounts[k] >= 0).all()]
     return before[-1] if before else np.clip(0.0 * amounts[k], lower, upper)
 
 
 def check_confidence(confidence: float) -> None:
-    """Refuses what is no share of draws: no number above 0 and up to 1 (InputError)."""
+    """Raises InputError unless the confidence is a number above 0 and at most 1."""
     if not (isinstance(confidence, int | float) and 0 < confidence <= 1):
         expected = "a share above 0 and up to 1, such as 0.9"
         raise InputError(f"found {confidence!r}", where="confidence", expected=expected)
 
 
 def check_limits(limits: Sequence[Limit]) -> None:
-    """Refuses no limits at all, and what are none (InputError)."""
+    """Raises InputError if there are no limits, or one of them is not a `Limit`."""
     if not limits or not all(isinstance(lim, Limit) for lim in limits):
         expected = 'limits such as Limit("largest_offset", at_most=0.01)'
         raise InputError(f"found {limits!r}", where="limits", expected=expected)
 
 
 def check_ranges(ranges: Mapping[str, tuple[float, float]]) -> tuple[Floats, Floats]:
-    """The least and the most (k,) of each amount, from pairs by name; InputError for four or more, and for no range."""
+    """Lower and upper ends (k,) of all ranges. Raises InputError for more than three, or an invalid range."""
     if len(ranges) > max(_GRID):
         raise InputError(f"{len(ranges)} amounts", where="ranges", expected=f"at most {max(_GRID)}")
     for name, pair in ranges.items():

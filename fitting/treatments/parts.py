@@ -1,4 +1,4 @@
-"""Finds the parts of a scene that treatments change; errors say what the scene has instead."""
+"""Finds the parts of a scene that treatments change; errors name what the scene has instead."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ LATERAL = ("lpfl", "lateral_retinaculum")  # accepted names of the lateral stran
 
 
 def line_element(scene: Scene, names: str | tuple[str, ...], treatment: str, body: str | None = None) -> LineElement:
-    """The tendon, strands or muscle of that name, or the first that is there of several; it must begin on the body.
+    """The tendon, strands or muscle of that name, or the first that exists of several; it must begin on the body.
 
-    InputError, which says what the scene has: no such effect, one that is no line of force, or begins elsewhere.
+    Raises InputError for a name that is missing, is no line of force, or begins on another body.
     """
     wanted = (names,) if isinstance(names, str) else names
     found = next((e for name in wanted for e in scene.effects if e.name == name), None)
@@ -38,7 +38,7 @@ def line_element(scene: Scene, names: str | tuple[str, ...], treatment: str, bod
 
 
 def elastic(scene: Scene, names: str | tuple[str, ...], treatment: str, body: str | None = None) -> ElasticLine:
-    """As `line_element`, for one with a stiffness and a slack length; InputError also for a prescribed tension."""
+    """As `line_element`, with a stiffness and a slack length. Raises InputError also for a prescribed tension."""
     element = line_element(scene, names, treatment, body)
     if not element.elastic:
         problem = f"{element.name!r} pulls with a prescribed tension, which no length or stiffness changes"
@@ -47,7 +47,7 @@ def elastic(scene: Scene, names: str | tuple[str, ...], treatment: str, body: st
 
 
 def contact_of(scene: Scene, treatment: str) -> Contact:
-    """The contact between button and trochlea; InputError if the scene has none."""
+    """The contact between button and trochlea. Raises InputError if the scene has none."""
     contact = scene.contact
     if contact is None:
         problem = f"no contact between a button and a trochlea; {_among([e.name for e in scene.effects], 'no effects')}"
@@ -56,7 +56,7 @@ def contact_of(scene: Scene, treatment: str) -> Contact:
 
 
 def fitted_surface(scene: Scene, treatment: str) -> Surface:
-    """The smooth surface that the button touches; InputError without contact, and for a mesh."""
+    """The smooth surface that the button touches. Raises InputError without contact, or for a mesh."""
     contact = contact_of(scene, treatment)
     surface = contact.fitted_surface()
     if surface is None:

@@ -1,7 +1,7 @@
-"""Refining a treatment: simulations with forward-mode derivatives, and sequential quadratic programming (SLSQP).
+"""Refines a treatment: simulations with forward-mode derivatives, and sequential quadratic programming (SLSQP).
 
-A single amount needs no derivatives, which take longer to compile than the whole search: it is bracketed (Brent). That
-limits hold in a share of an estimate's draws is a limit itself: on the quantile of the least room that a draw leaves.
+A single amount is bracketed instead (Brent): derivatives would take longer to compile than the whole search. The
+requirement that a share of draws meets all limits is itself a constraint: on a quantile of the draws' least margin.
 """
 
 from __future__ import annotations
@@ -31,17 +31,17 @@ from pftwin.model.scene import Scene
 _ITERATIONS = 30
 _ROOM = 1e-6  # safety margin of the search, as a share of a limit's scale, so that its answer meets the limit
 _HALVINGS = 12
-_NONE = -1e3  # margin where a value is missing
+_NONE = -1e3  # margin if a value is missing
 _CLOSE = 1e-4  # relative change of the effort at which bisection ends
 _FINE = 1e-4  # tolerance of a single amount, as a share of the grid's step
-CHUNK = 64  # members at once: one program for the grid and for draws, which come in pieces of all sizes
+CHUNK = 64  # variants per batch: one program for the grid and for draws, whose numbers vary
 
 
 @eqx.filter_jit
 def _outcomes_and_derivatives(
     recipe: Recipe, places: tuple[int, ...], fixed: Array, thetas: Array, amounts: Array
 ) -> Any:
-    """Outcomes at given amounts (draws,), and their derivatives by the amounts (amounts, draws)."""
+    """Outcomes at given amounts (draws,), and their derivatives with respect to the amounts (amounts, draws)."""
 
     def found(x: Array) -> Any:
         def one(theta: Array) -> Any:
@@ -56,7 +56,7 @@ def _outcomes_and_derivatives(
 
 
 def places_of(treatment: Treatment, names: Collection[str]) -> tuple[int, ...]:
-    """Places of amounts among a treatment's own, by names with or without the kind's; InputError for unknown ones."""
+    """Indices of amounts in a treatment, by names with or without the kind's. Raises InputError for unknown ones."""
     own = treatment.names
     places = {n.rpartition(".")[2]: i for i, n in enumerate(own)} | {n: i for i, n in enumerate(own)}
     if stray := [n for n in names if n not in places]:
@@ -65,18 +65,18 @@ def places_of(treatment: Treatment, names: Collection[str]) -> tuple[int, ...]:
 
 
 class Search:
-    """Simulations with derivatives, remembered by their amounts."""
+    """Simulations with derivatives, cached by their amounts."""
 
     def __init__(
         self,
         scene: Scene,  # untreated
-        treatment: Treatment,  # with amounts that are not searched for at their values
-        names: tuple[str, ...],  # of those that are
-        estimate: Fitted | None,  # parameters in the place of the scene's own
+        treatment: Treatment,  # with the values of the amounts that are not searched
+        names: tuple[str, ...],  # of the amounts that are searched
+        estimate: Fitted | None,  # parameters that replace the scene's own
         limits: tuple[Limit, ...],
-        thetas: Floats,  # parameters (1 + draws, p): the estimate's, then draws as uncertain as it is
-        confidence: float,  # share of the draws in which all limits have to hold
-        dt: float | None,  # longest time step [s]; None: as `predict` has it
+        thetas: Floats,  # parameters (1 + draws, p): the estimate's, then draws from its uncertainty
+        confidence: float,  # share of the draws that must meet all limits
+        dt: float | None,  # longest time step [s]; None: as in `predict`
         threshold: float,  # beyond which the button counts as dislocated [m]
     ) -> None:
         self._places = places_of(treatment, names)
@@ -99,14 +99,14 @@ class Search:
         return len(self._known) * (1 + self._draws)
 
     def _at(self, amounts: Floats) -> Any:
-        """Outcomes for the estimate and the draws (1 + draws,), and their derivatives (None of a single amount).
+        """Outcomes for the estimate and the draws (1 + draws,), and their derivatives (None for a single amount).
 
-        Of a single amount also how many frames have each flag (1 + draws, flags); the run with derivatives does not
-        estimate the error of its steps.
+        For a single amount also the number of frames with each flag (1 + draws, flags); the run with derivatives does
+        not estimate the error of its steps.
         """
         key = np.asarray(amounts, dtype=np.float64).tobytes()
         if key not in self._known:
-            if self.alone:  # by the program that the grid was simulated with
+            if self.alone:  # with the program that simulated the grid
                 every, thetas = np.array(self._fixed), np.asarray(self._thetas)
                 every[list(self._places)] = amounts
                 members = run(
@@ -120,11 +120,11 @@ class Search:
         return self._known[key]
 
     def outcomes(self, amounts: Floats) -> dict[str, float]:
-        """The estimate's by name, SI."""
+        """Outcomes for the estimate by name, SI units."""
         return {name: float(self._at(amounts)[0][name][0]) for name in MEASURES}
 
     def trust(self, amounts: Floats) -> dict[str, Any]:
-        """What `status_facts` says of the estimate's motion; nothing of several amounts, whose error is not known."""
+        """`status_facts` of the estimate's motion; empty for several amounts, whose error is not known."""
         counts = self._at(amounts)[2]
         return {} if counts is None else status_facts_of_counts(counts[0])
 
@@ -135,18 +135,18 @@ class Search:
         return np.where(np.isfinite(rooms), rooms, _NONE)
 
     def share(self, amounts: Floats) -> float:
-        """Share of the draws in which all limits hold."""
+        """Share of the draws that meet all limits."""
         return float((self._rooms(amounts)[:, 1:] >= 0).all(axis=0).mean())
 
     def room(self, amounts: Floats) -> Floats:
-        """Scaled margin of each limit for the estimate; with draws, then that of the required share."""
+        """Scaled margin of each limit for the estimate; with draws also that of the required share."""
         rooms = self._rooms(amounts)
         if not self._draws:
             return rooms[:, 0]
         return np.append(rooms[:, 0], np.sort(rooms[:, 1:].min(axis=0))[-self._needed])
 
     def slope(self, amounts: Floats) -> Floats:
-        """Derivatives (limits, amounts); with draws a row more, for the draw that decides the share."""
+        """Derivatives (limits, amounts); with draws an additional row, for the draw that decides the share."""
         slopes = self._at(amounts)[1]
         all_ = np.stack([(-1 if x.at_most is not None else 1) * slopes[x.outcome] / x.size for x in self._limits])
         rows = all_[:, :, 0]
@@ -166,9 +166,9 @@ class Search:
 
 
 def refine(search: Search, start: Floats, below: Floats, lower: Floats, upper: Floats, scale: Floats) -> Floats:
-    """The smallest amounts near a start that meets the limits; the start where nothing smaller does.
+    """The smallest amounts near a start that meet the limits; the start if nothing smaller does.
 
-    `below` is, of a single amount, the nearest smaller one that was tried and does not meet them.
+    `below`: for a single amount, the nearest smaller one that was tried and does not meet them.
     """
     if search.alone:
         return _just_met(search, start, below)
@@ -199,7 +199,7 @@ def refine(search: Search, start: Floats, below: Floats, lower: Floats, upper: F
 
 
 def _just_met(search: Search, best: Floats, below: Floats) -> Floats:
-    """Bisects between a single amount that breaks the limits and one that meets them; the smallest tried that does."""
+    """Smallest single amount that meets the limits, by bracketing from one that does not (Brent)."""
     from scipy.optimize import brentq
 
     met = {1.0: best}
@@ -233,5 +233,5 @@ def _bisect_toward(search: Search, best: Floats, least: Floats, scale: Floats) -
 
 
 def effort(amounts: Floats, scale: Floats) -> float:
-    """How large amounts are: the root of the sum of squares of their shares of the range."""
+    """Size of the amounts: the root of the sum of squares of their shares of the range."""
     return float(np.linalg.norm(amounts / scale))

@@ -1,4 +1,4 @@
-"""Treatments as values: kinds of changes with their amounts, in their order."""
+"""`Treatment`: one or several changes of a scene in sequence, with their amounts."""
 
 from __future__ import annotations
 
@@ -20,29 +20,29 @@ from pftwin.model.scene import Scene
 
 
 class Way(NamedTuple):
-    """One amount of a treatment."""
+    """Unit and wording of one amount of a treatment."""
 
     unit: str  # "m", "rad" or "1"
     more: str  # effect of a positive amount, in words
-    less: str  # a negative one
-    usual: tuple[float, float]  # between what a slider goes, as people read it
+    less: str  # effect of a negative one
+    usual: tuple[float, float]  # range of a slider, in the unit shown
 
     @property
     def shown_unit(self) -> str:
-        """The unit in which people read it."""
+        """The unit shown to readers: mm, deg or %."""
         return as_read(self.unit, percent=True)[1]
 
     def shown(self, value: ArrayLike) -> np.ndarray:
-        """In that unit."""
+        """Converts SI values to the unit shown."""
         return as_read(self.unit, percent=True)[0] * np.asarray(value, dtype=np.float64)
 
     def from_shown(self, value: Any) -> np.ndarray:
-        """In SI from that unit."""
+        """Converts values in the unit shown to SI."""
         return np.asarray(value, dtype=np.float64) / as_read(self.unit, percent=True)[0]
 
 
 class TreatmentKind(NamedTuple):
-    """A kind of treatment: its function, its amounts, and what it changes in words."""
+    """A kind of treatment: its function, the part that it changes, in words, and its amounts."""
 
     change: Callable[..., Scene]
     part: str
@@ -88,9 +88,9 @@ class TreatmentStep(eqx.Module):
     """One change of a treatment."""
 
     kind: str = eqx.field(static=True)
-    names: tuple[str, ...] = eqx.field(static=True)  # of the amounts; a dictionary's keys would be sorted by jit
-    amounts: tuple[Scalar, ...]  # SI; a leading axis makes a batch of variants
-    parts: tuple[tuple[str, str], ...] = eqx.field(static=True, default=())  # named by the user
+    names: tuple[str, ...] = eqx.field(static=True)  # of the amounts; jit would sort a dictionary's keys
+    amounts: tuple[Scalar, ...]  # SI units; a leading axis makes a batch of variants
+    parts: tuple[tuple[str, str], ...] = eqx.field(static=True, default=())  # part names given by the user
     shape: Array | None = None  # prepared on the host for a trochleoplasty
 
     def __call__(self, scene: Scene) -> Scene:
@@ -101,7 +101,7 @@ class TreatmentStep(eqx.Module):
 
 
 class Treatment(eqx.Module):
-    """Changes of a scene, one after the other, each with its amounts. Amounts are leaves: vmap, jvp and grad apply.
+    """Changes of a scene in sequence, each with its amounts. Amounts are leaves: vmap, jvp and grad apply.
 
     treatment = Treatment.of("tibial_tuberosity_transfer", medialisation=0.010)
     treated = treatment.then(Treatment.of("trochleoplasty", deepening=0.002))(scene)
@@ -116,10 +116,10 @@ class Treatment(eqx.Module):
         Args:
             kind: a name in `KINDS`.
             amounts: by name, in metres, radians or shares.
-            **more: the same as keywords; one that is no amount (`tendon=`, `strands=`) names the scene's part.
+            **more: amounts as keywords; `tendon=` or `strands=` names the scene's part.
 
         Raises:
-            InputError: no such kind or amount; an amount that is not finite, or no number.
+            InputError: no such kind or amount; an amount that is not a finite number.
         """
         if kind not in KINDS:
             raise InputError(f"no treatment {kind!r}", where="Treatment", expected=f"one of: {', '.join(KINDS)}")
@@ -135,11 +135,11 @@ class Treatment(eqx.Module):
         return Treatment((TreatmentStep(kind, tuple(values), tuple(values.values()), tuple(sorted(parts.items()))),))
 
     def then(self, after: Treatment) -> Treatment:
-        """This treatment, and another one after it."""
+        """This treatment, followed by another one."""
         return Treatment((*self.steps, *after.steps))
 
     def __call__(self, scene: Scene) -> Scene:
-        """The treated scene, without measurements, since those are of the untreated knee, as is the recorded start.
+        """The treated scene, without measurements, since these are of the untreated knee, as is the recorded start.
 
         Raises:
             InputError: the scene lacks the part that a step changes.
@@ -162,12 +162,12 @@ class Treatment(eqx.Module):
             shape = jnp.asarray(changes.deepening_shape(changes.patch_of(scene, "trochleoplasty")), dtype=float)
             steps = tuple(replace(s, shape=shape) if s.kind == "trochleoplasty" else s for s in steps)
         for step in steps:
-            step(scene)  # refuses a part that is missing
+            step(scene)  # raises for a missing part
         return Treatment(steps)
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the amounts: "tibial_tuberosity_transfer.medialisation"; a kind that comes again is numbered."""
+        """Names of the amounts: "tibial_tuberosity_transfer.medialisation"; a repeated kind is numbered."""
         kinds = [s.kind for s in self.steps]
         labels = (k if kinds.count(k) == 1 else f"{k}_{kinds[: i + 1].count(k)}" for i, k in enumerate(kinds))
         return tuple(f"{label}.{name}" for label, step in zip(labels, self.steps, strict=True) for name in step.names)
@@ -193,7 +193,7 @@ class Treatment(eqx.Module):
         return tuple((s.kind, s.names, s.parts) for s in self.steps)
 
     def describe(self) -> str:
-        """In words, with amounts as people read them."""
+        """The treatment in words, with amounts in the units shown to readers."""
         said = []
         for step in self.steps:
             ways = (KINDS[step.kind].amounts[name] for name in step.names)
@@ -217,7 +217,7 @@ def _number(value: ArrayLike, where: str) -> Scalar:
 
 
 def _amount(way: Way, value: Scalar) -> str:
-    """ "10 mm medially"; empty where it is zero."""
+    """ "10 mm medially"; empty if it is zero."""
     shown = way.shown(value)
     if shown.ndim:
         return f"{shown.min():g} to {shown.max():g} {way.shown_unit} {way.more}"

@@ -1,1 +1,1 @@
-"""Do a posterior's intervals hold the truth on knees that differ from the twin? `calibrate` makes such and counts."""
+"""Measures how often a posterior's intervals contain the true values of simulated knees that differ from the twin."""

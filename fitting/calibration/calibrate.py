@@ -1,4 +1,4 @@
-"""`calibrate`: how often do intervals hold the truth of plants that the twin does not know?"""
+"""`calibrate`: measures the coverage of intervals on plants, synthetic knees that the twin does not know."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ if TYPE_CHECKING:
     from fitting.trained import TrainedPosterior
 
 PER_KIND = 100  # plants
-MISPLACED = Nuisance(attachments=1e-3, damping=0.5)  # of which plants are made where twins are taken as exact
-_OWN_STREAM = 7  # of random numbers: not those of a training with the same seed
+MISPLACED = Nuisance(attachments=1e-3, damping=0.5)  # model errors of plants for twins that are taken as exact
+_OWN_STREAM = 7  # of random numbers, different from that of a training with the same seed
 
 
 def calibrate(
@@ -49,24 +49,24 @@ def calibrate(
     limits: Mapping[str, tuple[float, float]] | None = None,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> Calibration:
-    """Plants of several kinds are simulated and recorded, and each recording is answered.
+    """Simulates and records plants of several kinds, and fits each recording.
 
     Args:
-        trained: a posterior that was trained, or a `fitting.QuickFit`, which searches anew for each plant.
-        scene: of its set-up, or those of its trials; plants move in their motions.
-        plants: of each kind.
+        trained: a trained posterior, or a `fitting.QuickFit`, which searches anew for each plant.
+        scene: scene of its set-up, or those of its trials; plants move in their motions.
+        plants: number of each kind.
         kinds: functions that make a plant, by name; by default `fitting.calibration.plants.PLANTS`.
         laboratory: how plants are recorded; by default as on the virtual rig.
-        operation: what is predicted of each plant from its answer, beside what the plant does that is treated in the
-            first trial. Answers are then looked at as `TrainedPosterior.estimate` does.
+        operation: treatment whose outcomes are predicted from each answer and compared with those of the treated plant,
+            in the first trial. Answers are then checked as in `TrainedPosterior.estimate`.
         seed: of all random choices.
-        limits: as `TrainedPosterior.estimate` has them.
-        progress: told the kind of plant, how many of them were answered, and of how many.
+        limits: as in `TrainedPosterior.estimate`.
+        progress: called with the kind of plant, the number of them that were answered, and of all.
 
     Raises:
         InputError: no plants, or no kind of them; a kind that this scene cannot have; another number of trials or
-            frames than it was trained for; a recording too short for the laboratory's filter; a reading that the
-            laboratory does not record, or no effect reports; an operation that this knee cannot have.
+            frames than in training; a recording too short for the laboratory's filter; a reading that the laboratory
+            does not record, or no effect reports; an operation that this knee cannot have.
     """
     if not isinstance(plants, int) or plants < 1:
         raise InputError(f"found {plants!r}", where="plants", expected="a whole number, at least 1")
@@ -110,13 +110,13 @@ def calibrate(
 
 
 def plant_in_trials(make: Maker, knees: Sequence[Knee], random: np.random.Generator) -> list[Plant]:
-    """One plant in every trial, the same in all: the same random numbers make it."""
+    """One plant in every trial: the same random numbers make it the same in all."""
     others = [make(knee, deepcopy(random)) for knee in knees[1:]]
     return [make(knees[0], random), *others]
 
 
 def with_differences(plant: Sequence[Plant], items: Sequence[Parameter], random: np.random.Generator) -> list[Plant]:
-    """The plant as it is in each of these trials: the numbers among these parameters that are differences are drawn."""
+    """The plant in each of these trials, with differences between trials drawn from their priors."""
     found = list(plant)
     for p in items:
         if p.trial is not None and p.trial < len(found) and p.prior is not None:
@@ -126,11 +126,11 @@ def with_differences(plant: Sequence[Plant], items: Sequence[Parameter], random:
 
 
 class _Asking(NamedTuple):
-    """What plants are asked; of each trial."""
+    """Records plants and has them answered; lists hold one item per trial."""
 
     trained: TrainedPosterior | QuickFit
     knees: list[Knee]
-    items: tuple[Parameter, ...]  # whatever is free, differences between trials among it
+    items: tuple[Parameter, ...]  # all free parameters, including differences between trials
     lab: Laboratory
     scenes: list[Scene]
     operation: Operation | None
@@ -139,7 +139,7 @@ class _Asking(NamedTuple):
     def answers(
         self, plants: list[list[Plant]], random: np.random.Generator, progress: Callable[[int, int], None] | None
     ) -> tuple[Answers, list[Operated]]:
-        """Of plants of one kind, in every trial, and what is predicted of those that are answered without a doubt."""
+        """Answers for plants of one kind, in every trial, and predictions for those answered without a doubt."""
         parameters = self.knees[0].parameters
         check_truth(plants[0][0], parameters)
         rows: list[tuple[Floats, Floats, bool]] = []
@@ -156,13 +156,13 @@ class _Asking(NamedTuple):
             recorded, measured = self._recorded(own, seen, random)
             try:
                 draws, doubts, estimate = self._answer(recorded, measured)
-            except PftwinError:  # of this recording; what the caller got wrong was told before
+            except PftwinError:  # of this recording; the caller's errors have been raised before
                 refused += 1
                 continue
             truth = truth_of(plant[0], seen, parameters, own if self.trained.set_up.varies else None)
             rows.append((truth, draws, bool(doubts)))
             if self.operation is not None and estimate is not None and not doubts:
-                (further,) = with_differences(plant[:1], self.items, random)  # what is predicted is a further trial
+                (further,) = with_differences(plant[:1], self.items, random)  # predictions are of a further trial
                 operated.append(self.operation.on(further.scene, recorded[0], estimate))
         return Answers.of(rows, dropped, refused, parameters.asked), operated
 
@@ -179,7 +179,7 @@ class _Asking(NamedTuple):
         return scenes, [measured for _, measured in each]
 
     def _answer(self, recorded: list[Scene], measured: list[Measured]) -> tuple[Floats, Sequence[str], Estimate | None]:
-        """Draws of what is asked for, doubts, and, where something is to be predicted from it, the whole estimate."""
+        """Draws of the requested parameters, doubts, and, if something is to be predicted, the whole estimate."""
         if self.operation is None:
             return *self.trained.draws(recorded, measured, limits=self.limits), None
         estimate = self.trained.estimate(recorded, measured, limits=self.limits)

@@ -1,4 +1,4 @@
-"""What a laboratory would record of a plant: markers with noise, their filter, poses fitted to them; load cells."""
+"""Records plants as a laboratory would: markers with noise, their filter, poses fitted to them; load cells."""
 
 from __future__ import annotations
 
@@ -36,14 +36,14 @@ class Laboratory:
         cluster: distance of each segment's four markers from its frame's origin [m].
         cutoff: of the markers' second-order Butterworth low-pass [Hz]; None: no filter.
         force_noise: standard deviation of a load cell's noise [N].
-        force_bias: standard deviation of its offset [N].
-        force_scale: standard deviation of its scale, as a share.
-        time_shift: standard deviation of how late all forces are against the markers [s].
-        placement: standard deviation of how far off the femur is registered to its markers: each coordinate of the
-            tracked point in its frame [m].
-        turn: standard deviation of how far its frame is turned, about each axis [rad].
-        readings: standard deviation of the noise of whatever else effects report and is recorded, by
-            "EFFECT.OBSERVABLE". Load cells' zeros, scales and delays are those of forces by their effects' names alone.
+        force_bias: standard deviation of its zero error [N].
+        force_scale: standard deviation of its scale error, as a share.
+        time_shift: standard deviation of the delay of all forces against the markers [s].
+        placement: standard deviation of each coordinate of the tracked point in the femur's frame, from registration of
+            the femur to its markers [m].
+        turn: standard deviation of the rotation of that frame about each axis, likewise [rad].
+        readings: standard deviation of the noise of other observables that are recorded, by "EFFECT.OBSERVABLE". Zero
+            errors, scale errors and delays apply only to forces that go by their effects' names.
     """
 
     marker_noise: float = 2e-4
@@ -73,17 +73,16 @@ class Laboratory:
         *,
         first: bool = True,
     ) -> tuple[KneeMotion, Measured]:
-        """The motion and measurements of a plant, as poses of recorded markers tell them.
+        """Records a plant: its motion and measurements, from poses fitted to noisy markers.
 
         Args:
-            scene: the plant's.
-            seen: what it did.
-            springs: names of the effects whose tensions the "femoral" and "tibial" spring forces are.
+            scene: the plant's scene.
+            seen: the plant's motion and forces.
+            springs: names of the effects whose tensions are measured as "femoral" and "tibial" spring forces.
             random: of the noise.
-            constant: of what stays the same throughout; by default a stream of its own, spawned from `random`. Copies
-                of one generator make trials of one laboratory.
-            first: whether it is the first of such trials; others have a shift in time and load cells' zeros of their
-                own.
+            constant: of errors that are constant; by default a stream spawned from `random`. Copies of one generator
+                make trials of one laboratory.
+            first: whether it is the first of such trials; the others have their own time shift and load cells' zeros.
 
         Raises:
             InputError: a recording that is too short for the filter.
@@ -143,7 +142,7 @@ class Laboratory:
 
 
 def _poses(part: SegmentMotion | None, times: Floats) -> PoseSeries:
-    """Of a guided segment at the frames; None stands still in the world."""
+    """Poses of a segment with prescribed motion at the frames; None is fixed in the world."""
     if part is None:
         return PoseSeries(times, np.zeros((len(times), 3)), np.tile([1.0, 0.0, 0.0, 0.0], (len(times), 1)))
     frames = part.frames(times)

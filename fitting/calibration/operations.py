@@ -1,4 +1,4 @@
-"""What is predicted of a plant's treatment from an estimate, beside what the treated plant does."""
+"""Predicts a plant's treatment from an estimate, and compares it with the treated plant."""
 
 from __future__ import annotations
 
@@ -31,18 +31,18 @@ _UNKNOWN = np.full(len(OUTCOMES), np.nan)
 
 @dataclass(frozen=True)
 class Operation:
-    """A treatment whose outcomes are predicted; or, with limits, the smallest that is found to meet them.
+    """A treatment whose outcomes are predicted; with limits, the smallest one that meets them is searched.
 
     Args:
-        treatment: with its amounts; with limits, their values where `ranges` does not name them.
-        limits: that a treatment is to meet.
-        ranges: of the amounts (SI) in which it is looked for, as `optimise_treatment` has them.
+        treatment: treatment with its amounts; with limits, the values of amounts that are not in `ranges`.
+        limits: limits that the treatment must meet.
+        ranges: ranges of the amounts (SI units) to search, as in `optimise_treatment`.
         samples: draws from each estimate.
-        confidence: share of them in which all limits are to hold.
+        confidence: share of the draws that must meet all limits.
 
     Raises:
-        InputError: limits without ranges, ranges without limits, or one of them that is none; too few draws; a
-            confidence that is no share; several treatments.
+        InputError: limits without ranges, ranges without limits, or an invalid one; too few draws; a confidence that is
+            no share; several treatments.
     """
 
     treatment: Treatment
@@ -65,31 +65,31 @@ class Operation:
             check_ranges(self.ranges)
 
     def describe(self) -> str:
-        """In words."""
+        """The operation in words."""
         wanted = " and ".join(limit.describe() for limit in self.limits)
         return f"the smallest treatment with {wanted}" if wanted else self.treatment.describe()
 
     def check(self, scene: Scene) -> None:
-        """Refuses what this knee cannot have.
+        """Checks that a knee can have this operation.
 
         Raises:
-            InputError: a treatment of a part that it lacks; an amount that the treatment does not know; no groove, from
-                which outcomes are told.
+            InputError: the knee lacks the part to treat, or a groove, which outcomes refer to; an amount that the
+                treatment does not have.
         """
         Groove.of(scene)
         places_of(self.treatment, self.ranges or ())
         self.treatment(scene)
 
     def on(self, plant: Scene, recorded: Scene, estimate: Fitted) -> Operated:
-        """What is predicted for a knee as it was recorded, and what the plant does.
+        """Predicts the treatment for the knee as recorded, and simulates it in the plant.
 
-        What this knee cannot have is no plan and no prediction; a plant that cannot be treated as planned is not safe.
-        What the caller got wrong is told by `check`.
+        If this knee cannot have it, there is no plan and no prediction; a plant that cannot be treated as planned is
+        not safe. Errors of the caller are raised by `check`.
 
         Args:
-            plant: the knee itself.
+            plant: the plant's scene.
             recorded: the nominal knee in the recorded motion.
-            estimate: from the recording.
+            estimate: estimate from the recording.
         """
         treatment, met = self.treatment, None
         try:
@@ -112,10 +112,10 @@ class Operation:
 
 
 class Operated(NamedTuple):
-    """Of one plant."""
+    """Outcomes of one plant's treatment, true and predicted."""
 
     truth: Floats  # (outcomes,)
-    draws: Floats  # (M, outcomes), those that can be simulated
-    met: bool | None  # whether a treatment was found that is predicted to meet the limits; None without any
-    safe: bool | None  # whether it then does in the plant
-    share: float = 1.0  # of the draws that can be simulated
+    draws: Floats  # (M, outcomes), of those that could be simulated
+    met: bool | None  # whether a treatment was found that is predicted to meet the limits; None without limits
+    safe: bool | None  # whether it meets them in the plant
+    share: float = 1.0  # of the draws that could be simulated

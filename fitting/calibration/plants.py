@@ -1,4 +1,4 @@
-"""Knees with known springs that a twin is tried on. A plant is made by a function of a knee and random numbers:
+"""Plants: synthetic knees with known springs, to test a twin. A function of a knee and random numbers makes one:
 
     def sticky(knee, random):
         spread = knee.near(random)
@@ -6,7 +6,7 @@
 
     calibrate(trained, scene, kinds={"sticky": sticky})
 
-Its springs may follow another law than the twin's: then the truth is the straight line nearest to them.
+Its springs may follow another law than the twin's: the truth is then the straight line nearest to them.
 """
 
 from __future__ import annotations
@@ -26,36 +26,36 @@ from pftwin.geometry.patch.polynomial import RectanglePatch
 from pftwin.model.effects.friction import Friction
 from pftwin.model.scene import Scene
 
-_NEAR = 0.5  # of the bounds about their middle: where springs of plants lie that are not drawn from the priors
-_SCATTER = 0.6  # of the priors' deviations: by as much plants' nuisance is off, evenly to either side of the mean
-_STIFFENING = (0.0, 0.1)  # share by which springs are stiffer when stretched by a quarter of their length
+_NEAR = 0.5  # share of the bounds, about their middle, within which springs lie that are not drawn from the priors
+_SCATTER = 0.6  # SD of plants' nuisance parameters, uniform about the mean, as a share of their priors' SD
+_STIFFENING = (0.0, 0.1)  # range of the share by which springs stiffen when stretched by a quarter of their length
 _SLIP_SPEEDS = (2e-4, 5e-3)  # [m/s]
 _COEFFICIENTS = (0.0, 0.1)  # of friction
-_RESHAPED = (0.0, 1e-4)  # waves of a trochlea, rms over the whole patch [m]
-_WAVES = 4  # their degree at most, two waves from edge to edge
+_RESHAPED = (0.0, 1e-4)  # range of a trochlea's waves, rms over the whole patch [m]
+_WAVES = 4  # their largest degree: two waves from edge to edge
 
 
 @dataclass(frozen=True, eq=False)
 class Knee:
     """The twin that is calibrated."""
 
-    scene: Scene  # the nominal one, with whatever is fitted in it
-    parameters: Parameters  # what is free in it; the first are asked for
-    trials: tuple[Scene, ...] = ()  # it in every trial, this one among them; by default in one
-    lacking: tuple[Scene, Parameters] | None = None  # as above, with what a twin that is taken as exact may lack
+    scene: Scene  # nominal, with nuisance effects added
+    parameters: Parameters  # free parameters; the requested ones come first
+    trials: tuple[Scene, ...] = ()  # the same in every trial, including this one; by default one trial
+    lacking: tuple[Scene, Parameters] | None = None  # with nuisance added, if the twin itself is taken as exact
 
     @cached_property
     def working(self) -> dict[str, Working]:
-        """At what lengths its linear tendons work, by name: it is simulated once for all plants."""
+        """Working lengths of its linear tendons, by name; simulated once for all plants."""
         return working_of(self.trials or [self.scene], linear_tendons(self.scene))
 
     def drawn(self, random: np.random.Generator) -> Scene:
-        """One whose parameters come from the priors."""
+        """A scene with parameters drawn from the priors."""
         return self.parameters.apply(self.scene, self.parameters.scattered(1, random)[0])
 
     def near(self, random: np.random.Generator) -> Scene:
-        """One whose springs lie about the middle of their bounds, and whatever has a prior, such as nuisance, is spread
-        less than that, and evenly."""
+        """A scene whose springs lie near the middle of their bounds, and whose parameters with a prior, such as
+        nuisance, are uniform with a smaller spread than the prior's."""
         scene, p = self.lacking or (self.scene, self.parameters)
         middle, half = 0.5 * (p.lower + p.upper), 0.5 * (p.upper - p.lower)
         theta = middle + _NEAR * half * random.uniform(-1.0, 1.0, len(p))
@@ -68,14 +68,14 @@ class Knee:
 
 
 class Plant(NamedTuple):
-    """A knee that is recorded."""
+    """A knee to be recorded."""
 
     scene: Scene
-    curved: tuple[str, ...] = ()  # names of tendons whose springs are no straight lines
+    curved: tuple[str, ...] = ()  # names of tendons whose springs are not linear
 
     @staticmethod
     def of(scene: Scene) -> Plant:
-        """Of a scene whose springs may stiffen."""
+        """A plant whose stiffening tendons, if any, are marked as curved."""
         return Plant(scene, stiffening_tendons(scene))
 
 
@@ -83,17 +83,17 @@ Maker = Callable[[Knee, np.random.Generator], Plant]
 
 
 def twin(knee: Knee, random: np.random.Generator) -> Plant:
-    """The twin itself, with parameters from the priors."""
+    """The twin itself, with parameters drawn from the priors."""
     return Plant.of(knee.drawn(random))
 
 
 def misplaced(knee: Knee, random: np.random.Generator) -> Plant:
-    """Attachments, friction and damping off otherwise than the priors say."""
+    """Attachments, friction and damping distributed otherwise than in the priors."""
     return Plant.of(knee.near(random))
 
 
 def sliding(knee: Knee, random: np.random.Generator) -> Plant:
-    """As `misplaced`, with friction of any coefficient and another slip speed than the twin's.
+    """As `misplaced`, with another friction coefficient and another slip speed than the twin's.
 
     Raises:
         InputError: no contact, or one that cannot have friction.
@@ -108,9 +108,9 @@ def sliding(knee: Knee, random: np.random.Generator) -> Plant:
 
 
 def stiffening(knee: Knee, random: np.random.Generator) -> Plant:
-    """As `misplaced`, with tendons that stiffen, evenly from not at all to by a tenth."""
+    """As `misplaced`, with tendons that stiffen by a share uniform between 0 and a tenth."""
     scene = knee.near(random)
-    if linear_tendons(scene):  # the twin's do not stiffen
+    if linear_tendons(scene):  # of a twin whose tendons do not stiffen
         scene = stiffened(scene, knee.working, dict.fromkeys(knee.working, 0.0))
     for name in stiffening_tendons(scene):
         scene = scene.set(f"{name}.stiffening", random.uniform(*_STIFFENING))
@@ -118,9 +118,9 @@ def stiffening(knee: Knee, random: np.random.Generator) -> Plant:
 
 
 def reshaped(knee: Knee, random: np.random.Generator) -> Plant:
-    """As `misplaced`, on another trochlea: the twin's with smooth waves, off by at most a tenth of a millimetre (rms).
+    """As `misplaced`, on another trochlea: the twin's with smooth waves of at most a tenth of a millimetre (rms).
 
-    A trochlea that is placed or turned otherwise is no other trochlea: waves alone count.
+    Waves exclude shifts and rotations of the whole trochlea.
 
     Raises:
         InputError: the button touches no fitted patch.

@@ -17,13 +17,13 @@ _GRID = np.linspace(0.05, 0.99, 48)
 
 
 class CalibrationPlots:
-    """`calibration.plot`: each method gives a matplotlib figure."""
+    """`calibration.plot`: each method returns a matplotlib figure."""
 
     def __init__(self, calibration: Calibration) -> None:
         self._calibration = calibration
 
     def coverage(self) -> Figure:
-        """Share of intervals that hold the truth, against their level, a panel for each kind of plants."""
+        """Share of intervals that contain the truth, against their level, a panel for each kind of plants."""
         from matplotlib.figure import Figure
 
         from pftwin.results.plots.style import COLOURS, DASHES, PAGE, house_style
@@ -45,7 +45,7 @@ class CalibrationPlots:
         return figure
 
     def ranks(self) -> Figure:
-        """Histograms of where the truth stands among the draws: flat where intervals are right."""
+        """Histograms of the truth's rank among the draws: flat if intervals are calibrated."""
         from matplotlib.figure import Figure
 
         from pftwin.results.plots.style import COLOURS, PAGE, house_style
@@ -66,8 +66,8 @@ class CalibrationPlots:
         return figure
 
     def save(self, stem: Path) -> list[Path]:
-        """Both as STEM_coverage and STEM_ranks, .png and .svg. Raises OutputError: the folder is missing or cannot be
-        written to."""
+        """Saves both as STEM_coverage and STEM_ranks, .png and .svg. Raises OutputError if the folder is missing or
+        cannot be written to."""
         from pftwin.results.plots import save_figure
 
         drawn = {"coverage": self.coverage(), "ranks": self.ranks()}
@@ -75,7 +75,7 @@ class CalibrationPlots:
 
 
 def _usual(count: int, expected: float) -> tuple[float, float]:
-    """Between which heights 95 % of the bars lie where ranks are even."""
+    """Range of heights that contains 95 % of the bars if ranks are uniform."""
     from scipy.stats import binom
 
     low, high = binom.interval(0.95, max(count, 1), 1 / _BINS)

@@ -1,4 +1,4 @@
-"""A search, as `calibrate` asks it: in the place of a posterior that is trained once."""
+"""`QuickFit`: a search for each recording that `calibrate` can test in place of a trained posterior."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from pftwin.model.scene import Scene
 
 
 class QuickFit(NamedTuple):
-    """`fit_tendons` of every recording of a set-up; made by `QuickFit.of`."""
+    """`fit_tendons` for every recording of a set-up; made by `QuickFit.of`."""
 
     set_up: SetUp
     method: str
@@ -48,10 +48,10 @@ class QuickFit(NamedTuple):
         noise: StatedNoise | None = None,
         springs: Mapping[str, str] = SPRINGS,
     ) -> QuickFit:
-        """Arguments are as `fit_tendons` has them; of a first recording, by which the set-up is told.
+        """Arguments are those of `fit_tendons` for a first recording, which defines the set-up.
 
         Raises:
-            InputError: a method that does not search; weights of frames; as `fit_tendons`.
+            InputError: a method that is not a search; weights of frames; as `fit_tendons`.
         """
         if method not in METHODS:
             found = "simulations would be learned from anew for each plant" if method == SIMULATIONS else repr(method)
@@ -74,7 +74,7 @@ class QuickFit(NamedTuple):
         *,
         limits: Mapping[str, tuple[float, float]] | None = None,
     ) -> Estimate:
-        """As `fit_tendons`, of the channels that were measured in each trial of the first recording.
+        """As `fit_tendons`, with the channels that were measured in each trial of the first recording.
 
         Raises:
             PftwinError: as `fit_tendons`.
@@ -93,19 +93,19 @@ class QuickFit(NamedTuple):
         *,
         limits: Mapping[str, tuple[float, float]] | None = None,
     ) -> tuple[Floats, list[str]]:
-        """Draws (N, d) of what is asked for, and what forbids to believe them.
+        """Draws (N, d) of the requested parameters, and doubts.
 
         Raises:
             PftwinError: as `fit_tendons`.
         """
         found = self.estimate(scene, measured, limits=limits)
         d, random = found.asked, np.random.default_rng(0)
-        # Not `samples`, which keep within the bounds: users see intervals that do not.
+        # Not `samples`, which clips at the bounds: the intervals that users see do not.
         draws = random.multivariate_normal(found.values[:d], found.covariance[:d, :d], DRAWS, method="eigh")
         return draws, found.doubts
 
     def sentence(self) -> str:
-        """What it fits, and how."""
+        """What is fitted, and by which method."""
         s = self.set_up
         return f"fits by {self.method} of {listed(s.frames)} frames of {s.scene_name}, by {', '.join(s.channels)}"
 

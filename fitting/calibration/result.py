@@ -1,4 +1,4 @@
-"""What a calibration found: how often intervals held the truth, how wide they are, and what follows."""
+"""Results of a calibration: coverage and width of intervals, and verdicts."""
 
 from __future__ import annotations
 
@@ -25,29 +25,29 @@ if TYPE_CHECKING:
 
 FORMAT = "pftwin calibration 1"
 LEVELS = (0.5, 0.8, 0.9, 0.95)
-INTERVALS, BANDS = 0.95, 0.9  # levels on which verdicts are: of what is asked for, of what is predicted
-_SURE = 0.95  # of the intervals of all parameters' shares together that are held against it
-_LEAST_TOLD = 0.5  # lower end of the interval of a share that was held throughout, or there were too few plants
-_MOST_RUN = 0.5  # least share of draws that run, of predictions that are counted
+INTERVALS, BANDS = 0.95, 0.9  # nominal levels that are judged: of parameters' intervals, of predicted bands
+_SURE = 0.95  # joint confidence of the intervals of all parameters' coverage that are compared with the level
+_LEAST_TOLD = 0.5  # with fewer plants even full coverage would not exclude this coverage: too few plants
+_MOST_RUN = 0.5  # least share of draws that must run for a prediction to count
 _NARROW, _WIDE, _NONE, _FEW = "too narrow", "wider than need be", "no plant was answered", "too few plants to tell"
 _UNSAFE, _NO_PLAN = "not as safe as they say", "no plan was found"
 _BAD = (_NARROW, _NONE, _FEW, _UNSAFE, _NO_PLAN)
 
 
 class Answers(NamedTuple):
-    """Of one kind of plants, those that were answered without a doubt: N of them, d parameters or outcomes."""
+    """Answers for the plants of one kind that were answered without a doubt: N plants, d parameters or outcomes."""
 
     ranks: Floats  # (N, d) share of the draws below the truth
-    errors: Floats  # (N, d) of the means, of parameters as a share of the truth
-    half_widths: Floats  # (N, d) of intervals of the level, likewise
-    doubted: int  # answered with a doubt: INVALID
+    errors: Floats  # (N, d) of the means; of parameters as a share of the truth
+    half_widths: Floats  # (N, d) of intervals of the level, in the same unit
+    doubted: int  # number answered with a doubt: INVALID
     refused: int
     dropped: int  # plants that could not be simulated
-    level: float = INTERVALS  # on which the verdict is
+    level: float = INTERVALS  # nominal level that is judged
 
     @staticmethod
     def of(rows: list[tuple[Floats, Floats, bool]], dropped: int, refused: int, asked: int) -> Answers:
-        """Of parameters: from truth (d,), draws (M, d) and whether there is a doubt, of every answer."""
+        """For parameters: from truth (d,), draws (M, d) and whether there is a doubt, for every answer."""
         clean = [(truth, draws, np.abs(truth)) for truth, draws, doubt in rows if not doubt]
         return _answers(clean, asked, INTERVALS)._replace(
             doubted=len(rows) - len(clean), refused=refused, dropped=dropped
@@ -55,8 +55,8 @@ class Answers(NamedTuple):
 
     @staticmethod
     def of_predictions(rows: Sequence[Operated], names: Sequence[str]) -> Answers:
-        """Of outcomes after a treatment, where one was found. Those of plants that have none are dropped, and those of
-        which most draws cannot be simulated are doubted."""
+        """For outcomes after a treatment, where one was found. Plants without outcomes count as dropped, and those of
+        which most draws cannot be simulated as doubted."""
         treated = [row for row in rows if row.met is not False]
         some = [row for row in treated if np.isfinite(row.truth).all()]
         clean = [(row.truth, row.draws, np.ones(len(names))) for row in some if row.share >= _MOST_RUN]
@@ -64,32 +64,32 @@ class Answers(NamedTuple):
         return answers._replace(doubted=len(some) - len(clean), dropped=len(treated) - len(some))
 
     def held(self, level: float) -> NDArray[np.bool_]:
-        """Which (N, d) central intervals of a level hold the truth."""
+        """Which (N, d) central intervals of a level contain the truth."""
         return np.abs(self.ranks - 0.5) < 0.5 * level
 
     @property
     def coverage(self) -> dict[float, Floats]:
-        """By level, the share of intervals (d,) that hold the truth."""
+        """Coverage (d,): share of intervals that contain the truth, by level."""
         return {level: self.held(level).mean(axis=0) for level in LEVELS}
 
     @property
     def rms(self) -> Floats:
-        """Of the errors (d,)."""
+        """RMS errors (d,)."""
         return np.sqrt(np.mean(self.errors**2, axis=0))
 
     @property
     def factors(self) -> Floats:
-        """By how many times its intervals (d,) would have to be wider to hold as often; 1 where none is too narrow."""
+        """Factors (d,) by which intervals must be widened to reach their level; 1 if none is too narrow."""
         if _NARROW not in self._words():
             return np.ones(self.ranks.shape[1])
-        # So high a quantile that a further plant is held as often (split conformal prediction: Vovk et al. 2005).
+        # The quantile that covers a further plant with the nominal probability (split conformal: Vovk et al. 2005).
         count = len(self.ranks)
         rank = min(np.ceil((count + 1) * self.level) / count, 1.0)
         times = np.quantile(np.abs(self.errors) / self.half_widths, rank, axis=0, method="higher")
         return np.maximum(times, 1.0)
 
     def verdict(self, names: tuple[str, ...]) -> str:
-        """Whether intervals of its level hold as often as they say, as far as so many plants can tell."""
+        """Whether intervals reach their nominal coverage, as far as the number of plants can show."""
         if not len(self.ranks):
             return _NONE
         words = self._words()
@@ -102,12 +102,12 @@ class Answers(NamedTuple):
 
     @property
     def _few(self) -> bool:
-        """Whether even intervals that hold the truth every time would tell next to nothing."""
+        """Whether there are so few plants that even full coverage would show next to nothing."""
         count = len(self.ranks)
         return bool(binomtest(count, count).proportion_ci(_SURE).low < _LEAST_TOLD)
 
     def _words(self) -> list[str]:
-        """Of each parameter, whether its share may be as large as the level, with room for so many being looked at."""
+        """Verdict for each parameter, from a binomial interval of its coverage, corrected for their number."""
         found, sure = [], 1 - (1 - _SURE) / max(self.ranks.shape[1], 1)
         for held in self.held(self.level).T:
             share = binomtest(int(held.sum()), len(held)).proportion_ci(sure)
@@ -115,7 +115,7 @@ class Answers(NamedTuple):
         return [_FEW] * len(found) if self._few and _NARROW not in found else found
 
     def column(self, names: tuple[str, ...], scales: Floats) -> tuple[str, ...]:
-        """Of a table: answered of all; of each number the share of intervals that hold and the half width; verdict."""
+        """A table's column: answered of all; coverage and half width for each name; verdict."""
         of = len(self.ranks) + self.doubted + self.refused + self.dropped
         cells, words = [""] * len(names), [self.verdict(names)]
         if len(self.ranks):
@@ -141,7 +141,7 @@ class Answers(NamedTuple):
 
 
 def _answers(clean: Sequence[tuple[Floats, Floats, Floats]], asked: int, level: float) -> Answers:
-    """From truth (d,), draws (M, d) and the units (d,) of errors, of every answer."""
+    """From truth (d,), draws (M, d) and the units (d,) of errors, for every answer."""
     ends, empty = (0.5 * (1 - level), 0.5 * (1 + level)), np.zeros((0, asked))
     ranks = [np.mean(draws < truth, axis=0) for truth, draws, _ in clean]
     errors = [(draws.mean(axis=0) - truth) / unit for truth, draws, unit in clean]
@@ -151,21 +151,21 @@ def _answers(clean: Sequence[tuple[Floats, Floats, Floats]], asked: int, level: 
 
 
 class Plans(NamedTuple):
-    """Of one kind of plants: treatments that were found, and whether they do in the plant what they were to do."""
+    """For one kind of plants: number of treatments found, and of those that meet their limits in the plant."""
 
     safe: int
     found: int
-    asked: int  # plants for which one was looked for
+    asked: int  # plants for which one was searched
     confidence: float
 
     @staticmethod
     def of(rows: Sequence[Operated], confidence: float) -> Plans:
-        """Of what was asked."""
+        """Counts the plans of all plants."""
         found = [row.safe for row in rows if row.met]
         return Plans(sum(bool(s) for s in found), len(found), len(rows), confidence)
 
     def verdict(self) -> str:
-        """Whether as many are safe as were to be, as far as so many plants can tell."""
+        """Whether enough of them are safe, as far as the number of plants can show."""
         if not self.found:
             return _NO_PLAN
         high = binomtest(self.safe, self.found).proportion_ci(_SURE).high
@@ -174,24 +174,24 @@ class Plans(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """`fitting.calibrate`: answers by the kind of plants."""
+    """Result of `fitting.calibrate`: answers by kind of plants."""
 
     names: tuple[str, ...]
     kinds: dict[str, Answers]
-    trained: str  # the posterior, in a sentence
+    trained: str  # description of the posterior
     seed: int
     seconds: float
     operation: str = ""  # what was predicted, in words
-    predictions: dict[str, Answers] = field(default_factory=dict)  # of `OUTCOMES`, SI
+    predictions: dict[str, Answers] = field(default_factory=dict)  # of `OUTCOMES`, SI units
     plans: dict[str, Plans] = field(default_factory=dict)
 
     @property
     def holds(self) -> bool:
-        """Whether intervals, bands and plans keep their promise on all kinds of plants, some of each being answered."""
+        """Whether no kind of plants shows intervals too narrow, too few of its plants answered, or plans unsafe."""
         return not self._bad()
 
     def _bad(self) -> list[str]:
-        """What does not hold, in words."""
+        """Verdicts that fail, in words."""
         said = {f"95 % intervals on {kind}": a.verdict(self.names) for kind, a in self.kinds.items()}
         said |= {f"90 % bands on {kind}": a.verdict(OUTCOMES) for kind, a in self.predictions.items()}
         said |= {f"plans on {kind}": p.verdict() for kind, p in self.plans.items()}
@@ -205,31 +205,30 @@ class Calibration:
         return f"{what} do NOT hold as often as they say: {'; '.join(self._bad())}"
 
     def widened(self, trained: TrainedPosterior) -> TrainedPosterior:
-        """The posterior with answers so wide that their intervals would have held on every kind of plants.
-
-        It is shown by plants of another seed.
+        """The posterior with its answers widened so that their intervals would have contained the truth on every kind
+        of plants. Check it on plants of another seed.
         """
         factors = np.max([a.factors for a in self.kinds.values()], axis=0)
         return replace(trained, widened=tuple((factors * (trained.widened or 1.0)).tolist()))
 
     def rows(self) -> list[tuple[str, ...]]:
-        """Of a table of intervals, a column for each kind: see `Answers.column`; half widths in per cent."""
+        """Rows of a table of intervals, a column for each kind: see `Answers.column`; half widths in per cent."""
         return _table(self.kinds, self.names, [f"{name} [%]" for name in self.names], 100.0 * np.ones(len(self.names)))
 
     def prediction_rows(self) -> list[tuple[str, ...]]:
-        """Of a table of bands: likewise; half widths as outcomes are read, in mm, degrees, newtons and per cent."""
+        """Rows of a table of bands; half widths in the units shown: mm, degrees, newtons and per cent."""
         read = [as_read(MEASURES[name].unit, percent=True) for name in OUTCOMES]
         words = [f"{name.replace('_', ' ')} [{unit}]" for name, (_, unit) in zip(OUTCOMES, read, strict=True)]
         return _table(self.predictions, OUTCOMES, words, np.array([scale for scale, _ in read]))
 
     def plan_rows(self) -> list[tuple[str, ...]]:
-        """Of a table of plans, a column for each kind: found of all, safe of those, verdict."""
+        """Rows of a table of plans, a column for each kind: found of all, safe of those, verdict."""
         cells = [(f"{p.found} of {p.asked}", f"{p.safe} of {p.found}", p.verdict()) for p in self.plans.values()]
         return list(zip(("found", "safe in the plant", "verdict"), *cells, strict=True))
 
     @property
     def plot(self) -> CalibrationPlots:
-        """Figures."""
+        """Figures of this calibration."""
         from fitting.calibration.plots import CalibrationPlots
 
         return CalibrationPlots(self)
@@ -253,10 +252,10 @@ class Calibration:
         }
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Writes JSON.
+        """Writes a JSON file.
 
         Raises:
-            OutputError: it cannot be written.
+            OutputError: if it cannot be written.
         """
         target = Path(path)
         write_json_file(target, self.to_dict())

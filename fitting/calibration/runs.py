@@ -1,4 +1,4 @@
-"""What plants do: their motions side by side, and the springs that the twin should find of them."""
+"""Simulates plants in one batch, and computes the spring parameters that the twin should find."""
 
 from __future__ import annotations
 
@@ -19,27 +19,26 @@ from pftwin.dynamics.integrators import BDF2
 from pftwin.dynamics.observe import Observation
 from pftwin.model.scene import Scene
 
-_OF_LINES = (("stiffness",), ("slack_length",))  # what the line nearest to a spring tells
-_STEP = 5e-4  # of plants, by another integrator than a fit's [s]
+_OF_LINES = (("stiffness",), ("slack_length",))  # parameters that the line nearest to a spring determines
+_STEP = 5e-4  # time step of plants [s], whose integrator differs from a fit's
 
 
 class Seen(NamedTuple):
-    """What a plant did, without noise."""
+    """A plant's motion and forces, without noise."""
 
     position: Floats  # (n, 3) of the patella in the femur [m]
     quaternion: Floats  # (n, 4)
-    reported: dict[str, dict[str, Floats]]  # (n,) each: the single numbers that effects report, by effect
+    reported: dict[str, dict[str, Floats]]  # (n,) each: scalar observables of effects, by effect
 
     @property
     def forces(self) -> dict[str, Floats]:
-        """(n,) of contact and tendons by their names [N]."""
+        """Forces (n,) of contact and tendons by name [N]."""
         told = {name: seen.get("force", seen.get("tension")) for name, seen in self.reported.items()}
         return {name: force for name, force in told.items() if force is not None}
 
 
 def run(plants: Sequence[Plant]) -> list[Seen | None]:
-    """What each plant does; None of one that could not be simulated. Raises InputError: scenes that cannot give a right
-    answer."""
+    """Motion of each plant; None if it could not be simulated. Raises InputError for scenes that fail `check`."""
     found = simulate_batch(
         [plant.scene for plant in plants],
         integrator=BDF2(),
@@ -65,7 +64,7 @@ def run(plants: Sequence[Plant]) -> list[Seen | None]:
     return [None if failed[i] else of(i) for i in range(len(plants))]
 
 
-_OWN = "plant "  # before names of what is kept, which a batch has not itself
+_OWN = "plant "  # prefix of these variables' names, to avoid those of a batch
 
 
 def _kept(scene: Scene, seen: Observation) -> dict[str, Array]:
@@ -77,8 +76,8 @@ def _kept(scene: Scene, seen: Observation) -> dict[str, Array]:
 
 
 def check_truth(plant: Plant, parameters: Parameters) -> None:
-    """Refuses to ask for what a plant does not have. Raises InputError: the slack length of a tendon that follows
-    another law is asked for as a strain or a force."""
+    """Raises InputError for requested parameters that a plant does not have: the slack length, as a strain or force,
+    of a tendon that follows another law, or a tied parameter of one."""
     for item in parameters.items[: parameters.asked]:
         if item.place.owner in plant.curved and item.place.meaning != "value":
             expected = "stiffness and slack length themselves of a tendon that follows another law"
@@ -91,11 +90,11 @@ def check_truth(plant: Plant, parameters: Parameters) -> None:
 def truth_of(
     plant: Plant, seen: Sequence[Seen], parameters: Parameters, differing: Sequence[Plant] | None = None
 ) -> Floats:
-    """What a fit should find of a plant (d,): of a tendon that follows another law, the straight line nearest to its
-    spring, over the forces that occurred in all trials; of what differs between trials, the mean.
+    """True values of the requested parameters (d,): for a tendon that follows another law, those of the straight line
+    nearest to its spring over the lengths that occurred in all trials; for what differs between trials, the mean.
 
-    The plant and parameters are those of the first trial, without differences; it did what was `seen` in each, where it
-    was as in `differing`. Raises InputError: a tendon that is never stretched.
+    The plant and parameters are those of the first trial, without differences; `seen` are the motions of all trials,
+    and `differing` the plant in each. Raises InputError for a tendon that is never stretched.
     """
     found = []
     for item in parameters.items[: parameters.asked]:

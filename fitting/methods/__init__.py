@@ -1,1 +1,1 @@
-"""Methods of fitting. Each asks for evaluations and receives their results."""
+"""Search methods of fits. Each asks for evaluations and receives their results."""

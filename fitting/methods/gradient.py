@@ -1,7 +1,7 @@
-"""Gradient descent by reverse mode, for many parameters: optax's Adam from a few starts at once, then its L-BFGS.
+"""Gradient descent by reverse mode, for many parameters: optax's Adam from a few starts in a batch, then its L-BFGS.
 
-One gradient costs as much for a hundred parameters as for one. The derivatives are exact to first order only, and the
-objective has kinks where contact begins and ends; so Adam goes first, which tolerates them.
+One gradient costs as much for a hundred parameters as for one. Only first derivatives are available, and the objective
+has kinks where contact begins and ends; so Adam goes first, which tolerates them.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from pftwin.base.arrays import Floats
 
 RATE = 0.1  # of Adam, in the unbounded parameters
 MEMORY = 10  # of L-BFGS
-_LANES = 8  # step lengths that one call tries
-_PATIENCE = 3  # steps of L-BFGS in a row that gain too little
+_LANES = 8  # step lengths tried in one call
+_PATIENCE = 3  # consecutive steps of L-BFGS with too little gain before the search ends
 
 
 class Gradient(Method):
@@ -38,7 +38,7 @@ class Gradient(Method):
         problem.evaluator.pull_chunk = self.widest
 
     def begin(self) -> State:
-        """The nominal point and others all over the box."""
+        """The nominal point and others throughout the bounds."""
         u = self.problem.parameters.to_unbounded(self.scattered_starts())
         return {
             **self.blank(),
@@ -53,7 +53,7 @@ class Gradient(Method):
         }
 
     def ask(self, state: State) -> Request:
-        """Adam's points; then points along L-BFGS's direction, each half as far as the one before."""
+        """Adam's points; then points along L-BFGS's direction, at distances that halve."""
         u = state["u"] if state["direction"] is None else self._along(state)
         return Request(self.problem.parameters.to_bounded(u), self.problem.evaluator.coarse, "gradient")
 

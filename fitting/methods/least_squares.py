@@ -1,14 +1,14 @@
-"""Multi-start Levenberg-Marquardt: all starts at once, coarse steps first, the wanted accuracy last.
+"""Multi-start Levenberg-Marquardt: all starts in one batch, with coarse time steps first and fine ones last.
 
-Written out rather than optimistix's solver, which mapped over starts takes the Jacobian of each as often as the slowest
-needs, with the number of time steps fixed, and of which nothing can be seen, saved or interrupted on the way.
+Implemented here because optimistix's solver, mapped over starts, computes the Jacobian of each as often as the slowest
+start needs, with a fixed number of time steps, and its progress cannot be reported, saved or interrupted.
 
-Parameters are shares of their ranges, and bounds are bounds: steps end there, a ten-millionth of the range before them
-(`bounded_steps`). Mapped to all real numbers, valleys bend, and a best point at a bound is approached for ever.
+Parameters are shares of their ranges, and steps end a ten-millionth of the range before the bounds (`bounded_steps`).
+Mapping them to all real numbers would curve valleys, and a minimum at a bound would be approached forever.
 
-A point with many derivatives costs the same alone as in a batch: its derivatives alone fill the processor's vectors.
-Where few starts are left, each tries several dampings at once: where the patella falls into the groove the objective
-jumps, and of many steps one is better.
+A point with many derivatives costs the same alone as in a batch, as its derivatives fill the processor's vector units.
+When few starts are left, each tries several dampings in one call: where the patella falls into the groove the objective
+jumps, and one of many steps is likely to improve it.
 """
 
 from __future__ import annotations
@@ -25,39 +25,39 @@ from pftwin.base.arrays import Floats
 class Phase(NamedTuple):
     """A phase of the search, with its own step length and limits."""
 
-    keep: int  # how many of the best go on
-    fine: bool
+    keep: int  # number of best starts that continue
+    fine: bool  # whether time steps are fine
     iterations: int  # at most
-    worth: float  # a start's gain that is not worth another iteration, in tolerances of the objective
-    damping: float = 1e-2  # to start with at most, of a diagonal's share
+    worth: float  # least gain of a start worth another iteration, in tolerances of the objective
+    damping: float = 1e-2  # largest initial damping, as a share of the diagonal
 
 
-# Several to the end: where the patella falls into the groove the objective has many lowest places near one another.
+# Several starts continue to the end: where the patella falls into the groove the objective has many close minima.
 PHASES = (Phase(10**9, False, 4, 1e3), Phase(8, False, 10, 1e3), Phase(8, True, 40, 1e3))
-NEAR = (Phase(1, True, 40, 1.0, damping=1e-5),)  # from where a search ended
-_FEWEST, _MOST, _COLUMNS = 4, 16, 64  # points at once where fewer starts are left; the same times parameters
-_LEAST, _FLAT = 1e-10, 1e-200  # damping, and diagonal, at least: no matrix is singular
+NEAR = (Phase(1, True, 40, 1.0, damping=1e-5),)  # from the end point of another search
+_FEWEST, _MOST, _COLUMNS = 4, 16, 64  # least and most points per call if few starts are left; points times parameters
+_LEAST, _FLAT = 1e-10, 1e-200  # least damping and diagonal: no matrix is singular
 _STUCK = 1e7  # damping at which steps vanish
-_LONGEST = 0.4  # step of a parameter
-_EDGE = 1e-7  # how near to a bound steps lead
+_LONGEST = 0.4  # largest step of a parameter, as a share of its range
+_EDGE = 1e-7  # least distance from a bound, as a share of the range
 _SAME = 1e-2  # distance within which two starts count as one
 
 
 class LeastSquares(Method):
-    """Levenberg-Marquardt from many starts, with the nominal point among them."""
+    """Levenberg-Marquardt from many starts, including the nominal point."""
 
     name = "least_squares"
     options = ("starts",)
     rough = True
 
     def __init__(self, problem: Problem, seed: int, starts: int = 32, *, near: bool = False) -> None:
-        """`near`: the nominal point is nearly the answer, and the only start."""
+        """With `near`, the nominal point is nearly the answer, and the only start."""
         super().__init__(problem, seed)
         self.starts, self.phases = (1, NEAR) if near else (starts, PHASES)
         self.most_iterations = sum(p.iterations for p in self.phases)
 
     def settings(self) -> tuple[Any, ...]:
-        """What decides its course."""
+        """Settings that, with problem and seed, determine its iterates."""
         return (self.starts, self.phases, _FEWEST, _MOST, _COLUMNS, _LONGEST, _EDGE)
 
     def begin(self) -> State:
@@ -68,7 +68,7 @@ class LeastSquares(Method):
             **self.blank(),
             "phase": 0,
             "in_phase": 0,
-            "looking": True,  # at the points themselves, rather than at steps from them
+            "looking": True,  # whether the points themselves are evaluated, not steps from them
             "u": u,
             "value": np.full(n, np.inf),
             "gradient": np.zeros((n, k)),
@@ -85,7 +85,7 @@ class LeastSquares(Method):
         return Request(self.problem.parameters.at_share(u.reshape(-1, u.shape[-1])), substeps, "normal")
 
     def tell(self, state: State, request: Request, answer: ProblemAnswer) -> None:
-        """Accepts what is better."""
+        """Accepts steps that decrease the objective."""
         assert answer.gradient is not None
         assert answer.hessian is not None
         span = self.problem.parameters.upper - self.problem.parameters.lower
@@ -105,14 +105,14 @@ class LeastSquares(Method):
             self._next_phase(state)
 
     def _trials(self, state: State) -> tuple[NDArray[np.intp], Floats, Floats, Floats]:
-        """From which starts, those that are not done (P,): points (P, L, p), their dampings (P, L), and the decrease
-        that the quadratic model promises (P, L)."""
+        """Indices of the unfinished starts (P,); trial points (P, L, p), their dampings (P, L), and the decrease that
+        the quadratic model predicts (P, L)."""
         which = np.flatnonzero(~state["done"])
         u, g, h = state["u"][which], state["gradient"][which], state["hessian"][which]
         points = max(_FEWEST, min(_MOST, _COLUMNS // u.shape[1]))
-        if self.problem.evaluator.in_turns:  # each costs as much as one alone
+        if self.problem.evaluator.in_turns:  # batching saves nothing
             points = _FEWEST
-        points = max(points, self.problem.evaluator.slope_chunk)  # an accelerator's call costs the same half empty
+        points = max(points, self.problem.evaluator.slope_chunk)  # an accelerator's call takes as long half empty
         count = max(1, points // len(u))
         ladder = 10.0 ** (np.arange(count) - count // 2)
         damping = np.maximum(state["damping"][which, None] * ladder, _LEAST)

@@ -5,9 +5,9 @@ expectations in proportion to 1 / sqrt(rank); stochastic uniform selection; ceil
 0.8 of the others by scattered crossover; at most 100 generations per variable; an end when the average relative change
 of the best over 50 generations is at most 1e-6.
 
-Ours is the mutation, in the spirit of `mutationadaptfeasible`: a step in a random direction of the box scaled to unit
-sides, its length adapted to success (times 4, at most 1) and failure (a quarter, at least 1e-5) of the last generation,
-and halved until it stays inside.
+The mutation is our own, in the spirit of `mutationadaptfeasible`: a step in a random direction of the box scaled to
+unit sides, its length adapted to success (times 4, at most 1) and failure (a quarter, at least 1e-5) of the last
+generation, and halved until it stays inside.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from fitting.methods.problem import State
 
 CROSSOVER = 0.8
 ELITE = 0.05
-_SHORTEST = 1e-5  # mutation, as a share of the range
+_SHORTEST = 1e-5  # shortest mutation, as a share of the range
 
 
 def expectations(scores: Floats, parents: int) -> Floats:
@@ -42,7 +42,7 @@ def stochastic_uniform(expected: Floats, parents: int, random: Random) -> NDArra
 
 
 def scattered_crossover(first: Floats, second: Floats, random: Random) -> Floats:
-    """Children (M, p) that inherit each number from one parent or the other."""
+    """Children (M, p) that inherit each parameter from one parent or the other."""
     return np.where(random.uniform(size=first.shape) < 0.5, first, second)
 
 
@@ -60,13 +60,13 @@ def mutation(parents: Floats, lower: Floats, upper: Floats, length: float, rando
 
 
 def elite_places(scores: Floats) -> NDArray[np.intp]:
-    """Who survives unchanged: ceil(0.05 N) of the members (N,), the best first."""
+    """Indices of the ceil(0.05 N) members (N,) that survive unchanged, the best first."""
     order = np.argsort(np.where(np.isfinite(scores), scores, np.inf), kind="stable")
     return order[: math.ceil(ELITE * len(scores))]
 
 
 def children_of(members: Floats, scores: Floats, lower: Floats, upper: Floats, length: float, random: Random) -> Floats:
-    """All others (N - elite, p) of the next generation."""
+    """All other members (N - elite, p) of the next generation."""
     born = len(members) - len(elite_places(scores))
     crossed = round(CROSSOVER * born)
     mutated = born - crossed
@@ -77,7 +77,7 @@ def children_of(members: Floats, scores: Floats, lower: Floats, upper: Floats, l
 
 
 def mutation_length(bests: list[float]) -> float:
-    """Of the next mutations, as a share of the range, from the best of every generation so far."""
+    """Length of the next mutations, as a share of the range, from the best value of every generation so far."""
     length = 1.0
     for before, now in pairwise(bests):
         length = min(1.0, max(_SHORTEST, length * (4.0 if now < before else 0.25)))
@@ -90,7 +90,7 @@ class MatlabGa(Populations):
     name = "matlab_ga"
 
     def bred(self, state: State, k: int, random: Random) -> Floats:
-        """By crossover and mutation."""
+        """Children by crossover and mutation."""
         p = self.problem.parameters
         length = mutation_length(state["bests"][k])
         return children_of(state["members"][k], state["scores"][k], p.lower, p.upper, length, random)

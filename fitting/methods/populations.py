@@ -1,4 +1,4 @@
-"""Populations that evolve side by side, each from its own seed: what genetic algorithms share, and the plain one.
+"""Evolutionary searches with several populations, each with its own seed: their base classes, and `Genetic`.
 
 All children of all populations are evaluated in one call. A fitness that is NaN or infinite ranks last, and never
 becomes the best.
@@ -17,18 +17,18 @@ from pftwin.base.arrays import Floats
 
 Random = np.random.Generator
 
-STALL = 50
-TOLERANCE = 1e-6
-SHARE = (0.4, 0.9)  # of a difference that a child takes
+STALL = 50  # generations
+TOLERANCE = 1e-6  # relative change per generation
+SHARE = (0.4, 0.9)  # range of the factor of a difference
 
 
 def default_population(parameters: int) -> int:
-    """Matlab's."""
+    """Matlab's default population size."""
     return 50 if parameters <= 5 else 200
 
 
 def has_stalled(best: Floats) -> bool:
-    """Whether the best of the generations so far has hardly changed over the last 50."""
+    """Whether the best value of each generation has hardly changed over the last 50."""
     if len(best) <= STALL or not np.isfinite(best[-STALL - 1 :]).all():
         return False
     last = best[-STALL - 1 :]
@@ -51,7 +51,7 @@ class Generations(Method):
         self.starts = self.widest = self.population
 
     def reason_to_stop(self, *, found: bool, over: bool, generations: int) -> str | None:
-        """Whether nothing was found, all populations have stalled, or generations have run out."""
+        """Why to stop: nothing was found, all populations have stalled, or generations have run out; otherwise None."""
         if not found:
             return "all starts failed"
         if over:
@@ -61,7 +61,7 @@ class Generations(Method):
 
 
 class Populations(Generations):
-    """Base of those that breed."""
+    """Base of the methods whose populations breed."""
 
     options = ("population", "generations", "populations")
 
@@ -79,7 +79,7 @@ class Populations(Generations):
         self.starts = self.widest = self.population * populations
 
     def settings(self) -> tuple[Any, ...]:
-        """What, with problem and seed, determines its course."""
+        """Settings that, with problem and seed, determine its iterates."""
         return (*super().settings(), self.populations)
 
     @abstractmethod
@@ -88,10 +88,10 @@ class Populations(Generations):
 
     @abstractmethod
     def surviving(self, scores: Floats, own: Floats) -> NDArray[np.intp]:
-        """Who lives on, N of the members (N,) and their children (M,), counted on, by their scores; the best do."""
+        """Indices of the N survivors among members (N,) and their children (M,), in this order, given both scores."""
 
     def begin(self) -> State:
-        """Populations all over the box."""
+        """Populations spread uniformly within the bounds."""
         p = self.problem.parameters
         members, randoms = [], []
         for k in range(self.populations):
@@ -109,7 +109,7 @@ class Populations(Generations):
         }
 
     def ask(self, state: State) -> Request:
-        """The first populations, then the children of those that have not ended."""
+        """The first populations, then the children of those that have not stalled."""
         if not state["bests"][0]:
             return Request(state["members"].reshape(-1, len(self.problem.parameters)), self.problem.evaluator.coarse)
         if state["children"] is None:
@@ -122,7 +122,7 @@ class Populations(Generations):
         return Request(np.concatenate(list(state["children"])), self.problem.evaluator.coarse)
 
     def tell(self, state: State, request: Request, answer: ProblemAnswer) -> None:
-        """The next generation."""
+        """Selects the next generation."""
         value = np.where(np.isfinite(answer.value), answer.value, np.inf)
         living = self._living(state)
         if state["children"] is None:
@@ -158,12 +158,12 @@ def offspring(members: Floats, scores: Floats, lower: Floats, upper: Floats, ran
 
 
 class Genetic(Populations):
-    """Populations whose children follow their shape.
+    """Differential evolution with tournament selection.
 
     Every child is a parent, chosen by a tournament of two (Goldberg & Deb 1991), plus a random share of the difference
     of two other members (Storn & Price 1997). Differences are long along a valley of the objective and short across it,
-    however parameters are correlated, and shrink as the population gathers. The best of parents and children survive.
-    Matlab's operators, which act on one parameter at a time, lose their way in such valleys.
+    however parameters are correlated, and shrink as the population converges. The best of parents and children survive.
+    Matlab's operators act on one parameter at a time, and do badly in such valleys.
     """
 
     name = "genetic"

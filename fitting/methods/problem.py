@@ -1,4 +1,4 @@
-"""The problem that fitting methods solve, their common base class, and their checkpoints.
+"""The problem that fitting methods solve, the methods' base class, and checkpoints.
 
 A method asks for evaluations and receives their results; the loop runs on the host.
 """
@@ -30,8 +30,8 @@ from pftwin.base.text_files import read_json, write_text
 from pftwin.dynamics.batch.devices import Devices
 from pftwin.model.scene import Scene
 
-_ROUNDS = 4  # of bounded steps, times the number of parameters: releases are few
-_NOTHING = 1e-9  # pull on a stopped parameter that is none, of the largest at the start
+_ROUNDS = 4  # most iterations of `bounded_steps`, per parameter: releases are few
+_NOTHING = 1e-9  # gradient on a stopped parameter that counts as zero, as a share of the largest at the start
 
 
 class Request(NamedTuple):
@@ -39,11 +39,11 @@ class Request(NamedTuple):
 
     theta: Floats  # (N, p)
     substeps: int
-    want: Literal["value", "gradient", "normal"] = "value"  # alone, with its gradient, or with the Hessian as well
+    want: Literal["value", "gradient", "normal"] = "value"  # value, also its gradient, or also the Hessian
 
 
 class ProblemAnswer(NamedTuple):
-    """The objective (infinite where the prediction is not usable), gradient and Gauss-Newton Hessian as requested."""
+    """Objective (infinite if the prediction is not usable), and gradient and Gauss-Newton Hessian if requested."""
 
     value: Floats  # (N,)
     gradient: Floats | None = None  # (N, p)
@@ -52,7 +52,7 @@ class ProblemAnswer(NamedTuple):
 
 @dataclass(eq=False)
 class Problem:
-    """A scene, or those of several trials, what is free in them, and what they are compared with."""
+    """Scenes of one or several trials, their free parameters, and the objective that compares them with the data."""
 
     scene: Scene  # of the first trial
     parameters: Parameters
@@ -67,9 +67,9 @@ class Problem:
         computed: tuple[str, ...] | None = None,
         devices: Devices = "all",
     ) -> Problem:
-        """A problem of every trial's nominal scene and of what is free in each, as `fitting.trials` has them, with its
-        own evaluator, which computes these channels on these devices. Raises InputError: a free number that moves the
-        point of the patella whose path was measured."""
+        """A problem for every trial's nominal scene and free parameters, as in `fitting.trials`, with an evaluator that
+        computes these channels on these devices. Raises InputError if a free parameter moves the point of the patella
+        whose path was measured."""
         if POSITION in objective.channels:
             refuse_moved_point(scenes[0], parameters[0])
         own = [
@@ -81,11 +81,11 @@ class Problem:
 
     @property
     def weighs_priors(self) -> bool:
-        """Whether it matters beside priors how much measurements count."""
+        """Whether the weight of the measurements beside priors matters."""
         return self.objective.kind != "paper" and any(p.prior for p in self.parameters.items)
 
     def answer(self, request: Request) -> ProblemAnswer:
-        """The objective with the priors."""
+        """Evaluates the objective, with priors, as requested."""
         theta = np.atleast_2d(request.theta)
         prior, pull, _ = self.parameters.prior_terms(theta)
         if request.want == "value":
@@ -100,14 +100,14 @@ class Problem:
         return ProblemAnswer(*self.normal(theta, request.substeps))
 
     def normal(self, theta: Floats, substeps: int | None = None) -> Normal:
-        """The objective with the priors, its gradient and Hessian; by default with fine steps."""
+        """Objective with priors, its gradient and Hessian; by default with fine steps."""
         prior, pull, precision = self.parameters.prior_terms(theta)
         seen = self.evaluator.with_slopes(theta, self.evaluator.fine if substeps is None else substeps)
         value, gradient, hessian = self.objective.normal(seen)
         return Normal(value + prior, gradient + pull, hessian + np.diag(precision))
 
     def ahead(self, theta: Floats, substeps: int) -> Floats:
-        """From parameters (p,) to the least of the quadratic model there, within the bounds."""
+        """Step from parameters (p,) to the minimum of the quadratic model there, within the bounds."""
         normal, p = self.normal(theta[None], substeps), self.parameters
         span, u = p.upper - p.lower, p.share(theta)
         hessian = normal.hessian[0] * np.outer(span, span)
@@ -115,11 +115,11 @@ class Problem:
         return bounded_steps(hessian, normal.gradient[0] * span, -u, 1 - u) * span
 
     def prediction(self, theta: Floats, substeps: int) -> Prediction:
-        """With derivatives, at one point (p,)."""
+        """Prediction with derivatives, at one point (p,)."""
         return self.evaluator.with_slopes(theta[None], substeps)
 
     def fingerprint(self, *settings: Any) -> str:
-        """A hash of everything that determines a fit's course: scene, parameters, measurements and these settings."""
+        """A hash of everything that determines a fit's iterates: scene, parameters, measurements and these settings."""
         total = hashlib.sha256()
         arrays, fixed = eqx.partition([scene.unnamed() for scene in self.evaluator.scenes], eqx.is_array)
         texts = [jax.tree.structure(arrays), jax.tree.leaves(fixed), jax.tree.structure(fixed)]
@@ -133,8 +133,8 @@ class Problem:
 
 
 def refuse_moved_point(scene: Scene, parameters: Parameters) -> None:
-    """Measured is the path of one point of the patella; where a number moves that point, it fits any path. Raises
-    InputError: there is such a number among the parameters."""
+    """Raises InputError if a free parameter moves the tracked point of the patella: it could then fit any measured
+    path."""
     for p in parameters.items:
         if scene.contact is None or scene.contact.name not in {place.owner for place in (p.place, *p.place.tied)}:
             continue
@@ -147,16 +147,16 @@ def refuse_moved_point(scene: Scene, parameters: Parameters) -> None:
 
 
 def bounded_steps(matrix: Floats, gradient: Floats, lowest: Floats, highest: Floats) -> Floats:
-    """The steps to the minima of quadratics within bounds, by a primal active-set method, many at once: of Hessians
-    (..., p, p), positive definite, from gradients (..., p) at the beginning and the steps to the bounds (..., p), the
-    lowest at most 0 and the highest at least 0.
+    """Steps to the minima of quadratics within bounds, by a primal active-set method, in a batch. Arguments: Hessians
+    (..., p, p), positive definite; gradients (..., p) at the start; steps to the bounds (..., p), the lowest at most 0
+    and the highest at least 0.
 
-    Goes towards the minimum over what is free, stops at its bound what meets one first, goes on with the others, and
-    lets go again what is pulled inwards once they have arrived: lower all the way. Source: Nocedal & Wright 2006,
-    Numerical Optimization, section 16.5.
+    Moves towards the minimum over the free parameters, stops the first that meets its bound, continues with the others,
+    and releases stopped ones that are pulled inwards once the others have arrived; the objective decreases throughout.
+    Source: Nocedal & Wright 2006, Numerical Optimization, section 16.5.
     """
     count, shape = matrix.shape[-1], matrix.shape[:-1]
-    lowest, highest = np.minimum(lowest, 0.0), np.maximum(highest, 0.0)  # a bound may be passed by rounding
+    lowest, highest = np.minimum(lowest, 0.0), np.maximum(highest, 0.0)  # rounding may have passed a bound
     size = np.sqrt(np.diagonal(matrix, axis1=-2, axis2=-1))
     step = np.zeros(shape)
     pull = np.broadcast_to(-gradient, shape)
@@ -186,19 +186,19 @@ def bounded_steps(matrix: Floats, gradient: Floats, lowest: Floats, highest: Flo
 State = dict[str, Any]  # arrays, numbers, strings and None: everything a method knows, so that a checkpoint can hold it
 
 
-MOST_SEED = 2**63 - 1  # JAX's and NumPy's generators both take it
+MOST_SEED = 2**63 - 1  # largest seed that both JAX's and NumPy's generators accept
 
 
 class Method(ABC):
     """A search method. All its randomness comes from the seed, and its state holds everything it knows."""
 
     name: ClassVar[str]
-    options: ClassVar[tuple[str, ...]]  # what a user may choose
-    values: ClassVar[str] = "value"  # where its state has the objective's values
+    options: ClassVar[tuple[str, ...]]  # names of options that a user may set
+    values: ClassVar[str] = "value"  # key of the objective's values in its state
     most_iterations: int
-    starts: int  # number of points from which it begins
-    rough: ClassVar[bool] = False  # whether its answer is to be made exact by another search from there
-    widest: int | None = None  # the largest batch of plain values that it asks for; None: it asks for derivatives only
+    starts: int  # number of points from which it starts
+    rough: ClassVar[bool] = False  # whether its answer must be refined by another search from there
+    widest: int | None = None  # largest batch without derivatives that it asks for; None: all have derivatives
 
     def __init__(self, problem: Problem, seed: int) -> None:
         self.problem, self.seed = problem, seed
@@ -216,11 +216,11 @@ class Method(ABC):
         """Updates the state with the answer. Sets state["stopped"] to the reason when the search ends."""
 
     def settings(self) -> tuple[Any, ...]:
-        """What, with problem and seed, determines its course."""
+        """Settings that, with problem and seed, determine its iterates."""
         return (self.starts, self.most_iterations)
 
     def spread(self, state: State) -> float:
-        """The range of the objective's finite values, a measure of progress; infinite where there are none."""
+        """The range of the objective's finite values, a measure of progress; infinite if there are none."""
         values = state[self.values]
         finite = values[np.isfinite(values)]
         return float(np.ptp(finite)) if finite.size else np.inf
@@ -248,12 +248,12 @@ FORMAT = "pftwin fit checkpoint 1"
 
 
 def save_checkpoint(path: Path, problem: str, state: dict[str, Any]) -> None:
-    """Writes a state. Raises OutputError: it cannot be written."""
+    """Writes a state. Raises OutputError if it cannot be written."""
     write_text(path, json.dumps({"format": FORMAT, "problem": problem, "state": state}, default=_plain))
 
 
 def load_checkpoint(path: Path, problem: str) -> dict[str, Any]:
-    """Reads the saved state of this problem. Raises InputError: no such file, no checkpoint, or one of another
+    """Reads the saved state of this problem. Raises InputError if there is no such file, or it is no checkpoint of this
     problem."""
     content = read_json(path, expected=f"a file of {FORMAT!r}")
     try:
@@ -274,7 +274,7 @@ def load_checkpoint(path: Path, problem: str) -> dict[str, Any]:
 
 
 def _plain(value: np.ndarray | np.generic) -> Any:
-    """In plain JSON values; Python's decimal notation restores every float exactly."""
+    """Converts to plain JSON values; Python's decimal notation restores every float exactly."""
     if isinstance(value, np.generic):
         return value.item()
     return {"array": value.ravel().tolist(), "shape": list(value.shape), "dtype": value.dtype.str}

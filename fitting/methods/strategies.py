@@ -1,4 +1,4 @@
-"""evosax's CMA-ES and differential evolution behind the same interface. Needs the extra `evosax`.
+"""evosax's CMA-ES and differential evolution with the interface of `Method`. Needs the extra `evosax`.
 
 They search the unit box; points outside it are mirrored back at the bounds.
 """
@@ -17,12 +17,12 @@ from fitting.methods.problem import Problem, ProblemAnswer, Request, State, stan
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import MissingExtraError
 
-_SPREAD = 0.3  # of CMA-ES's first generation, as a share of the range
+_SPREAD = 0.3  # standard deviation of CMA-ES's first generation, as a share of the range
 
 
 @lru_cache(maxsize=8)
 def _algorithm(name: str, population: int, parameters: int) -> tuple[Any, Any, Any]:
-    """The algorithm, its settings and its state's structure: one object per kind, for which programs are compiled."""
+    """The algorithm, its settings and its state's structure, cached so that each kind is compiled once."""
     try:
         from evosax import algorithms
     except ImportError as error:
@@ -40,7 +40,7 @@ def _algorithm(name: str, population: int, parameters: int) -> tuple[Any, Any, A
 
 
 class _Strategy(Generations):
-    """An evosax algorithm; its state is kept as plain arrays."""
+    """An evosax algorithm; its state is stored as plain arrays."""
 
     def __init__(
         self, problem: Problem, seed: int, population: int | None = None, generations: int | None = None
@@ -49,7 +49,7 @@ class _Strategy(Generations):
         self._algorithm, self._params, self._structure = _algorithm(self.name, self.population, len(problem.parameters))
 
     def begin(self) -> State:
-        """A first population all over the box; CMA-ES draws its own about the nominal point."""
+        """A first population throughout the bounds; CMA-ES draws its own about the nominal point."""
         random = np.random.default_rng(self.seed)
         first = random.uniform(size=(self.population, len(self.problem.parameters)))
         state = {**self.blank(), "leaves": None, "trial": first, "bests": [], "scores": np.zeros(0), "generation": 0}
@@ -116,6 +116,6 @@ class DifferentialEvolution(_Strategy):
 
 
 def mirrored(x: Floats) -> Floats:
-    """Points of the unit box from any: mirrored at its sides as often as needed."""
+    """Maps points into the unit box by mirroring them at its sides as often as needed."""
     folded = np.mod(x, 2.0)
     return np.where(folded > 1, 2 - folded, folded)

@@ -1,5 +1,5 @@
-"""The main job on the embedded rig: four cases, three polynomials (in full: meshes and a spline as well), against the
-rig's (synthetic) measurements.
+"""Demonstration: the rig's four cases with three polynomials (in full also meshes and a spline), compared with its
+(synthetic) measurements.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
 CASES = (1, 2, 3, 4)
 CONTACTS = ("P2", "P4", "P5")
-FURTHER = ("CM", "FM", "spline")  # the paper's two meshes, and what replaces them
-STEP = 1e-3  # the paper's [s]
+FURTHER = ("CM", "FM", "spline")  # the paper's two meshes, and the spline that replaces them
+STEP = 1e-3  # as in the paper [s]
 PAPER_R_SQUARED = {"P2": 91.54, "P4": 99.36, "P5": 99.71}  # [%] Michaud et al. 2024, section 2.4.2
 SHARED = (
     "The plant that makes these measurements has mechanics of its own, but shares with the twin the contact stiffness,"
@@ -30,14 +30,12 @@ SHARED = (
 def run_demo(
     folder: Path, progress: Callable[..., None], *, full: bool = False
 ) -> tuple[dict[str, Any], list[Sheet | str]]:
-    """Simulates, compares, draws and saves; returns the outcome as plain values, and as tables and lines.
+    """Simulates, compares, draws and saves; returns the results as plain values, and as tables and lines.
 
     Args:
-        folder: what is written goes there.
-        progress: is told how many simulations are done, of how many, and what comes (`what=`).
-        full: the paper's whole Table 1, its meshes included, and the spline.
-
-    Writes to `folder`: case1_P5.nc and its like, case1.png and .svg, table1.csv.
+        folder: folder of the output: case1_P5.nc and the like, case1.png and .svg, table1.csv.
+        progress: called with the number of simulations done and of all, and the next one (`what=`).
+        full: whether to make the paper's whole Table 1, including its meshes, and the spline.
     """
     from pftwin import rig
     from pftwin.dynamics.simulate import simulate
@@ -97,7 +95,7 @@ def run_demo(
 
 
 def _table(means: dict[str, Validation]) -> Sheet:
-    """The paper's Table 1, with the paper's figures beside ours where it reports them."""
+    """The paper's Table 1, with the paper's values beside ours where it reports them."""
     from pftwin.results.metrics import PAPER_TABLE_1
 
     title = (
@@ -118,21 +116,21 @@ def _table(means: dict[str, Validation]) -> Sheet:
 
 
 def _rows(means: dict[str, Validation]) -> list[tuple[ValidationRow, ...]]:
-    """The rows of all contacts, with the paper's figures where it reports any."""
+    """The rows of all contacts, with the paper's values where it reports any."""
     from pftwin.results.metrics import PAPER_TABLE_1
 
     return list(zip(*(v.to_rows(c if c in PAPER_TABLE_1 else None) for c, v in means.items()), strict=True))
 
 
 def _outcomes(results: dict[int, dict[str, Result]]) -> list[dict[str, Any]]:
-    """Per case and polynomial: whether and when the patella dislocates, and comes back within the recording."""
+    """Per case and polynomial: whether the patella dislocates, and re-engages within the recording."""
     rows = []
     for n, by_contact in results.items():
         for contact, result in by_contact.items():
             if result.surface is None:
                 continue
             outcome = result.dislocations()
-            found = {"dislocates": None, "re_engaged": None}  # of a motion that may not be spoken of
+            found = {"dislocates": None, "re_engaged": None}  # of an INVALID motion
             if outcome is not None:
                 found = {"dislocates": bool(outcome.events), "re_engaged": outcome.re_engaged}
             rows.append({"case": n, "contact": contact, "text": result.tracking, **found})
@@ -158,7 +156,7 @@ def _fit_note(r_squared: dict[str, float]) -> str:
 
 
 def number_cell(value: float | None, *, signed: bool = False) -> str:
-    """A number with as many digits as tell something; "-" where there is none."""
+    """A number with as many digits as are meaningful; "-" for None."""
     if value is None:
         return "-"
     digits = ".1g" if abs(value) < 0.1 else ".3g" if abs(value) < 1000 else ".0f"
@@ -166,7 +164,7 @@ def number_cell(value: float | None, *, signed: bool = False) -> str:
 
 
 def write_csv(path: Path, rows: Sequence[dict[str, Any]]) -> Path:
-    """Writes a table, whole or not at all (OutputError): numbers with six digits, and empty cells for None."""
+    """Writes a table, complete or not at all (OutputError): numbers with six digits, and empty cells for None."""
     with written_whole(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
         writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
         writer.writeheader()

@@ -1,4 +1,4 @@
-"""The natural knee (synthetic) before and after a transfer of its tuberosity: numbers, a page and a film."""
+"""Demonstration: the natural knee (synthetic) before and after a tuberosity transfer, as numbers, a page and a film."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from pftwin.base.sheet import Sheet
 if TYPE_CHECKING:
     from pftwin.results.result import Result
 
-TT_TG = 19.8  # [mm] mean of knees that dislocate, Dejour et al. 1994
+TT_TG = 19.8  # mean of knees that dislocate [mm], Dejour et al. 1994
 MEDIALISATION = 0.010  # [m]
 STEP = 1 / 120  # [s]
 AT = (30, 60, 90)  # knee flexion of the table, as the knee bends [deg]
@@ -22,11 +22,11 @@ QUANTITIES = {"contact force, N": "contact_force", "tilt, deg": "patella_tilt", 
 
 
 def run_knee(folder: Path, progress: Callable[..., None]) -> tuple[dict[str, Any], list[Sheet | str]]:
-    """Simulates both, draws and saves; returns the outcome as plain values, and as a table and lines.
+    """Simulates both knees, draws and saves; returns the results as plain values, and as a table and lines.
 
     Args:
-        folder: before.nc, after.nc, knee.html and knee.gif are written there.
-        progress: is told how many steps are done, of how many, and what comes (`what=`).
+        folder: where before.nc, after.nc, knee.html and knee.gif are written.
+        progress: called with the number of steps done and of all, and the next one (`what=`).
     """
     from fitting.treatments import tibial_tuberosity_transfer
     from pftwin import rig
@@ -72,12 +72,12 @@ def _at_flexions(result: Result, name: str) -> list[float]:
 
 
 def _cells(label: str, values: dict[str, list[float]]) -> tuple[str, ...]:
-    """Before and after at each flexion."""
+    """Values before and after at each flexion."""
     return label, *(f"{value:.1f}" for at in zip(*values.values(), strict=True) for value in at)
 
 
 def _pictures(results: dict[str, Result], folder: Path, progress: Callable[..., None]) -> tuple[list[str], list[str]]:
-    """What was drawn; and why not the rest, which needs extras and a browser."""
+    """Names of the files drawn, and lines that say why others were not, which need extras and a browser."""
     from pftwin.results.viewer import view
     from pftwin.results.viewer.film import write_film
 

@@ -1,8 +1,8 @@
 """Section 2.6 of Michaud et al. 2024 on the virtual rig: springs fitted to a pathology, its treatment predicted.
 
-K1, L1, K2 and L2 are fitted to case 2, where the patella dislocates: by the paper's objective; then with what the twin
-lacks (friction, attachments, springs that stiffen), to the same positions, and to one force as well. Case 2 and its
-treatment, case 1, are simulated with what was found and compared with what was measured of each: the paper's Table 2.
+K1, L1, K2 and L2 are fitted to case 2, in which the patella dislocates: by the paper's objective; then with nuisance
+parameters (friction, attachments, springs that stiffen), to the same positions, and to one force as well. Case 2 and
+its treatment, case 1, are simulated with the results and compared with the measurements, as in the paper's Table 2.
 """
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ PATHOLOGY, TREATMENT = 2, 1  # cases of the rig
 CASES = (PATHOLOGY, TREATMENT)
 NOMINAL, LINES = "nominal", "straight lines"
 PAPERS = "paper"
-LEARNED = {"positions": ("position",), "force": ("position", "quadriceps")}  # by simulations: what is compared
+LEARNED = {"positions": ("position",), "force": ("position", "quadriceps")}  # fits by simulations: their channels
 FITS = (PAPERS, *LEARNED)
-SURFACE = "spline"  # of fits by simulations, as exact as the implant's mesh; the paper's fit is on P5
-SIMULATIONS = 8_000  # of each
-STEP = 1e-3  # of the simulations, the paper's [s]
+SURFACE = "spline"  # for fits by simulations, as exact as the implant's mesh; the paper's fit uses P5
+SIMULATIONS = 8_000  # per fit
+STEP = 1e-3  # of the simulations, as in the paper [s]
 
 
 def _column(*values: float) -> dict[str, float]:
@@ -50,7 +50,7 @@ def _column(*values: float) -> dict[str, float]:
     return dict(zip((*rows, "initial_configuration", "real_time_factor"), values, strict=True))
 
 
-# Michaud et al. 2024, section 3 and Table 2. The table has a row of contact forces too; we have no values of it.
+# Michaud et al. 2024, section 3 and Table 2. The table's row of contact forces is missing: we have no values of it.
 PAPER = SimpleNamespace(
     errors={"K1": 8.0, "L1": 13.0, "K2": 5.0, "L2": 3.0},  # of the fitted springs, without signs [% of nominal]
     seconds=1233.0,  # time of the fit
@@ -73,13 +73,13 @@ class Run(NamedTuple):
 
     @property
     def as_measured(self) -> bool:
-        """Whether the patella dislocates and comes back as it was measured to."""
+        """Whether the patella dislocates and re-engages as it was measured to."""
         one, other = self.predicted, self.measured
         return bool(one.events) == bool(other.events) and one.re_engaged == other.re_engaged
 
     @property
     def objective(self) -> float:
-        """The paper's: the sum of the root mean square errors in X, Y and Z [mm]."""
+        """The paper's objective: the sum of the root mean square errors in X, Y and Z [mm]."""
         v = self.validation
         assert v.x is not None
         assert v.y is not None
@@ -91,10 +91,10 @@ class Run(NamedTuple):
 class PaperStudy:
     """Fits, and simulations of both cases with several springs."""
 
-    compiling: float  # before the paper's fit [s]
-    fits: dict[str, Estimate]  # by their names
-    nearest: dict[str, StraightSpring]  # to the plant's law, by the spring's name
-    recorded: dict[str, StraightSpring]  # through recorded forces and lengths
+    compiling: float  # time to compile the paper's fit [s]
+    fits: dict[str, Estimate]  # by name, see `FITS`
+    nearest: dict[str, StraightSpring]  # lines nearest to the plant's law, by spring
+    recorded: dict[str, StraightSpring]  # lines through recorded forces and lengths, by spring
     runs: dict[str, dict[int, Run]]  # by springs and case
 
     @property
@@ -103,30 +103,30 @@ class PaperStudy:
         return self.fits[PAPERS].nominal
 
     def springs(self, fit: str) -> np.ndarray:
-        """Those that a fit found."""
+        """Spring parameters of a fit."""
         return self.fits[fit].values[: self.fits[fit].asked]
 
     def errors(self, fit: str) -> np.ndarray:
-        """Of a fit's springs against the nominal ones [%]."""
+        """Errors of a fit's springs from the nominal ones [%]."""
         return 100 * (self.springs(fit) / self.nominal - 1)
 
     def errors_of_line(self, fit: str) -> np.ndarray:
-        """Of a fit's springs against the straight lines nearest to the plant's [%]."""
+        """Errors of a fit's springs from the straight lines nearest to the plant's [%]."""
         return 100 * (self.springs(fit) / values_of(self.nearest) - 1)
 
 
 def values_of(lines: dict[str, StraightSpring]) -> np.ndarray:
-    """K1, L1, K2, L2."""
+    """K1, L1, K2, L2 of the lines."""
     return np.array([v for name in (QUADRICEPS, PATELLAR_TENDON) for v in lines[name][:2]])
 
 
 def paper_study(
     *, dt: float = STEP, simulations: int = SIMULATIONS, progress: Callable[[str], None] | None = None, **options: Any
 ) -> PaperStudy:
-    """Fits case 2 by the paper's objective and by simulations, and simulates cases 2 and 1 with what was found.
+    """Fits case 2 by the paper's objective and by simulations, and simulates cases 2 and 1 with the results.
 
-    The step is in seconds, and options are those of `fit_tendons`, such as `starts` and `seed`. PftwinError for a
-    motion that may not be spoken of.
+    `dt` is the time step [s], and options are those of `fit_tendons`, such as `starts` and `seed`. Raises PftwinError
+    for an INVALID motion.
     """
     from pftwin import rig
 
@@ -152,7 +152,7 @@ def paper_study(
 
 
 def learned_fit(fit: str, simulations: int, say: Callable[[str], None]) -> Estimate:
-    """The posterior of case 2's springs, and of what the twin lacks, from simulated knees; its time holds training and
+    """Posterior of case 2's springs and nuisance parameters, from simulated knees; its time includes training and
     compiling."""
     from pftwin import rig
 
@@ -172,7 +172,7 @@ def learned_fit(fit: str, simulations: int, say: Callable[[str], None]) -> Estim
 
 
 def compile_fit() -> float:
-    """Compiles the program that the paper's fit runs by evaluating the nominal springs; returns the seconds it took."""
+    """Compiles the program of the paper's fit by evaluating the nominal springs; returns the time it took [s]."""
     from fitting.methods.problem import Problem
     from fitting.objective import Objective
     from fitting.parameters import free_parameters
@@ -187,7 +187,7 @@ def compile_fit() -> float:
 
 
 def with_springs(scene: Scene, theta: np.ndarray) -> Scene:
-    """With K1, L1, K2, L2 = theta (4,) [N/m, m]; InputError for values that no spring can have."""
+    """The scene with K1, L1, K2, L2 = theta (4,) [N/m, m]. Raises InputError for values that no spring can have."""
     import jax.numpy as jnp
 
     from fitting.parameters import free_parameters
@@ -196,11 +196,12 @@ def with_springs(scene: Scene, theta: np.ndarray) -> Scene:
 
 
 def simulated(case: int, springs: str, scene: Scene, dt: float = STEP) -> Run:
-    """A case of the rig with these springs, compared with its measurements; PftwinError for an invalid motion."""
+    """Simulates a case of the rig with these springs and compares it with its measurements. Raises PftwinError for an
+    INVALID motion."""
     from pftwin import LinearImplicit, rig, simulate, validate
 
     measured = rig.measured(case)
-    result = simulate(scene, integrator=LinearImplicit(), dt=dt)  # as fits and predictions take their steps
+    result = simulate(scene, integrator=LinearImplicit(), dt=dt)  # the integrator of fits and predictions
     predicted = result.dislocations()
     if predicted is None:
         raise PftwinError(f"{result.tracking} (case {case}, springs: {springs})")

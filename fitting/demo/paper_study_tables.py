@@ -1,4 +1,4 @@
-"""The study of the paper's section 2.6 as tables, sentences and files."""
+"""Tables, sentences and files of the study of the paper's section 2.6."""
 
 from __future__ import annotations
 
@@ -41,10 +41,10 @@ def table_2(study: PaperStudy) -> Iterator[dict[str, Any]]:
     """Errors of the fitted springs, the time of the fit, and both cases' errors against the measurements.
 
     A row has its name ("row") and "unit"; "case2_by_paper" and the like for all cases and fits; "case2_published" and
-    "case1_published". What there is no value of is None.
+    "case1_published". Values that do not exist are None.
     """
     fitted = {fit: study.errors(fit) for fit in FITS}
-    for i, name in enumerate(study.fits[PAPERS].names):  # the paper's: springs alone
+    for i, name in enumerate(study.fits[PAPERS].names):  # the paper's fit has springs alone
         errors = {(PATHOLOGY, fit): float(fitted[fit][i]) for fit in FITS}
         yield _row(f"{name} error of nominal", "%", errors, {PATHOLOGY: PAPER.errors[name]})
     seconds = {(PATHOLOGY, fit): study.fits[fit].seconds for fit in FITS}
@@ -65,10 +65,10 @@ def _row(label: str, unit: str, values: dict[tuple[int, str], Any], published: d
 
 
 def spring_rows(study: PaperStudy, fit: str) -> Iterator[dict[str, Any]]:
-    """K1, L1, K2, L2 of one fit, in the units shown, beside the nominal values and the nearest straight lines.
+    """K1, L1, K2, L2 of one fit, in the units shown, with the nominal values and the nearest straight lines.
 
-    "low" and "high" are the ends of the 95 % interval, and "covered" says which of both it covers; errors are percent,
-    "error" of the nominal value, "paper_error" without its sign and only for the paper's fit.
+    "low" and "high" are the ends of the 95 % interval, and "covered" states which of the two it contains; errors are in
+    percent, "error" of the nominal value, "paper_error" without its sign and only for the paper's fit.
     """
     found, lines = study.fits[fit], values_of(study.nearest)
     errors, errors_of_line = study.errors(fit), study.errors_of_line(fit)
@@ -91,7 +91,7 @@ def spring_rows(study: PaperStudy, fit: str) -> Iterator[dict[str, Any]]:
 def outcome_rows(study: PaperStudy) -> Iterator[dict[str, Any]]:
     """Per case, whether the patella dislocates: as measured, with the springs of all fits, and with the nominal ones.
 
-    "as_measured" is None of the measurement itself.
+    "as_measured" is None for the measurement itself.
     """
     for n in CASES:
         measured = study.runs[PAPERS][n].measured.describe()
@@ -171,7 +171,7 @@ def facts(study: PaperStudy) -> dict[str, Any]:
 def save(study: PaperStudy, folder: Path) -> list[Path]:
     """Writes table2.csv, springs.csv, fit.json (the paper's), fit_positions.json, fit_force.json, two figures.
 
-    OutputError if the folder is missing or cannot be written to.
+    Raises OutputError if the folder is missing or cannot be written to.
     """
     from pftwin.results.plots import save_figure
 
@@ -185,7 +185,7 @@ def save(study: PaperStudy, folder: Path) -> list[Path]:
 
 
 def _figure(study: PaperStudy, case: int) -> Figure:
-    """A case as measured, and simulated with fitted and with nominal springs."""
+    """A case as measured, and simulated with fitted and nominal springs."""
     from pftwin import rig
     from pftwin.results.plots import case_figure
 

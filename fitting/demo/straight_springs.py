@@ -1,8 +1,8 @@
-"""The straight-line springs that come nearest to the rig's stiffening ones over the forces that occur.
+"""Straight-line springs nearest to the rig's stiffening ones over the forces that occur.
 
-The twin's springs pull with F = K (L - L0); those of the plant that makes the rig's measurements stiffen as they are
-stretched (`pftwin.rig.plant`), F = K s (1 + 0.05 s / (L0 / 4)) over the stretch s = L - L0. So the twin cannot match
-the measurements with the plant's own K and L0: the line nearest to the plant's curve is steeper and starts later.
+The twin's springs follow F = K (L - L0); those of the plant that makes the rig's measurements stiffen with stretch
+(`pftwin.rig.plant`), F = K s (1 + 0.05 s / (L0 / 4)) with the stretch s = L - L0. So the twin cannot match the
+measurements with the plant's own K and L0: the line nearest to the plant's curve is steeper and starts later.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ class StraightSpring(NamedTuple):
 def straight_line(lengths: ArrayLike, forces: ArrayLike) -> StraightSpring:
     """The line nearest to forces (n,) [N] over lengths (n,) [m], by least squares in force.
 
-    Missing forces (NaN) and those of a slack spring (0) are left out. InputError for fewer than two different lengths
-    under load, and for forces that do not grow with length.
+    Missing forces (NaN) and those of a slack spring (0) are omitted. Raises InputError for fewer than two different
+    lengths under load, and for forces that do not grow with length.
     """
     x, f = np.asarray(lengths, dtype=np.float64), np.asarray(forces, dtype=np.float64)
     taut = np.isfinite(x) & np.isfinite(f) & (f > 0)
@@ -47,7 +47,7 @@ def straight_line(lengths: ArrayLike, forces: ArrayLike) -> StraightSpring:
 
 
 def stretch_under(force: ArrayLike, stiffness: float, slack_length: float, stiffening: float | None = None) -> Floats:
-    """The stretch [m] at which a spring of the plant pulls with a force [N]: the positive root of its law."""
+    """Stretch [m] at which a spring of the plant has a force [N]: the positive root of its law."""
     from pftwin.rig.plant import STIFFENING
 
     more = (STIFFENING if stiffening is None else stiffening) / (0.25 * slack_length)
@@ -57,10 +57,10 @@ def stretch_under(force: ArrayLike, stiffness: float, slack_length: float, stiff
 
 
 class Pull(NamedTuple):
-    """What was recorded of a spring."""
+    """A spring with its recorded lengths and forces."""
 
-    spring: ElasticLine  # as the twin has it, with the nominal parameters
-    lengths: Floats  # between the attachments where the twin has them (n,) [m]
+    spring: ElasticLine  # the twin's, with nominal parameters
+    lengths: Floats  # between the twin's attachments (n,) [m]
     forces: Floats  # without the damper's share (n,) [N]
 
 
@@ -74,7 +74,7 @@ def recorded_pulls(case: int) -> dict[str, Pull]:
     bodies = {"femur": recorded.femur, "tibia": recorded.tibia}
     pulls = {}
     for name, forces in ((QUADRICEPS, measured.femoral_spring_force), (PATELLAR_TENDON, measured.tibial_spring_force)):
-        spring: Any = scene.effect(name)  # the rig's own, which has a damper
+        spring: Any = scene.effect(name)  # the rig's spring, which has a damper
         body = bodies[spring.body]
         origin = body.positions + body.matrices() @ np.asarray(spring.origin.array())
         insertion = patella.positions + patella.matrices() @ np.asarray(spring.insertion.array())
@@ -85,15 +85,15 @@ def recorded_pulls(case: int) -> dict[str, Pull]:
 
 
 def nearest_line(pull: Pull) -> StraightSpring:
-    """The line nearest to the law of the plant's spring over the forces recorded, each as often as it occurs."""
+    """The line nearest to the law of the plant's spring over the recorded forces, each as often as it occurs."""
     stiffness, slack = float(pull.spring.stiffness), float(pull.spring.slack_length)
     return straight_line(slack + stretch_under(pull.forces, stiffness, slack), pull.forces)
 
 
 def recorded_line(pull: Pull) -> StraightSpring:
-    """The line through the recorded forces over the recorded lengths: what calibrating on the rig would find.
+    """The line through the recorded forces over the recorded lengths: the result of a calibration on the rig.
 
-    The plant's attachments are misplaced, so its springs are longer or shorter than the twin has them. The slack length
-    shifts along, unlike that of `nearest_line`.
+    The plant's attachments are misplaced, so its springs are longer or shorter than the twin's. The slack length shifts
+    accordingly, unlike that of `nearest_line`.
     """
     return straight_line(pull.lengths, pull.forces)

@@ -1,1 +1,1 @@
-"""Predictions: outcomes of many variants of treatments, with an estimate's uncertainty."""
+"""Predicts motions and outcomes of treatments for many variants, with an estimate's uncertainty."""

@@ -1,7 +1,8 @@
-"""What makes a prediction's bands wide: by how much narrower each would be if one source of uncertainty were known.
+"""Sources of a prediction's uncertainty: how much narrower its bands would be if one source were known.
 
-Outcomes of draws are regressed on the numbers of one source at a time (what was asked for, attachments, friction): what
-that leaves would be left if they were known, with all that they tell of others. So shares need not sum to one.
+The draws' outcomes are regressed on the parameters of one source at a time (requested parameters, attachments,
+friction): the residual is the uncertainty that would remain if they were known, with all that they imply about the
+others. So shares need not sum to one.
 """
 
 from __future__ import annotations
@@ -22,20 +23,20 @@ if TYPE_CHECKING:
 
 
 ALL = "all of them"
-_FEWEST, _PER_NUMBER = 8, 4  # draws, at least, and for each number of a source
+_FEWEST, _PER_NUMBER = 8, 4  # least number of draws, and least per parameter of a source
 
 
 class BandSources(NamedTuple):
-    """By how much narrower bands would be, as a share of their width; NaN where draws are too few to tell."""
+    """Share by which bands would be narrower if a source were known; NaN if there are too few draws."""
 
-    sources: tuple[str, ...]  # the last: `ALL`
+    sources: tuple[str, ...]  # kinds of parameters; the last is `ALL`
     outcomes: tuple[str, ...]  # by their names in the prediction
-    narrower: Floats  # (sources, outcomes): one less what would be left, root mean square over variants, all alike
+    narrower: Floats  # (sources, outcomes): 1 - remaining width, root mean square over variants
     title: str = ""  # of the prediction
-    note: str = ""
+    note: str = ""  # of the prediction
 
     def sheet(self) -> Sheet:
-        """As a table."""
+        """The shares as a table."""
         rows = (
             (name, *(f"{100 * v:.0f}" if np.isfinite(v) else "-" for v in row))
             for name, row in zip(self.sources, self.narrower, strict=True)
@@ -45,7 +46,7 @@ class BandSources(NamedTuple):
         return Sheet("bands would be narrower by [%]", heads, tuple(rows), words=(0,), notes=few)
 
     def facts(self) -> dict[str, dict[str, float | None]]:
-        """By source and outcome, for JSON."""
+        """Shares by source and outcome, for JSON."""
         return {
             source: {name: float(v) if np.isfinite(v) else None for name, v in zip(self.outcomes, row, strict=True)}
             for source, row in zip(self.sources, self.narrower, strict=True)
@@ -72,14 +73,14 @@ class BandSources(NamedTuple):
 
 
 def band_sources(data: Dataset, outcomes: tuple[str, ...] = tuple(name for name, _, _ in PANELS)) -> BandSources:
-    """The sources of a prediction's bands.
+    """Computes the sources of a prediction's bands.
 
     Args:
-        data: of `fitting.predict`, with draws.
-        outcomes: of `fitting.prediction.outcomes.MEASURES`.
+        data: result of `fitting.predict`, with draws.
+        outcomes: names in `fitting.prediction.outcomes.MEASURES`.
 
     Raises:
-        InputError: a prediction without draws, or of an estimate that does not say what its numbers are.
+        InputError: a prediction without draws, or of an estimate without `kinds` of its parameters.
     """
     if "sample" not in data.dims or "parameter_kind" not in data.coords:
         raise InputError(
@@ -90,7 +91,7 @@ def band_sources(data: Dataset, outcomes: tuple[str, ...] = tuple(name for name,
         )
     theta = data["parameters"].values[1:]
     of = data["parameter_kind"].values
-    used = of != BETWEEN_TRIALS  # predictions are of a further trial: its difference is in what it is added to
+    used = of != BETWEEN_TRIALS  # predictions are for a further trial, whose difference is in the shared parameter
     groups = {str(name): theta[:, of == name] for name in dict.fromkeys(of[used])} | {ALL: theta[:, used]}
     found = np.full((len(groups), len(outcomes)), np.nan)
     for column, name in enumerate(outcomes):
@@ -103,7 +104,7 @@ def band_sources(data: Dataset, outcomes: tuple[str, ...] = tuple(name for name,
 
 
 def _left(y: Floats, numbers: Floats) -> float:
-    """Share of the variance of y (n,) that a straight function of numbers (n, q) leaves; of all possible draws."""
+    """Share of the variance of y (n,) that a linear function of numbers (n, q) leaves unexplained, without bias."""
     spread = numbers.std(axis=0)
     x = (numbers - numbers.mean(axis=0))[:, spread > 0] / spread[spread > 0]
     off = y - y.mean()

@@ -1,6 +1,6 @@
-"""Clinical indices of a scene, as radiologists define them, as far as the scene has their landmarks.
+"""Clinical indices of a scene, as radiologists define them, computed if the scene has their landmarks.
 
-Where a scene lacks a landmark the index is None, with the reason; no substitute is used silently.
+If a scene lacks a landmark the index is None, with the reason; nothing is substituted silently.
 
 TT-TG             Goutallier et al. 1978; Dejour et al. 1994, KSSTA 2:19; on MR images Schoettle
                   et al. 2006, Knee 13:26. It falls as the knee bends: Dietrich et al. 2014, KSSTA 22:214
@@ -9,10 +9,10 @@ Caton-Deschamps   Caton et al. 1982, Rev Chir Orthop 68:317
 sulcus angle      Brattström 1964; Merchant et al. 1974, J Bone Joint Surg Am 56:1391
 inclination       Carrillon et al. 2000 (lateral trochlear inclination)
 
-Where this differs from radiology: distances and inclinations refer to the femur's medial-lateral axis, not to the
-tangent of the posterior condyles, which a scene does not hold; the tuberosity is where the patellar tendon is attached;
-and the trochlea is cut at a given share of its groove, while TT-TG and inclination are read in the most proximal slice
-that shows it whole, and Merchant's view looks along it at 45 deg of flexion.
+Differences from radiology: distances and inclinations refer to the femur's medial-lateral axis, not to the tangent of
+the posterior condyles, which a scene does not hold; the tuberosity is where the patellar tendon is attached; and the
+trochlea is cut at a given share of its groove, while TT-TG and inclination are read in the most proximal slice that
+shows it whole, and Merchant's view looks along it at 45 deg of flexion.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ USUAL = {
 
 
 class ClinicalIndex(NamedTuple):
-    """One index: its value (None where the scene cannot tell), its unit, and how it was measured or why it was not."""
+    """One index: its value (None if not known), its unit, and how it was measured or why it was not."""
 
     value: float | None
     unit: str
@@ -66,7 +66,7 @@ class ClinicalIndex(NamedTuple):
 
 @dataclass(frozen=True)
 class Landmarks:
-    """Points that a scene does not hold, (3,) each [m]; None: not known."""
+    """Points that a scene does not hold, (3,) each [m]; None if not known."""
 
     asis: ArrayLike | None = None  # anterior superior iliac spine, femur frame at the first frame
     tibial_plateau: ArrayLike | None = None  # anterosuperior corner of the tibial plateau, tibia frame
@@ -76,10 +76,10 @@ class Landmarks:
 
 @dataclass(frozen=True)
 class ClinicalIndices:
-    """The indices of a scene."""
+    """The clinical indices of a scene."""
 
     tt_tg: ClinicalIndex  # lateral distance from the groove's bottom to the tibial tuberosity [mm]
-    q_angle: ClinicalIndex  # tuberosity lateral of the quadriceps' line: positive [deg]
+    q_angle: ClinicalIndex  # positive if the tuberosity lies lateral of the quadriceps' line [deg]
     caton_deschamps: ClinicalIndex
     sulcus_angle: ClinicalIndex  # [deg]
     lateral_trochlear_inclination: ClinicalIndex  # [deg]
@@ -104,19 +104,19 @@ def clinical_indices(
     tendon: str = PATELLAR_TENDON,
     quadriceps: str = QUADRICEPS,
 ) -> ClinicalIndices:
-    """The indices of a scene, on the host.
+    """Computes the clinical indices of a scene.
 
     Args:
-        scene: whose femur and tibia have x proximal, y lateral, z anterior. The femur's y axis stands for the posterior
-            condylar line.
-        flexion: of the knee at which TT-TG is taken [rad]; by default the least that was recorded.
-        level: of the axial section through the trochlea: 0 the groove's proximal end, 1 its distal end.
+        scene: scene whose femur and tibia have x proximal, y lateral, z anterior. The femur's y axis stands for the
+            posterior condylar line.
+        flexion: knee flexion at which TT-TG is measured [rad]; by default the smallest recorded.
+        level: position of the axial section through the trochlea: 0 the groove's proximal end, 1 its distal end.
         landmarks: points that are not part of a scene.
         tendon: name of the patellar tendon, whose origin is the tibial tuberosity.
         quadriceps: name of the quadriceps tendon.
 
     Raises:
-        InputError: a level outside 0 to 1, a flexion that was not recorded, landmarks that are no points.
+        InputError: a level outside 0 to 1, a flexion that was not recorded, landmarks that are not points.
     """
     if not 0 <= level <= 1:
         raise InputError(f"found {level!r}", where="level", expected="a number from 0 (proximal) to 1 (distal)")
@@ -160,7 +160,7 @@ def _tt_tg(
 
 
 def _tuberosity(scene: Scene, tendon: str, frame: int) -> Floats | str:
-    """The patellar tendon's origin (of strands: their middle) in the femur's frame, (3,); or why it is not known."""
+    """The patellar tendon's origin (mean over strands) in the femur's frame, (3,); or why it is not known."""
     try:
         element = line_element(scene, tendon, "clinical_indices", body="tibia")
         origin = _middle(element.origin_at(scene.motion.times[frame]))
@@ -170,7 +170,7 @@ def _tuberosity(scene: Scene, tendon: str, frame: int) -> Floats | str:
 
 
 def _q_angle(scene: Scene, known: Landmarks, tendon: str, quadriceps: str) -> ClinicalIndex:
-    """In the frontal plane at the first frame, at the scene's start pose of the patella."""
+    """Q-angle in the frontal plane at the first frame, with the patella at the scene's start pose."""
     if known.asis is not None:
         above, line = np.asarray(known.asis, dtype=np.float64), "from the anterior superior iliac spine"
     else:
@@ -208,7 +208,7 @@ def _sulcus_angle(cut: TrochlearSection) -> ClinicalIndex:
 
 
 def _inclination(cut: TrochlearSection) -> ClinicalIndex:
-    """Of the straight line nearest to the lateral facet, against the femur's medial-lateral axis in the section."""
+    """Inclination of the line nearest to the lateral facet from the femur's medial-lateral axis, in the section."""
     if cut.lateral_ridge is None:
         return ClinicalIndex(None, "deg", f"{cut.no_ridge()}; {cut.note}")
     facet = cut.lateral_facet - cut.lateral_facet.mean(axis=0)
@@ -227,14 +227,14 @@ def _at_start(scene: Scene) -> str:
 
 
 def _of_tibia(scene: Scene, point: Floats, frame: int) -> Floats:
-    """A point of the tibia in the femur's frame."""
+    """A point of the tibia frame (3,) in the femur's frame."""
     femur, tibia = scene.motion.frames(scene.motion.times[frame])
     world = tibia.point(Vec3(*point))
     return host_array(world if femur is None else femur.to_local(world))
 
 
 def _patella(scene: Scene, point: Vec3) -> Floats:
-    """A point of the patella in the femur's frame at the start pose."""
+    """A point of the patella frame in the femur's frame, at the start pose."""
     world = scene.start.apply(point)
     femur, _ = scene.motion.frames(scene.motion.times[0])
     return host_array(world if femur is None else femur.to_local(world))
@@ -246,9 +246,9 @@ def _middle(points: Vec3) -> Floats:
 
 @dataclass(frozen=True)
 class TrochlearSection:
-    """A cut across a trochlea, as on an axial scan: points of the femur's frame, (3,) each [m].
+    """A cut across a trochlea, as on an axial scan: points in the femur's frame, (3,) each [m].
 
-    A ridge is None where the surface still rises at its edge.
+    A ridge is None if the surface still rises at its edge.
     """
 
     bottom: Floats
@@ -260,15 +260,15 @@ class TrochlearSection:
     note: str
 
     def no_ridge(self) -> str:
-        """Which ridge is not there."""
+        """Which ridges are missing, in words."""
         sides = [s for s, r in (("medial", self.medial_ridge), ("lateral", self.lateral_ridge)) if r is None]
         return f"no {' and no '.join(sides)} ridge: the fitted surface still rises at its edge"
 
 
 def section(surface: Surface, level: float) -> TrochlearSection:
-    """The cut at one place along the groove, from 0, its proximal end, to 1, its distal one; at constant chart u.
+    """The section at a share of the groove's length from its proximal end, 0 to 1, at constant chart u.
 
-    InputError for a surface without a groove.
+    Raises InputError for a surface without a groove.
     """
     line = groove_line(surface)
     if line is None:
@@ -298,6 +298,6 @@ def section(surface: Surface, level: float) -> TrochlearSection:
 
 
 def _points(surface: Surface, u: Floats, v: Floats) -> Floats:
-    """(n, 3) on the surface, femur frame."""
+    """Points on the surface (n, 3), femur frame [m]."""
     a, b = jnp.asarray(u, dtype=float), jnp.asarray(v, dtype=float)
     return np.asarray(surface.chart.point(a, b, surface.jet(a, b).f).array(), dtype=np.float64)

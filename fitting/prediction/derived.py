@@ -1,4 +1,4 @@
-"""What follows from fitted parameters: any function of the scene, as uncertain as they are."""
+"""Quantities derived from fitted parameters: any function of the scene, with the parameters' uncertainty."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.model.scene import Scene, check
 
-_AT_ONCE = 256  # draws whose values are computed together
-_FAILED = 0.05  # share of draws that may give no finite number
+_AT_ONCE = 256  # draws computed in one batch
+_FAILED = 0.05  # largest share of draws that may give no finite number
 
 
 class Derived(NamedTuple):
-    """A number, or an array of them, that follows from fitted parameters.
+    """A number or array derived from fitted parameters.
 
     value: at the estimate's values (...).
-    draws: at parameters as uncertain as the estimate, of those that gave finite numbers (N, ...).
-    failed: how many did not.
-    doubts: what forbids to believe the estimate, and so this.
-    coverage: how often intervals of such estimates hold, in words.
+    draws: at draws from the estimate, those that gave finite numbers (N, ...).
+    failed: number of draws that did not.
+    doubts: about the estimate, which make this INVALID too.
+    coverage: measured coverage of intervals of such estimates, in words.
     """
 
     value: Floats
@@ -37,14 +37,14 @@ class Derived(NamedTuple):
 
     @property
     def standard_deviation(self) -> Floats:
-        """Of the draws (...)."""
+        """Standard deviation of the draws (...)."""
         return self.draws.std(axis=0, ddof=1)
 
     def interval(self, level: float = 0.95) -> Floats:
-        """Between which values the middle draws lie (2, ...).
+        """Central interval of the draws, lower and upper end (2, ...).
 
         Raises:
-            InputError: a level that is none.
+            InputError: a level outside 0 to 1.
         """
         if not 0 < level < 1:
             raise InputError(f"found {level!r}", where="level", expected="between 0 and 1")
@@ -54,19 +54,19 @@ class Derived(NamedTuple):
 def derived(
     estimate: Fitted, function: Callable[[Scene], Any], scene: Scene, samples: int = 2000, seed: int = 0
 ) -> Derived:
-    """What follows from an estimate's parameters: `derived(estimate, lambda s: s.get("K1") / s.get("K2"), scene)`.
+    """A function of fitted parameters with its uncertainty: `derived(estimate, lambda s: s.get("K1") ** 2, scene)`.
 
     Args:
-        estimate: `fitting.Estimate`, or another that `predict` takes.
-        function: of a scene, pure, that gives an array: a ratio, a tension, something of `pftwin.trajectory(scene)`
-            (whose status is yours to look at).
-        scene: that is given the fitted values.
-        samples: how many draws, at least 2.
+        estimate: a `fitting.Estimate`, or another that `predict` takes.
+        function: pure function of a scene that returns an array: a ratio, a tension, something of
+            `pftwin.trajectory(scene)` (whose status you must check yourself).
+        scene: scene to which the fitted values are applied.
+        samples: number of draws, at least 2.
         seed: of the draws.
 
     Raises:
-        InputError: too few samples; a scene that cannot have these values; a function that gives no finite numbers for
-            the estimate's values, or for more than a twentieth of the draws.
+        InputError: too few samples; a scene that cannot have these values; a function without finite numbers at the
+            estimate's values, or for more than a twentieth of the draws.
     """
     check_draws(samples, estimate)
     if samples < 2:
@@ -79,7 +79,7 @@ def derived(
         return jax.lax.map(lambda t: jnp.asarray(function(apply(scene, t))), thetas, batch_size=_AT_ONCE)
 
     thetas = estimate_and_draws(estimate, samples, seed)
-    padded = np.resize(thetas, (-(-len(thetas) // _AT_ONCE) * _AT_ONCE, thetas.shape[1]))  # a rest is compiled anew
+    padded = np.resize(thetas, (-(-len(thetas) // _AT_ONCE) * _AT_ONCE, thetas.shape[1]))  # avoids a second compilation
     found = np.asarray(computed(jnp.asarray(padded)))[: len(thetas)]
     finite = np.asarray(np.isfinite(found).reshape(len(found), -1).all(axis=1))
     failed = int((~finite[1:]).sum())

@@ -1,6 +1,6 @@
-"""Simulates members of a batch together: a compiled function of amounts, parameters and starts, run in chunks.
+"""Simulates variants in chunks: a compiled function of treatment amounts, parameters and start poses.
 
-Memory does not grow with the number of members: a chunk's trajectories are freed once its outcomes are computed.
+Memory does not grow with the number of variants: a chunk's trajectories are freed once its outcomes are computed.
 """
 
 from __future__ import annotations
@@ -30,49 +30,49 @@ from pftwin.dynamics.observe import observe_on_the_way
 from pftwin.dynamics.status import FLAGS, Status
 from pftwin.model.scene import Scene
 
-_NEAR = 48  # equilibria found from the scene's own start; all other searches start from the nearest of these
+_NEAR = 48  # equilibria found from the scene's own start pose; other searches start from the nearest of these
 _INTEGRATOR = BDF2()
-_FEWEST = 16  # least members of a chunk: fewer cost as much
+_FEWEST = 16  # smallest chunk: smaller ones take as long
 
 
 class Recipe(NamedTuple):
-    """How a member's scene is made from its numbers, and how it is run. Static fields are hashable, others arrays."""
+    """How a variant's scene is made from its numbers, and simulated. Static fields are hashable, others are arrays."""
 
     scene: Scene
     treatment: Treatment
-    fitted: Callable[[Scene, Any], Scene] | None  # puts parameters into the scene
+    fitted: Callable[[Scene, Any], Scene] | None  # sets parameters in the scene
     groove: Groove
-    substeps: Array  # () a traced number: one program for all steps
+    substeps: Array  # () traced, so that one program serves all step lengths
     threshold: float
     trajectories: bool
 
     def made(self, amounts: Array, theta: Array) -> Scene:
-        """The scene of one member: parameters first, then the treatment."""
+        """The scene of one variant: parameters first, then the treatment."""
         scene = self.scene if self.fitted is None else self.fitted(self.scene, theta)
         return self.treatment.with_values(list(amounts))(scene)
 
     def observed(self, scene: Scene, substeps: Array) -> tuple[CourseFrame, Array]:
-        """The member's observations (frames,) and their status."""
+        """The variant's observations (frames,) and their status."""
         options: Any = {"substeps": substeps, "integrator": _INTEGRATOR}
         seen, status, _ = observe_on_the_way(scene, lambda frame: CourseFrame.of(scene, frame), **options)
         return seen, status
 
     def course(self, scene: Scene) -> Course:
-        """The member's motion, with nothing said of its error."""
+        """The variant's motion, without an estimate of its error."""
         return course_of(scene, *self.observed(scene, self.substeps), self.groove)
 
 
 class Members(NamedTuple):
-    """Results of members, (n, ...) arrays on the host."""
+    """Results of variants, (n, ...) arrays on the host."""
 
     outcomes: dict[str, Floats]
     flags: NDArray[np.int64]  # (n, flags) frames with each of `FLAGS`
-    sensible: NDArray[np.bool_]  # whether the member's scene can be simulated at all
-    courses: dict[str, Floats]  # (n, frames, ...), where trajectories are wanted
+    sensible: NDArray[np.bool_]  # (n,) whether the scene is valid: all its values are possible
+    courses: dict[str, Floats]  # (n, frames, ...), if trajectories are requested
 
 
 def _member_outcomes(recipe: Recipe, a: Array, theta: Array, start: Pose) -> Any:
-    """A member's outcomes, of a motion that is flagged where its steps are too long."""
+    """Outcomes of one variant; its motion is flagged if the estimated error of its steps is too large."""
     scene = eqx.tree_at(lambda s: s.start, recipe.made(a, theta), start)
     (seen, status), error = run_with_error(
         lambda n: recipe.observed(scene, n), lambda found: found[0].compared(), recipe.substeps, _INTEGRATOR.order
@@ -93,7 +93,7 @@ def _member_outcomes(recipe: Recipe, a: Array, theta: Array, start: Pose) -> Any
 
 @eqx.filter_jit
 def _member_equilibria(recipe: Recipe, amounts: Array, thetas: Array) -> tuple[Pose, Array]:
-    """Equilibria from the scene's own start: poses of the patella's frame, and whether they are ones."""
+    """Equilibria from the scene's own start: poses of the patella's frame, and whether the searches converged."""
 
     def one(a: Array, theta: Array) -> tuple[Pose, Array]:
         scene = recipe.made(a, theta)
@@ -114,15 +114,15 @@ def run(
     fewest: int = _FEWEST,
     care: bool = False,
 ) -> Members:
-    """All members of amounts (n, k) and parameters (n, p). No member's failure stops the others.
+    """Simulates variants with amounts (n, k) and parameters (n, p). A failed variant does not stop the others.
 
-    With `care`, members whose estimated error is large are simulated again in a quarter of the step. A chunk holds up
-    to `chunk` members on each device; a study of fewer, as those that are simulated again, is one smaller chunk, filled
-    up to `fewest`: to compile takes longer than idle lanes do.
+    With `care`, variants whose estimated error is large are simulated again with a quarter of the step. A chunk holds
+    up to `chunk` variants per device; a smaller study, and a repetition, is one smaller chunk, padded to `fewest`, as
+    compiling another size takes longer than idle lanes.
     """
     recipe = recipe._replace(scene=recipe.scene.unnamed())
     chosen = chosen_devices(devices)
-    size = min(chunk, max(fewest, 1 << (len(amounts) - 1).bit_length()))  # few sizes, so that programs are shared
+    size = min(chunk, max(fewest, 1 << (len(amounts) - 1).bit_length()))  # powers of two, so that programs are reused
 
     def simulated(amounts: Floats, thetas: Floats, starts: Pose | None, progress: Any, recipe: Recipe) -> Members:
         n = len(amounts)
@@ -162,7 +162,7 @@ def _flagged(found: Members, flag: Status) -> NDArray[np.bool_]:
 
 
 def _starts(recipe: Recipe, amounts: Floats, thetas: Floats) -> Pose | None:
-    """For every member the pose from which to search for equilibrium, (n,); None: the scene's own."""
+    """For each variant the pose from which to search for equilibrium, (n,); None: the scene's own."""
     if len(amounts) <= _NEAR:
         return None
     points = np.concatenate([amounts, thetas], axis=1)
@@ -176,14 +176,14 @@ def _starts(recipe: Recipe, amounts: Floats, thetas: Floats) -> Pose | None:
     if not good.any():
         return None
     usable = good[: len(chosen)]
-    if not usable.all():  # no member starts from a search that failed
+    if not usable.all():  # no variant starts from a search that failed
         distance = np.stack([np.sum((points - points[i]) ** 2, axis=1) for i in chosen[usable]])
         nearest = np.flatnonzero(usable)[np.argmin(distance, axis=0)]
     return jax.tree.map(lambda a: a[nearest], poses)
 
 
 def _spread_out(points: Floats, count: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Up to `count` points far apart by farthest-first traversal (Gonzalez 1985), and the nearest one to each point."""
+    """Up to `count` points far apart by farthest-first traversal (Gonzalez 1985), and the nearest of them to each."""
     chosen, nearest = [0], np.zeros(len(points), dtype=np.int64)
     distance = np.sum((points - points[0]) ** 2, axis=1)
     while len(chosen) < min(count, len(points)) and distance.max(initial=0.0) > 0:

@@ -1,7 +1,7 @@
-"""A fitted knee in a recording, with bands, beside what was measured there.
+"""Predicts the motion of a fitted knee in a recording, with bands, and compares it with the measurements.
 
-A band holds what the estimate does not know, by draws, each widened by a normal error with the root mean square of what
-the fit left of the same coordinate. It knows nothing of what this recording alone has, such as another load.
+A band covers the estimate's uncertainty, by draws, and a normal error added to each draw whose standard deviation is
+the fit's rms residual of the same coordinate. It does not cover what only this recording has, such as another load.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from pftwin.model.scene import Scene, check
 from pftwin.model.scene_parameters import find
 from pftwin.results.verdict import INVALID, Verdict, is_invalid, verdict_of_counts
 
-_QUANTILES = 401  # of the normal error that widens each draw
+_QUANTILES = 401  # of the normal error that is added to each draw
 
 
 def predict_motion(
@@ -44,23 +44,22 @@ def predict_motion(
     dt: float | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> PredictedMotion:
-    """The motion of a fitted knee, with bands for what will be measured of it.
+    """Predicts the motion of a fitted knee, with bands for its measurement.
 
     Args:
-        scene: nominal, in the recording that is predicted.
-        estimate: of the same knee, in this recording or another.
-        measured: what was measured there, at the scene's frames; frames of weight 0 are not compared. By default what
-            the scene carries.
+        scene: nominal scene with the motion of the recording to predict.
+        estimate: estimate of the same knee, from this recording or another.
+        measured: measurements at the scene's frames; frames of weight 0 are not compared. By default the scene's own.
         samples: draws from the estimate.
         seed: of the draws.
-        values: numbers of the scene that are other in this recording, by name: what they are, or between what they lie.
-        dt: as `pftwin.simulate_batch` has it.
+        values: parameters of the scene that differ in this recording, by name: a value, or a range (low, high).
+        dt: as in `pftwin.simulate_batch`.
         progress: called with the number of motions done and of all.
 
     Raises:
-        InputError: a scene without the estimate's parameters; an estimate of which nothing of position and orientation
-            is known; no draws; measurements at other times; values of unknown numbers, of fitted ones by another name
-            than the fit's, or outside of what they can be.
+        InputError: a scene without the estimate's parameters; an estimate without residuals of position and
+            orientation; no draws; measurements at other times; values of unknown parameters, of fitted ones by another
+            name than the fit's, or out of range.
     """
     check_draws(samples, estimate)
     if samples < 1:
@@ -98,7 +97,7 @@ def predict_motion(
 
 
 def _left_of(estimate: Estimate) -> Floats:
-    """Root mean squares (6,) of what the fit left of each coordinate, in its unit; InputError if they were not."""
+    """Fit's rms residual of each coordinate (6,), in its unit. Raises InputError if they are not known."""
     rmse = estimate.rmse
     if missing := {*"XYZ", *TURNS} - rmse.keys():
         if {POSITION, ORIENTATION} <= {*estimate.channels}:
@@ -120,7 +119,7 @@ def _with_values(
     values: Mapping[str, float | tuple[float, float]],
     random: np.random.Generator,
 ) -> tuple[Scene, Floats]:
-    """The scene, and parameters (n, p), with other values; those between two numbers are drawn evenly."""
+    """The scene, and parameters (n, p), with other values; ranges are drawn uniformly."""
     names = estimate.names[: estimate.shared]
     fitted = [find(scene, name)[0] for name in names]
     for name, given in values.items():
@@ -134,7 +133,7 @@ def _with_values(
                 raise InputError(found, where=name, expected=expected)
             if same:
                 k = same[0]
-                if names[k] in estimate.coordinates:  # applied as what is added to the scene's own
+                if names[k] in estimate.coordinates:  # applied as an offset from the scene's own coordinate
                     shift = dict(zip(names, estimate.nominal, strict=False))[names[k]] - float(place.read(scene))
                     low, high = low + shift, high + shift
                 drawn = random.uniform(low, high, len(thetas)) if low < high else np.full(len(thetas), low)
@@ -148,21 +147,21 @@ def _with_values(
 
 
 def _coordinates(center: Floats, quaternion: Floats) -> Floats:
-    """(..., n, 6) in their units, of centres (..., n, 3) [m] and quaternions (..., n, 4)."""
+    """Coordinates (..., n, 6) in their units, from centres (..., n, 3) [m] and quaternions (..., n, 4)."""
     angles = patellar_angles(Quaternion(*np.moveaxis(quaternion, -1, 0)))
     turns = np.degrees(np.stack([getattr(angles, name) for name in list(COORDINATES)[3:]], axis=-1))
     return np.concatenate([1e3 * center, turns], axis=-1)
 
 
 def _beside(path: Floats, values: Floats) -> Floats:
-    """The same values (..., n, 6), with angles within half a turn of a path's."""
+    """The same values (..., n, 6), with angles unwrapped to within 180 deg of a path's."""
     off = values - path
     off[..., 3:] = (off[..., 3:] + 180) % 360 - 180
     return path + off
 
 
 def _band(paths: Floats, path: Floats, left: Floats) -> tuple[Floats, Floats]:
-    """Both ends (n, 6) of draws (k, n, 6) beside the estimate's path, each widened by an error; NaN without draws."""
+    """Ends (n, 6) of the band of draws (k, n, 6) about the estimate's path, with the error added; NaN without draws."""
     if not len(paths):
         return np.full_like(path, np.nan), np.full_like(path, np.nan)
     errors = ndtri((np.arange(_QUANTILES) + 0.5) / _QUANTILES)[:, None] * left
@@ -174,7 +173,7 @@ def _band(paths: Floats, path: Floats, left: Floats) -> tuple[Floats, Floats]:
 
 
 def _seen(measured: Measured | None, path: Floats) -> tuple[Floats | None, NDArray[np.bool_]]:
-    """What was measured (n, 6), and which frames are compared (n,)."""
+    """Measured coordinates (n, 6), and which frames are compared (n,)."""
     if measured is None:
         return None, np.zeros(len(path), bool)
     turns = np.full((len(path), 4), np.nan) if measured.quaternion is None else measured.quaternion

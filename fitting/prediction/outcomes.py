@@ -1,7 +1,7 @@
-"""Outcome measures by which a treatment is judged: one number each, of one simulated motion or of many.
+"""Outcome measures of treatments: scalars computed from a simulated motion.
 
 They are written in JAX, so they can be mapped over variants and, where they are smooth, differentiated. Dislocation is
-as `pftwin.results.tracking` has it: the button's centre farther than a threshold from the bottom of its groove.
+defined as in `pftwin.results.tracking`: the button's centre is farther than a threshold from the groove's bottom.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def groove_surface(scene: Scene) -> Surface:
     """The surface that defines a scene's groove.
 
     Raises:
-        InputError: a scene without contact between button and trochlea, or with meshes alone.
+        InputError: for a scene without contact between button and trochlea, or with meshes alone.
     """
     if scene.surface is None:
         found = "no contact between a button and a trochlea"
@@ -50,10 +50,10 @@ class Groove(NamedTuple):
 
     @staticmethod
     def of(scene: Scene) -> Groove:
-        """The groove of a scene, on the host; for a surface without one, its middle.
+        """The groove of a scene, on the host; for a surface without one, its middle line.
 
         Raises:
-            InputError: a scene without contact between button and trochlea.
+            InputError: for a scene without contact between button and trochlea.
         """
         surface = groove_surface(scene)
         line = groove_line(surface)
@@ -72,12 +72,12 @@ class Course(NamedTuple):
     tilt: Array  # of the patella, lateral positive [rad]
     shift: Array  # of the button's centre in the femur, lateral positive [m]
     force: tuple[Array, Array]  # on the medial and the lateral facet [N]
-    point: tuple[Array, Array]  # (n, 3) of contact on each, femur frame [m]; NaN where nothing touches
+    point: tuple[Array, Array]  # (n, 3) contact point on each facet, femur frame [m]; NaN without contact
     status: Array  # bits of `pftwin.Status`
 
 
 class CourseFrame(NamedTuple):
-    """Quantities of one frame or of all (leading axis n) from which a `Course` is made; forces and points as there."""
+    """Quantities of one frame or all (leading axis n) from which a `Course` is made; forces and points as there."""
 
     center: Vec3  # of the button, femur frame [m]
     orientation: Quaternion  # of the patella in the femur
@@ -87,7 +87,7 @@ class CourseFrame(NamedTuple):
 
     @staticmethod
     def of(scene: Scene, seen: Observation) -> CourseFrame:
-        """The frame of a state of a scene with contact."""
+        """The frame of one observation of a scene with contact."""
         contact = scene.contact
         assert contact is not None
         report = seen.effects[contact.name]
@@ -96,12 +96,12 @@ class CourseFrame(NamedTuple):
         return CourseFrame(seen.center, seen.patella.orientation, force, point, total)
 
     def compared(self) -> ComparedCourse:
-        """What an estimate of the error of steps compares, of all frames."""
+        """The quantities that the estimate of the time steps' error compares, for all frames."""
         return ComparedCourse(self.center.array(), self.orientation.array(), self.total.array(), *self.force)
 
 
 def course_of(scene: Scene, seen: CourseFrame, status: Array, groove: Groove) -> Course:
-    """The course over all frames, from their observations and status (n,). Pure."""
+    """The course from observations and status (n,) of all frames. Pure."""
     motion, chart = scene.motion, groove_surface(scene).chart
     u, v = chart.foot(chart.to_frame(seen.center))
     return Course(
@@ -117,7 +117,7 @@ def course_of(scene: Scene, seen: CourseFrame, status: Array, groove: Groove) ->
 
 
 def dislocated(offset: Array, threshold: float = DISLOCATED) -> Array:
-    """Frame by frame, whether the button has left its groove (n,), as `find_dislocations` has it."""
+    """Whether the button has left its groove, for each frame (n,); defined as in `find_dislocations`."""
 
     def look(out: Array, far: Array) -> tuple[Array, Array]:
         out = jnp.where(out, ~(far < RE_ENGAGED * threshold), far > threshold)
@@ -127,7 +127,7 @@ def dislocated(offset: Array, threshold: float = DISLOCATED) -> Array:
 
 
 def center_of_pressure(at: Course) -> Array:
-    """(n, 3) in the femur frame [m]; NaN where nothing touches."""
+    """Centre of pressure (n, 3) in the femur frame [m]; NaN without contact."""
     (medial, lateral), total = at.force, at.force[0] + at.force[1]
     loaded = total > 0
     weights = (f / jnp.where(loaded, total, 1.0) for f in (medial, lateral))
@@ -173,13 +173,12 @@ MEASURES = {
 
 
 def measure(at: Course, threshold: float = DISLOCATED) -> dict[str, Scalar]:
-    """The outcomes in `MEASURES`, SI. Pure; NaN, all of them, of a motion that may not be spoken of.
+    """Computes the outcomes in `MEASURES`, SI units. Pure; all NaN for a motion that `pftwin.results.verdict` calls
+    INVALID.
 
-    Whether it may is for `pftwin.results.verdict` to say.
-
-    Forces and their centre are taken as running medians over five frames, since at long steps contact rattles in single
-    frames where it slides. On the rig's case 1 the largest force is 20.7 N at 1 ms, with medians or without; at 2.5 ms
-    22.0 N without and 21.2 N with them; at 5 ms 31.6 N and 25.9 N, single frames being off by up to 90 %.
+    Forces and their centre are running medians over five frames, since with long steps the contact rattles in single
+    frames while sliding. On the rig's case 1 the largest force is 20.7 N at 1 ms, with medians or without; at 2.5 ms
+    22.0 N without and 21.2 N with them; at 5 ms 31.6 N and 25.9 N, with errors of up to 90 % in single frames.
 
     Times, flexions and the number of dislocations jump as amounts change; the others change continuously while the
     patella tracks.
@@ -239,9 +238,9 @@ def _load(at: Course) -> dict[str, Scalar]:
 
 
 def running_median(values: Array) -> Array:
-    """Over five neighbouring frames, (n,); the first and the last frame are repeated beyond the ends.
+    """Running median over five neighbouring frames, (n,); the first and last values are repeated beyond the ends.
 
-    By comparisons: a sort of so few costs ten times as much. NaN spreads to the neighbours.
+    Computed by comparisons: sorting so few values takes ten times as long. NaN spreads to the neighbours.
     """
     n = values.shape[0]
     padded = jnp.concatenate([values[:1], values[:1], values, values[-1:], values[-1:]])
@@ -271,14 +270,14 @@ _measured = eqx.filter_jit(measure)
 
 
 def outcomes(result: Result, threshold: float = DISLOCATED) -> dict[str, float]:
-    """The outcomes of one run by name, SI; see `MEASURES`.
+    """Computes the outcomes of one run by name, SI units; see `MEASURES`.
 
     Args:
-        result: of `pftwin.simulate`, of a scene with a button and a trochlea.
+        result: result of `pftwin.simulate`, of a scene with a button and a trochlea.
         threshold: distance from the groove's bottom beyond which the button counts as dislocated [m].
 
     Raises:
-        InputError: a result without contact.
+        InputError: for a result without contact.
     """
     if result.contact is None or result.groove is None:
         raise InputError("no contact between a button and a trochlea", where=result.scene_name)

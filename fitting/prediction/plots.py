@@ -1,4 +1,4 @@
-"""A prediction in figures and words."""
+"""A prediction as figures, tables and sentences."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from xarray import DataArray, Dataset
 
 BAND = (0.025, 0.975)  # quantiles over samples: 95 %
-MOST_FAILED = 0.1  # share of the draws without a motion beyond which a band is not to be believed
+MOST_FAILED = 0.1  # share of failed draws beyond which a band must not be used
 PANELS = (
     ("largest_offset", 1e3, "off the groove's bottom, largest [mm]"),
     ("peak_contact_force", 1.0, "contact force, peak [N]"),
@@ -33,22 +33,22 @@ _MOST_LINES = 6
 
 
 def central_and_range(values: DataArray) -> tuple[Floats, Floats, Floats]:
-    """Of an outcome over variants: sample 0, and the 2.5 and 97.5 % quantiles over all samples that did not fail.
+    """Values of an outcome over variants: sample 0, and the 2.5 and 97.5 % quantiles over the draws that did not fail.
 
-    Quantiles are NaN where there are no samples.
+    Quantiles are NaN if there are no draws.
     """
     if "sample" not in values.dims:
         none = np.full(values.shape, np.nan)
         return np.asarray(values.values, dtype=np.float64), none, none
     drawn = values.isel(sample=slice(1, None))
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", RuntimeWarning)  # no band where no draw has a value
+        warnings.simplefilter("ignore", RuntimeWarning)  # of variants without any value
         low, high = np.nanquantile(drawn.values, BAND, axis=drawn.get_axis_num("sample"))
     return values.isel(sample=0).values, low, high
 
 
 def amount_names(data: Dataset) -> list[str]:
-    """The amounts that vary, in their order; all of them where none does."""
+    """The amounts that vary, in order; all of them if none does."""
     names = _amounts(data)
     return [n for n in names if np.ptp(data[n].values) > 0] or names
 
@@ -59,31 +59,31 @@ def _amounts(data: Dataset) -> list[str]:
 
 
 def _by_estimate(data: Dataset) -> Dataset:
-    """The prediction without the draws."""
+    """The prediction at the estimate, without the draws."""
     return data.isel(sample=0) if "sample" in data.dims else data
 
 
 def short_name(data: Dataset, name: str) -> str:
-    """An amount's name, without the treatment's where that is unambiguous."""
+    """An amount's name, without the treatment's if that is unambiguous."""
     short = name.rpartition("_")[2]
     alike = [n for n in amount_names(data) if n.endswith(f"_{short}")]
     return short if len(alike) == 1 else name.replace("_", " ")
 
 
 def in_shown_unit(data: Dataset, name: str) -> tuple[Floats, str]:
-    """An amount in the unit shown to readers, and that unit: lengths in millimetres, shares in percent."""
+    """An amount in the unit shown to readers, and that unit: lengths in mm, shares in percent."""
     values, unit = data[name].values, data[name].attrs["units"]
     scale, unit = as_read(unit, percent=True)
     return scale * values, unit
 
 
 def outcome_figure(data: Dataset, title: str | None = None, *, axes: Any = None) -> Figure:
-    """Four outcomes against the first amount that varies; a line for each combination of the others and scenes.
+    """Draws four outcomes against the first amount that varies; a line for each combination of other amounts and scene.
 
     Args:
-        data: of `fitting.predict`.
-        title: in the place of the prediction's own.
-        axes: four, to draw into; by default a new figure.
+        data: result of `fitting.predict`.
+        title: replaces the prediction's own title.
+        axes: four axes to draw into; by default a new figure.
 
     Raises:
         InputError: a prediction in which no amount varies; another number of axes.
@@ -130,7 +130,7 @@ def _note(data: Dataset) -> str:
 
 
 def _lines(data: Dataset, names: list[str]) -> list[tuple[str, NDArray[np.int64]]]:
-    """Rows of each line, by the scene and the amounts that they share: all but the first."""
+    """Label and rows of each line: variants that share the scene and all amounts but the first."""
     others = {n: in_shown_unit(data, n) for n in names[1:]}
     scenes = list(dict.fromkeys(data["scene"].values))
     kept = []
@@ -142,7 +142,7 @@ def _lines(data: Dataset, names: list[str]) -> list[tuple[str, NDArray[np.int64]
             said = [f"{n.rpartition('_')[2]} {shown[same][0]:g} {unit}" for n, (shown, unit) in others.items()]
             label = ", ".join([str(scene), *said] if len(scenes) > 1 else said) or str(scene)
             kept.append((label, np.flatnonzero(same)))
-    if len(kept) > _MOST_LINES:  # a few throughout the range
+    if len(kept) > _MOST_LINES:  # a few, spread over the range
         kept = [kept[i] for i in np.linspace(0, len(kept) - 1, _MOST_LINES).round().astype(int)]
     return kept
 
@@ -173,7 +173,7 @@ _COLUMNS = (
 
 
 def outcome_sheet(data: Dataset, most: int) -> Sheet:
-    """A row for each variant, at most so many; with samples, each outcome with its 95 % band."""
+    """A table of the first variants; with draws, each outcome has its 95 % band."""
     names = amount_names(data)
     headings = [f"{short_name(data, n)} [{in_shown_unit(data, n)[1]}]" for n in names]
     several = len(set(data["scene"].values)) > 1
@@ -199,7 +199,7 @@ def _band(found: tuple[Floats, Floats, Floats], i: int, form: str) -> str:
 
 
 def _dislocation(data: Dataset, i: int) -> str:
-    """Whether and when the patella leaves its groove, and in how many of the draws."""
+    """Whether and when the patella leaves its groove, and in which share of the draws."""
     one = data.isel(variant=i)
     first = _by_estimate(one)
     if bool(first["failed"]):
@@ -220,7 +220,7 @@ def _dislocation(data: Dataset, i: int) -> str:
 
 
 def main_finding(data: Dataset) -> str:
-    """The main finding, in a sentence or two; it begins with "INVALID" where motions may not be spoken of."""
+    """The main finding, in a sentence or two; it begins with "INVALID" if motions must not be interpreted."""
     first = _by_estimate(data)
     failed, out = first["failed"].values, first["dislocations"].values > 0
     fine = ~failed & ~out
@@ -254,7 +254,7 @@ def _one_sign(amounts: Floats) -> bool:
 
 
 def invalid_variants(data: Dataset) -> str:
-    """How many variants have motions that may not be spoken of, and why the first; empty where all may be."""
+    """How many variants have an INVALID motion, and why the first; empty if none."""
     failed = _by_estimate(data)["failed"].values
     if not failed.any():
         return ""
@@ -263,7 +263,7 @@ def invalid_variants(data: Dataset) -> str:
 
 
 def draws_failed(data: Dataset) -> NDArray[np.int64]:
-    """How many draws of each variant have no motion that may be spoken of, (variants,); bands are of the others."""
+    """Number of draws of each variant with an INVALID motion, (variants,); bands are of the others."""
     failed = data["failed"]
     if "sample" not in failed.dims:
         return np.zeros(data.sizes["variant"], dtype=np.int64)
@@ -271,7 +271,7 @@ def draws_failed(data: Dataset) -> NDArray[np.int64]:
 
 
 def narrow_bands(data: Dataset) -> str:
-    """That of some variant too many draws failed for its band to be believed; empty where of none."""
+    """A sentence if too many draws of a variant failed for its band to be used; otherwise empty."""
     lost, draws = draws_failed(data), data.sizes.get("sample", 1) - 1
     few = lost > MOST_FAILED * draws
     if not few.any():
@@ -281,12 +281,12 @@ def narrow_bands(data: Dataset) -> str:
 
 
 def coverage_in(data: Dataset) -> str:
-    """How often its bands hold, in words."""
+    """Measured coverage of the prediction's bands, in words."""
     return str(data.attrs.get("coverage", NOT_KNOWN.bands))
 
 
 def facts(data: Dataset) -> dict[str, Any]:
-    """Plain values for JSON: per variant its treatment, amounts (SI units and degrees) and outcomes."""
+    """Plain values for JSON: treatment, amounts (SI units and degrees) and outcomes of each variant."""
     first, amounts = _by_estimate(data), _amounts(data)
     outcomes = [str(n) for n, v in first.data_vars.items() if v.dims == ("variant",)]
     units = {n: str(data[n].attrs["units"]) for n in [*amounts, *outcomes]}
@@ -303,7 +303,7 @@ def facts(data: Dataset) -> dict[str, Any]:
 
 
 def _trust(frames: DataArray) -> dict[str, Any]:
-    """As `pftwin.dynamics.status.status_facts`, by the flags that the data itself names: other versions have others."""
+    """As `pftwin.dynamics.status.status_facts`, with the flags that the data name: other versions have others."""
     counts = {str(name): int(n) for name, n in zip(frames["flag"].values, frames.values, strict=True)}
     words = [str(w) for w, n in zip(frames.attrs["flags"], counts.values(), strict=True) if n]
     return {"status": "; ".join(words) or "ok", "status_frames": counts}

@@ -1,4 +1,4 @@
-"""What is told of a predicted motion: its bands, and what was measured beside them."""
+"""`PredictedMotion`: a predicted motion with bands, compared with measurements."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from xarray import Dataset
 
-LEVEL = 0.9  # of bands
+LEVEL = 0.9  # nominal coverage of bands
 COORDINATES = {  # unit, meaning
     "x": ("mm", "centre, proximal"),
     "y": ("mm", "centre, lateral"),
@@ -27,14 +27,14 @@ COORDINATES = {  # unit, meaning
 
 @dataclass(frozen=True, eq=False)
 class PredictedMotion:
-    """Of n frames and the six `COORDINATES`, in their units.
+    """Predicted motion over n frames, as the six `COORDINATES` in their units.
 
     times: (n,) [s].
-    value, low, high: (n, 6) of the estimate itself, and the band's ends.
-    measured: (n, 6), NaN where it was not; None where nothing was.
-    compared: (n,) frames that are held against the measurements.
-    verdict: on the motion of the estimate, "valid" or "INVALID: ...".
-    notes: what qualifies the bands.
+    value, low, high: (n, 6) the estimate's own motion, and the band's ends.
+    measured: (n, 6), NaN where not measured; None if nothing was.
+    compared: (n,) whether the frame is compared with the measurements.
+    verdict: on the estimate's motion, "valid" or "INVALID: ...".
+    notes: qualify the bands.
     label: of the measurements in figures.
     """
 
@@ -51,7 +51,7 @@ class PredictedMotion:
 
     @property
     def errors(self) -> dict[str, float]:
-        """Root mean square errors of the coordinates, and the mean distance, over the frames compared; else none."""
+        """RMS error of each coordinate and mean distance, over the compared frames; empty if there are none."""
         if self.measured is None or not self.compared.any():
             return {}
         off = (self.value - self.measured)[self.compared]
@@ -62,7 +62,7 @@ class PredictedMotion:
 
     @property
     def held(self) -> dict[str, float]:
-        """The share of the frames compared whose measurement lies in the band, by coordinate."""
+        """Share of the compared frames whose measurement lies within the band, by coordinate."""
         if self.measured is None:
             return {}
         seen, low, high = (a[self.compared] for a in (self.measured, self.low, self.high))
@@ -71,11 +71,11 @@ class PredictedMotion:
 
     @property
     def all_held(self) -> float | None:
-        """The mean of these over the coordinates."""
+        """Mean of `held` over the coordinates; None if nothing was compared."""
         return float(np.mean(list(self.held.values()))) if self.held else None
 
     def sentence(self) -> str:
-        """What came out."""
+        """The result in a sentence."""
         if self.verdict != "valid":
             return self.verdict
         if not self.errors:
@@ -94,7 +94,7 @@ class PredictedMotion:
         return {**told, "errors": self.errors, "held": self.held, "sentence": self.sentence()}
 
     def rows(self) -> list[tuple[str, str, str, str]]:
-        """Coordinate, unit, root mean square error, share of frames that the band holds."""
+        """Coordinate, unit, RMS error, share of frames whose measurement lies within the band."""
         return [
             (meaning, unit, f"{self.errors[name]:.2f}", f"{100 * self.held[name]:.0f} %")
             for name, (unit, meaning) in COORDINATES.items()
@@ -102,7 +102,7 @@ class PredictedMotion:
         ]
 
     def dataset(self) -> Dataset:
-        """Everything, over time and coordinate."""
+        """All values as a dataset over time and coordinate."""
         from xarray import Dataset
 
         axes = ("time", "coordinate")
@@ -120,8 +120,8 @@ class PredictedMotion:
         return Dataset(variables, coordinates, {**about, "note": "; ".join(self.notes)})
 
     def figure(self) -> Figure:
-        """Six panels over time: the band, the estimate's motion, and what was measured; frames that are not compared
-        stand on grey."""
+        """Six panels over time: band, the estimate's motion and the measurements; frames that are not compared have
+        a grey background."""
         from pftwin.results.plots import style
 
         with style.house_style():
@@ -143,7 +143,7 @@ class PredictedMotion:
         return figure
 
     def _not_compared(self) -> list[tuple[float, float]]:
-        """Spans of time, where other frames are compared."""
+        """Spans of time that are not compared, if other frames are."""
         if not self.compared.any():
             return []
         edges = np.flatnonzero(np.diff(np.concatenate([[0], (~self.compared).astype(int), [0]])))

@@ -1,4 +1,4 @@
-"""Predicts outcomes of treatments, in one batch, and propagates an estimate's uncertainty to them."""
+"""`predict`: simulates treatments in one batch, and propagates an estimate's uncertainty to their outcomes."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ from pftwin.results.verdict import Verdict, is_invalid, verdict_of_counts
 if TYPE_CHECKING:
     from xarray import Dataset
 
-STEP = 5e-4  # [s]; how good it is: docs/accuracy.md
-CHUNK = 256  # members for which a step of the whole chunk stays in a core's cache
-_COURSE_LIMIT = 4096  # members whose trajectories are kept: some 50 MB per thousand
+STEP = 5e-4  # [s]; for its accuracy see docs/accuracy.md
+CHUNK = 256  # variants for which one step of the whole chunk stays in a core's cache
+_COURSE_LIMIT = 4096  # most variants whose trajectories are stored: some 50 MB per thousand
 
 
 class Fitted(Protocol):
-    """The part of an estimate that a prediction needs; `fitting.Estimate` has it. Your own inherits from it."""
+    """The part of `fitting.Estimate` that a prediction needs. An estimate class of your own inherits from it."""
 
     names: tuple[str, ...]
     units: tuple[str, ...]
@@ -43,36 +43,36 @@ class Fitted(Protocol):
 
     @property
     def apply(self) -> Callable[..., Scene]:
-        """A function of a scene, and optionally of other values (p,), that gives the scene with them."""
+        """A function of a scene, and optionally of other values (p,), that returns the scene with them."""
         ...
 
     def samples(self, count: int, seed: int = 0) -> Floats:
-        """Parameters (count, p) as uncertain as the estimate."""
+        """Parameters (count, p) drawn from the estimate's uncertainty."""
         ...
 
     @property
     def kinds(self) -> tuple[str, ...]:
-        """What each parameter was fitted as: `fitting.parameters.ASKED`, or what nuisance it is; or nothing."""
+        """Kind of each parameter: `fitting.parameters.ASKED`, or the kind of nuisance; may be empty."""
         return ()
 
     @property
     def coverage(self) -> Coverage:
-        """How often intervals, bands and plans from it hold, in words."""
+        """Measured coverage of intervals, bands and plans from such estimates, in words."""
         return NOT_KNOWN
 
     @property
     def synthetic(self) -> bool:
-        """Whether what it was fitted to is."""
+        """Whether the measurements that it was fitted to are synthetic."""
         return False
 
     @property
     def source(self) -> str:
-        """What it was fitted to."""
+        """Source of the measurements that it was fitted to."""
         return ""
 
     @property
     def doubts(self) -> Sequence[str]:
-        """What forbids to believe it."""
+        """Reasons to distrust it; any makes it INVALID."""
         return ()
 
 
@@ -90,7 +90,7 @@ def predict(
     devices: Devices = "all",
     progress: Callable[[int, int], None] | None = None,
 ) -> Dataset:
-    """Outcomes of treatments.
+    """Predicts outcomes of treatments.
 
         predict(scene, grid("tibial_tuberosity_transfer", medialisation=np.linspace(0, 0.02, 21)), estimate, samples=50)
 
@@ -98,16 +98,16 @@ def predict(
         scenes: untreated, with nominal parameters; every scene is combined with every variant.
         variants: a treatment, a grid of one (`fitting.prediction.variants.grid`), or a list of any of these; None: no
             treatment.
-        estimate: parameters that take the place of the scenes' own before any treatment.
-        samples: draws from the estimate's uncertainty, besides the estimate itself. All variants see the same draws.
+        estimate: parameters that replace the scenes' own before any treatment.
+        samples: draws from the estimate's uncertainty, in addition to the estimate itself; the same for all variants.
         seed: of the draws.
-        dt: longest time step [s], which is then kept. By default 0.5 ms, and a quarter of that for members whose
-            estimated error is large even so.
+        dt: longest time step [s], then used for all. By default 0.5 ms, and a quarter of that where the estimated error
+            is too large.
         threshold: distance from the groove's bottom beyond which the button counts as dislocated [m].
-        trajectories: whether the dataset holds paths, tilt and facet forces over time as well.
-        chunk: most members that are simulated together on a device; it bounds the memory, not the answer.
-        devices: over which members are laid, as `pftwin.simulate_batch` has them.
-        progress: called with the number of members done and of all.
+        trajectories: whether the dataset also contains paths, tilt and facet forces over time.
+        chunk: most variants simulated together on a device; it limits the memory, and does not change the results.
+        devices: over which variants are distributed, as in `pftwin.simulate_batch`.
+        progress: called with the number of simulations done and of all.
 
     Returns:
         A dataset over `variant` (and `sample`, of which 0 is the estimate itself), in SI units and degrees, with the
@@ -116,7 +116,7 @@ def predict(
         A scene whose untreated motion is INVALID as it starts (`pftwin.simulate` says so) has no valid variant.
 
     Raises:
-        InputError: no scene or treatment; a scene without what is to be changed or estimated; samples without an
+        InputError: no scene or treatment; a scene that lacks what is to be changed or estimated; samples without an
             estimate; numbers out of range.
     """
     given = [scenes] if isinstance(scenes, Scene) else list(scenes)
@@ -168,7 +168,7 @@ def untrusted_start(scene: Scene) -> tuple[str, ...]:
 
 
 def estimate_and_draws(estimate: Fitted | None, samples: int, seed: int) -> Floats:
-    """(1 + samples, p): the estimate, then draws."""
+    """The estimate's values, then draws (1 + samples, p)."""
     if estimate is None:
         return np.zeros((1, 0))
     values = np.asarray(estimate.values, dtype=np.float64)
@@ -177,7 +177,7 @@ def estimate_and_draws(estimate: Fitted | None, samples: int, seed: int) -> Floa
 
 
 def reservations(estimate: Fitted | None, synthetic: bool) -> list[str]:
-    """What is to be said beside whatever is predicted: doubts about the estimate, and what is synthetic."""
+    """Caveats of any prediction: doubts about the estimate, and which data are synthetic."""
     said = [] if estimate is None else [f"INVALID estimate: {doubt}" for doubt in estimate.doubts]
     said += [SYNTHETIC] if synthetic else []
     learned = estimate is not None and estimate.synthetic
@@ -185,7 +185,7 @@ def reservations(estimate: Fitted | None, synthetic: bool) -> list[str]:
 
 
 def check_draws(samples: int, estimate: Fitted | None) -> None:
-    """Refuses a number of draws that is no whole number, and draws without an estimate (InputError)."""
+    """Raises InputError for an invalid number of draws, or for draws without an estimate."""
     if not (isinstance(samples, int) and samples >= 0):
         raise InputError(f"found {samples!r}", where="samples", expected="a whole number, at least 0")
     if samples and estimate is None:
@@ -259,12 +259,12 @@ def dataset(
 
 
 def _named(axes: tuple[str, ...], values: Any, long_name: str, unit: str = "", **more: Any) -> Any:
-    """A variable with its meaning, and its unit where it has one."""
+    """A variable with its meaning, and its unit if it has one."""
     return axes, values, {**({"units": unit} if unit else {}), "long_name": long_name, **more}
 
 
 def _coordinates(batches: list[VariantBatch], order: NDArray[np.int64], count: int, timed: bool) -> Variables:
-    """The variant axis: number, scene, words, and each amount; 0 where a variant's treatment has no such amount."""
+    """The variant axis: number, scene, words, and each amount; 0 if a variant's treatment has no such amount."""
     words, scenes = [], []
     amounts: dict[str, tuple[NDArray[np.float64], str]] = {}
     for batch in batches:
@@ -298,7 +298,7 @@ def _verdicts(found: Members, frames: int, why: tuple[str, ...], many: int) -> l
 
 
 def _shown(values: NDArray[Any], unit: str) -> tuple[NDArray[Any], str]:
-    """Angles in degrees, all else unchanged."""
+    """Converts angles to degrees; all else is unchanged."""
     return (_DEGREES * values, "deg") if unit == "rad" else (values, unit)
 
 

@@ -1,4 +1,4 @@
-"""Many variants of a treatment: grids over its amounts, and lists of treatments put together into batches."""
+"""Many variants of a treatment: grids over its amounts, and batches of treatments of the same form."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ class VariantBatch(NamedTuple):
 
     scene: Scene
     treatment: Treatment  # prepared for the scene; its own amounts do not matter
-    amounts: Floats  # (n, k), SI, in the order of the treatment's names
-    places: NDArray[np.int64]  # (n,) of each in the whole study
+    amounts: Floats  # (n, k), SI units, in the order of the treatment's names
+    places: NDArray[np.int64]  # (n,) index of each in the whole study
 
 
 def grid(treatment: str | Treatment, amounts: Mapping[str, ArrayLike] | None = None, /, **more: ArrayLike) -> Treatment:
-    """One treatment with all combinations of amounts: a batch, the last amount varying fastest.
+    """One treatment with all combinations of amounts as a batch, the last amount varying fastest.
 
         grid("tibial_tuberosity_transfer", medialisation=np.linspace(0, 0.020, 21), distalisation=[0, 0.005])
 
     Args:
-        treatment: a name in `treatments.KINDS`, or a treatment whose amounts stand where none are given here.
-        amounts: values (SI) by name, as the treatment's `names` have it or its last part; likewise as keywords.
+        treatment: a name in `treatments.KINDS`, or a treatment whose own amounts are used where none are given here.
+        amounts: values (SI units) by name, either as in the treatment's `names` or its last part; also as keywords.
         **more: see `amounts`.
 
     Raises:
@@ -57,9 +57,9 @@ def grid(treatment: str | Treatment, amounts: Mapping[str, ArrayLike] | None = N
 
 
 def combinations(shown: Mapping[str, Mapping[str, Sequence[float]]]) -> Treatment:
-    """All combinations of amounts of one treatment, or of several after each other; InputError as `grid`.
+    """All combinations of amounts of one treatment, or of several in sequence. Raises InputError as `grid` does.
 
-    Values are by the treatment's name and the amount's, as people write them: mm, degrees and percent.
+    Values are given by the treatment's name and the amount's, in the units shown to readers: mm, degrees and percent.
     """
     whole, axes = Treatment(), {}
     for kind, amounts in shown.items():
@@ -70,9 +70,9 @@ def combinations(shown: Mapping[str, Mapping[str, Sequence[float]]]) -> Treatmen
 
 
 def batches(scenes: Sequence[Scene], variants: Treatment | Sequence[Treatment] | None) -> list[VariantBatch]:
-    """Every scene with every variant, those of one scene and form together; scenes vary slowest.
+    """Combines every scene with every variant, batched by scene and form; scenes vary slowest.
 
-    InputError for no scenes, no variants, what is no treatment, and a scene that lacks what is to be changed.
+    Raises InputError if there are no scenes or variants, one is no treatment, or a scene lacks what is to be changed.
     """
     listed = [variants or Treatment()] if isinstance(variants, Treatment | None) else list(variants)
     if not scenes or not listed:
@@ -97,7 +97,7 @@ def batches(scenes: Sequence[Scene], variants: Treatment | Sequence[Treatment] |
 
 
 def amounts_of(treatment: Treatment) -> Floats:
-    """(n, k): one row per variant; a treatment of plain numbers is one. InputError for amounts of several lengths."""
+    """Amounts (n, k), one row per variant; n = 1 for scalars. Raises InputError for amounts of several lengths."""
     columns = [np.atleast_1d(np.asarray(v, dtype=np.float64)) for v in treatment.values]
     if not columns:
         return np.zeros((1, 0))

@@ -1,1 +1,1 @@
-"""The posterior of an estimate's parameters, sampled."""
+"""Samples the posterior of an estimate's parameters."""

@@ -1,9 +1,9 @@
-"""The posterior density of an estimate's parameters, from the estimate's noise, priors and bounds.
+"""Posterior density of an estimate's parameters, from the estimate's noise, priors and bounds.
 
-It is exp(-|f|^2 / 2) within the bounds, with f the residuals in units of their noise, priors included. Taking the noise
-as independent makes it too narrow where neighbouring residuals are correlated. There the density is tempered as the
-estimate's covariance C is (Newey and West): it is f(m + A (theta - m)) in place of f(theta), with m the estimate and A
-so that the curvature at m becomes that of C. This is the curvature adjustment of Ribatet, Cooley and Davison
+The density is exp(-|f|^2 / 2) within the bounds, with f the residuals in units of their noise, priors included. If
+neighbouring residuals are correlated, treating the noise as independent makes it too narrow. It is then tempered to the
+estimate's covariance C (Newey and West): f(m + A (theta - m)) replaces f(theta), with m the estimate and A such that
+the curvature at m becomes that of C. This is the curvature adjustment of Ribatet, Cooley and Davison
 (arXiv:0911.5357); a profile of it is scaled as `fitting.profile_likelihood` scales its own.
 Priors are tempered along with the likelihood, as in that profile.
 """
@@ -25,17 +25,17 @@ from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.model.measured import Measured
 
-BLOCK = 128  # points whose residuals are held at once
+BLOCK = 128  # points whose residuals are in memory at once
 _SMALLEST = 1e-12  # eigenvalues of the scaled information below this share of the largest are rounding
 
 
 class Seen(NamedTuple):
-    """The density at N points, and its residuals along p directions."""
+    """The density at N points, and its residuals projected onto p directions."""
 
     theta: Floats  # (N, p)
     log_density: Floats  # (N,) up to a constant: -|f|^2 / 2
     along: Floats  # (N, p): Q'f
-    slope: Floats  # (N, p, p): its derivatives, Q' df/dtheta
+    slope: Floats  # (N, p, p): derivatives of `along`, Q' df/dtheta
     usable: NDArray[np.bool_]  # (N,) whether the motion could be simulated
 
 
@@ -46,12 +46,12 @@ class Density:
     problem: Problem
     centre: Floats  # m (p,)
     squeeze: Floats  # A (p, p)
-    frame: Floats  # Q (k, p): orthonormal, the directions in which residuals at the centre react to parameters
+    frame: Floats  # Q (k, p): orthonormal basis of the residuals' derivatives at the centre
 
     @staticmethod
     def of(estimate: Estimate, measured: Measured | Sequence[Measured] | None) -> Density:
-        """The density of an estimate by likelihood. Raises InputError: as `likelihood_of`; parameters that the
-        measurements leave open."""
+        """The density of an estimate by likelihood. Raises InputError as `likelihood_of` does, or if the measurements
+        do not determine the parameters."""
         problem = likelihood_of(estimate, measured)
         centre = np.asarray(estimate.values, dtype=np.float64)
         covariance = estimate.covariance if estimate.serial_correlation > SERIAL else None
@@ -59,8 +59,8 @@ class Density:
 
     @staticmethod
     def about(problem: Problem, centre: Floats, covariance: Floats | None = None) -> Density:
-        """The density of a problem, tempered to a covariance (p, p) where one is given. Raises InputError: the motion
-        at the centre cannot be simulated, or leaves a combination of parameters open."""
+        """The density of a problem, tempered to a covariance (p, p) if given. Raises InputError if the motion at the
+        centre cannot be simulated or does not determine the parameters."""
         p = len(centre)
         _, slopes, usable = _residuals(problem, centre[None])
         if not usable[0]:
@@ -74,7 +74,7 @@ class Density:
         return Density(problem, centre, squeeze, np.linalg.qr(slopes[0] @ squeeze)[0])
 
     def __call__(self, theta: Floats) -> Seen:
-        """At points (N, p), within the bounds or not."""
+        """Evaluates the density at points (N, p), which may lie outside the bounds."""
         residuals, slopes, usable = _residuals(self.problem, self.centre + (theta - self.centre) @ self.squeeze.T)
         log_density = np.where(usable, -0.5 * np.sum(residuals**2, axis=1), -np.inf)
         slope = np.einsum("kq,nkp->nqp", self.frame, slopes) @ self.squeeze
@@ -82,12 +82,12 @@ class Density:
 
     @property
     def bounds(self) -> tuple[Floats, Floats]:
-        """Bounds of the parameters."""
+        """Lower and upper bounds of the parameters (p,)."""
         return self.problem.parameters.lower, self.problem.parameters.upper
 
 
 def _residuals(problem: Problem, theta: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
-    """Residuals in units of their noise, priors' last (N, k), derivatives (N, k, p), and which are usable (N,)."""
+    """Residuals in units of their noise, priors last (N, k), derivatives (N, k, p), and which are usable (N,)."""
     target, parameters = problem.objective, problem.parameters
     seen = problem.evaluator.with_slopes(theta, problem.evaluator.fine)
     sigma, (n, p), (r, j) = target.noise_columns / np.sqrt(target.share), theta.shape, target.linear(seen)
@@ -101,8 +101,8 @@ def _residuals(problem: Problem, theta: Floats) -> tuple[Floats, Floats, NDArray
 
 
 def tempering(information: Floats, covariance: Floats) -> Floats:
-    """A (p, p) with A' H A = the inverse of C, the same whatever units parameters are in; H information, C covariance.
-    Raises InputError: the covariance leaves a combination of parameters open."""
+    """Matrix A (p, p) with A' H A = C^-1, independent of the parameters' units; H information, C covariance. Raises
+    InputError if the covariance is singular: a combination of parameters is not determined."""
     scale = np.sqrt(np.diagonal(information))
     spread = np.linalg.eigvalsh(covariance * np.outer(scale, scale))
     if not (np.isfinite(spread).all() and spread[0] > _SMALLEST * spread[-1]):

@@ -20,31 +20,31 @@ if TYPE_CHECKING:
 
 
 _BINS = 40
-_TWICE = (1.0, 2.0)  # ellipses drawn of the estimate, in standard deviations
+_TWICE = (1.0, 2.0)  # sizes of the estimate's ellipses, in standard deviations
 _SIDE = 1.6  # side of a panel [in]
 
 
 class PosteriorPlots:
-    """`posterior.plot`: each method gives a matplotlib figure."""
+    """`posterior.plot`: each method returns a matplotlib figure."""
 
     def __init__(self, posterior: Posterior) -> None:
         self._posterior = posterior
 
     def corner(self) -> Figure:
-        """Histograms of every parameter, draws of every pair; lines and ellipses are the estimate's."""
+        """Histograms of every parameter, draws of every pair; lines and ellipses show the estimate."""
         return corner_figure(self._posterior.estimate, self._posterior)
 
     def save(self, stem: Path) -> list[Path]:
-        """The figure as STEM_posterior.png and STEM_posterior.svg. Raises OutputError: the folder is missing or cannot
-        be written to."""
+        """Saves the figure as STEM_posterior.png and STEM_posterior.svg. Raises OutputError if the folder is missing
+        or cannot be written to."""
         from pftwin.results.plots import save_figure
 
         return list(save_figure(self.corner(), stem.with_name(f"{stem.name}_posterior")))
 
 
 def corner_figure(estimate: Estimate, posterior: Posterior | None = None) -> Figure:
-    """Every parameter and every pair of an estimate's normal distribution, over a posterior's draws if there are any.
-    Raises InputError: a posterior of other parameters."""
+    """Every parameter and pair of an estimate's normal distribution, over a posterior's draws if given. Raises
+    InputError for a posterior of other parameters."""
     from matplotlib.figure import Figure
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
@@ -110,7 +110,7 @@ def _pair(axes: Axes, e: Estimate, pair: tuple[int, int], scale: Floats, draws: 
 
 
 def _name(axes: Axes, i: int, j: int, labels: list[str]) -> None:
-    """Labels only the panels at the left and at the bottom."""
+    """Labels only the panels at the left and the bottom."""
     if i == len(labels) - 1:
         axes.set_xlabel(labels[j])
         axes.tick_params(axis="x", labelrotation=45)
@@ -123,7 +123,7 @@ def _name(axes: Axes, i: int, j: int, labels: list[str]) -> None:
 
 
 def _ellipse(mean: Any, covariance: Any, i: int, j: int, size: float) -> tuple[Any, Any]:
-    """Of two parameters' normal distribution, at so many standard deviations."""
+    """Ellipse of two parameters' normal distribution, at so many standard deviations."""
     part = covariance[np.ix_([i, j], [i, j])]
     values, vectors = np.linalg.eigh(part)
     angle = np.linspace(0, 2 * np.pi, 100)

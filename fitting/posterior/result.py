@@ -1,4 +1,4 @@
-"""A sampled posterior, and how it compares with the estimate that it checks."""
+"""`Posterior`: a sampled posterior, compared with the estimate that it checks."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ if TYPE_CHECKING:
 
 
 LEVELS = (0.025, 0.25, 0.5, 0.75, 0.975)
-AGREES = 0.15  # share of an interval's half width: ends that differ by less confirm the interval
-_UNSOLVED = 0.02  # share of draws above which it is worth a remark
-_MIXED, _ENOUGH = 1.02, 400  # R-hat at most, effective draws at least (Vehtari et al. 2021: 1.01, and 100 a chain)
+AGREES = 0.15  # largest difference of an interval's ends that confirms it, as a share of its half width
+_UNSOLVED = 0.02  # share of unsolved proposals above which there is a remark
+_MIXED, _ENOUGH = 1.02, 400  # largest R-hat, least effective draws (Vehtari et al. 2021: 1.01, and 100 per chain)
 
 _PLAIN = (
     *("names", "units", "means", "standard_deviations", "disagreement", "r_hat", "acceptance", "converged"),
@@ -33,31 +33,31 @@ _PLAIN = (
 
 @dataclass(eq=False)
 class Posterior:
-    """Draws from the posterior of p parameters, and how they compare with the estimate. In the order of `names`."""
+    """Draws from the posterior of p parameters, compared with the estimate; arrays are in the order of `names`."""
 
     names: tuple[str, ...]
     units: tuple[str, ...]
     draws: Floats  # (chains, draws, p)
     log_density: Floats  # (chains, draws), up to a constant
     acceptance: Floats  # (chains,) share of accepted proposals
-    r_hat: Floats  # (p,) rank-normalised and split
+    r_hat: Floats  # (p,) rank-normalised split R-hat
     effective: Floats  # (p,) effective sample size in the bulk or in the tails, whichever is smaller
     estimate: Estimate = field(repr=False)
     tempered: bool  # whether it was tempered to the estimate's covariance, for correlated residuals
     evaluations: int
-    outside: int  # proposals rejected beyond the bounds
+    outside: int  # proposals dropped because they lie beyond the bounds
     unsolved: int  # proposals for which no solution was found
     seed: int
     seconds: float
 
     @property
     def means(self) -> Floats:
-        """(p,)."""
+        """Posterior means (p,)."""
         return self.draws.mean(axis=(0, 1))
 
     @property
     def standard_deviations(self) -> Floats:
-        """(p,)."""
+        """Standard deviations (p,)."""
         return self.draws.std(axis=(0, 1), ddof=1)
 
     @property
@@ -66,7 +66,7 @@ class Posterior:
         return self.quantiles((LEVELS[0], LEVELS[-1])).T
 
     def quantiles(self, levels: tuple[float, ...] = LEVELS) -> Floats:
-        """(levels, p)."""
+        """Quantiles of the draws (levels, p)."""
         return np.quantile(self.draws, levels, axis=(0, 1))
 
     @property
@@ -76,7 +76,7 @@ class Posterior:
 
     @property
     def disagreement(self) -> Floats:
-        """Largest difference of each interval's ends from the estimate's, as a share of the half width (p,)."""
+        """Largest difference of each interval's ends from the estimate's, as a share of its half width (p,)."""
         theirs = self.estimate.intervals
         half = np.maximum(0.5 * (theirs[:, 1] - theirs[:, 0]), 1e-300)
         return np.abs(self.intervals - theirs).max(axis=1) / half
@@ -105,7 +105,7 @@ class Posterior:
         )
 
     def remarks(self) -> list[str]:
-        """Remarks that qualify the numbers."""
+        """Remarks that qualify the result."""
         out, e = [], self.estimate
         if e.synthetic:
             out.append("the measurements are synthetic")
@@ -122,7 +122,7 @@ class Posterior:
         return out
 
     def summary(self) -> str:
-        """A table in text."""
+        """A text table."""
         low, _, middle, _, high = self.quantiles()
         lines = [f"{self.estimate.scene_name}: posterior, {self.draws.shape[0]} chains of {self.draws.shape[1]} draws"]
         for i, name in enumerate(self.names):
@@ -135,7 +135,7 @@ class Posterior:
 
     @property
     def plot(self) -> PosteriorPlots:
-        """Figures."""
+        """Figures of this posterior."""
         from fitting.posterior.plots import PosteriorPlots
 
         return PosteriorPlots(self)
@@ -156,7 +156,7 @@ class Posterior:
         }
 
     def to_dataset(self) -> Dataset:
-        """Draws over (chain, draw, parameter), the estimate and the diagnostics beside them; SI units."""
+        """Draws over (chain, draw, parameter), with the estimate and diagnostics; SI units."""
         from xarray import Dataset
 
         from pftwin import __version__
@@ -198,7 +198,7 @@ class Posterior:
         """Writes the dataset as NetCDF.
 
         Raises:
-            OutputError: it cannot be written.
+            OutputError: if it cannot be written.
         """
         from pftwin.files.result_files import save_dataset
 

@@ -1,17 +1,17 @@
 """Samples the posterior of a few parameters, to check the intervals that an estimate reports. Needs the extra
 `posterior`.
 
-A density exp(-|f|^2 / 2) of few parameters (`fitting.posterior.density`) is often thin and bent: a stiffer tendon with
-more slack moves the patella alike. So proposals are not drawn from a distribution about the estimate, but solved for.
-With Q the directions in which residuals f at the estimate react to parameters, a proposal theta solves
-Q'f(theta) = eta, eta normal. Its density is
+A density exp(-|f|^2 / 2) of few parameters (`fitting.posterior.density`) is often thin and curved: a stiffer tendon
+with more slack moves the patella almost alike. So proposals are not drawn from a distribution about the estimate but
+solved for. With Q an orthonormal basis of the residuals' derivatives at the estimate, a proposal theta solves
+Q'f(theta) = eta, with eta standard normal. Its density is
 
     |det Q' df/dtheta| exp(-|Q'f|^2 / 2),
 
 the posterior itself for linear f, and curved like the posterior otherwise: "randomise, then optimise" (Bardsley,
 Solonen, Haario and Laine 2014; arXiv:1903.00870 explains the geometry). First derivatives suffice. Proposals do not
-depend on where a chain is, so all are simulated side by side; blackjax's independence sampler then accepts or rejects
-them one after the other. An eta whose solution lies outside the bounds, or is not found, is dropped.
+depend on the state of a chain, so all are simulated in one batch; blackjax's independence sampler then accepts or
+rejects them in sequence. An eta whose solution lies outside the bounds, or is not found, is dropped.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError, MissingExtraError
 from pftwin.model.measured import Measured
 
-WARMUP = 25  # of each chain: proposals are independent, so a chain forgets its start within a few draws
+WARMUP = 25  # draws per chain: proposals are independent, so a chain forgets its start within a few draws
 _LEAST = {"draws": 8, "chains": 2, "warmup": 1}
 _TOLERANCE = 1e-2  # of Q'f - eta, in standard deviations; the density used is that at the solution found
 _ITERATIONS = 12  # of Newton's method
 _MARGIN = 0.25  # share of the range by which iterates may leave the bounds
-_SHORTER = 0.4  # shortening of a step that did not improve
-_FEWEST = 0.02  # least share of solutions within the bounds for which sampling is attempted
+_SHORTER = 0.4  # factor for a step that did not improve
+_FEWEST = 0.02  # least share of solutions within the bounds; with fewer, sampling stops
 
 
 def sample_posterior(
@@ -55,25 +55,25 @@ def sample_posterior(
     measured: Measured | Sequence[Measured] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Posterior:
-    """The posterior of an estimate's parameters, with its noise and priors, uniform within its bounds.
+    """Samples the posterior of an estimate's parameters, with its noise and priors, uniform within its bounds.
 
     Args:
-        estimate: of a likelihood, with its scene.
-        draws: of each chain; each costs some four simulations with derivatives.
-        chains: at least two, so that they can be compared.
-        warmup: draws of each chain before them, which are thrown away.
+        estimate: estimate by likelihood, with its scene.
+        draws: draws per chain; each takes some four simulations with derivatives.
+        chains: number of chains, at least two, so that they can be compared.
+        warmup: draws per chain that are discarded at the start.
         seed: the same seed gives the same draws.
         measured: the measurements; by default those of the estimate, or of its scene.
         progress: called with the number of proposals made and of all.
 
     Raises:
         MissingExtraError: blackjax is not installed.
-        InputError: numbers out of range, or what `Density.of` and `proposals` have against the estimate.
+        InputError: numbers out of range, or an estimate that `Density.of` or `proposals` refuses.
     """
     for name, value in (("draws", draws), ("chains", chains), ("warmup", warmup)):
         if not (isinstance(value, int) and value >= _LEAST[name]):
             raise InputError(f"found {value!r}", where=name, expected=f"a whole number, at least {_LEAST[name]}")
-    chain_runner()  # says what is missing before anything is compiled
+    chain_runner()  # raises for a missing package before anything is compiled
     began, count = time.perf_counter(), (draws + warmup) * chains
     density = Density.of(estimate, measured)
     report = None if progress is None else lambda done: progress(done, count)
@@ -110,20 +110,20 @@ def _diagnosed(draws: Floats) -> tuple[Floats, Floats]:
 
 
 class Proposals(NamedTuple):
-    """Independent proposals."""
+    """Independent proposals with their densities."""
 
     theta: Floats  # (N, p)
     log_density: Floats  # (N,) of the posterior, up to a constant
-    log_proposal: Floats  # (N,) of the proposals, up to a constant
-    outside: int  # rejected beyond the bounds
-    unsolved: int  # not solved
+    log_proposal: Floats  # (N,) of the proposal distribution, up to a constant
+    outside: int  # solutions dropped because they lie beyond the bounds
+    unsolved: int  # equations without a solution found
     evaluations: int
 
 
 def proposals(
     density: Density, count: int, random: np.random.Generator, progress: Callable[[int], None] | None = None
 ) -> Proposals:
-    """As many proposals as are wanted; `progress` is told how many there are. Raises InputError: too few solutions lie
+    """Makes `count` proposals; `progress` is called with their number. Raises InputError if too few solutions lie
     within the bounds."""
     start = density(density.centre[None])
     lower, upper = density.bounds
@@ -151,10 +151,10 @@ def proposals(
 
 
 def _solved(density: Density, start: Seen, eta: Floats) -> tuple[Seen, NDArray[np.bool_], int]:
-    """Where Q'f = eta (N, p), from one start: the points reached, whether they are solutions, and evaluations.
+    """Solves Q'f = eta (N, p) from one start: the points reached, whether they are solutions, and evaluations.
 
-    Newton's method for all at once. A step is shortened where the next one, with the old slope, would not be smaller
-    (Deuflhard's natural monotonicity test): residuals may grow on the way, since a thin bent density has steep sides.
+    Newton's method for all in one batch. A step is shortened if the next one, with the old slope, would not be smaller
+    (Deuflhard's natural monotonicity test): residuals may grow on the way, since a thin curved density has steep sides.
     """
     lower, upper = density.bounds
     span = upper - lower
@@ -184,14 +184,14 @@ def _product(matrices: Floats, vectors: Floats) -> Floats:
 
 
 def _inverses(slope: Floats) -> Floats:
-    """Pseudo-inverses (N, p, p), since a slope may be singular; parameters scaled alike before."""
+    """Pseudo-inverses (N, p, p), since a slope may be singular; parameters are first scaled to equal size."""
     scale = np.linalg.norm(slope, axis=1)
     scale = np.where(scale > 0, scale, 1.0)
     return np.linalg.pinv(slope / scale[:, None, :]) / scale[:, :, None]
 
 
 class Draws(NamedTuple):
-    """The chains' draws."""
+    """Draws of all chains."""
 
     theta: Floats  # (chains, draws, p)
     log_density: Floats  # (chains, draws), up to a constant
@@ -207,8 +207,8 @@ class _Point(NamedTuple):
 
 
 def sampled(theta: Floats, log_density: Floats, log_proposal: Floats, *, chains: int, warmup: int, seed: int) -> Draws:
-    """Chains over independent proposals (N, p), N a multiple of the chains: each begins at one, and meets its share of
-    the others. Of each, `warmup` draws are thrown away, the start among them.
+    """Runs chains over independent proposals (N, p), N a multiple of the chains: each starts at one, and tests its
+    share of the others. The first `warmup` draws of each are discarded, including the start.
     """
     points = _Point(
         *(jnp.asarray(a.reshape(chains, -1, *a.shape[1:]), dtype=float) for a in (theta, log_density, log_proposal))
@@ -223,8 +223,8 @@ def sampled(theta: Floats, log_density: Floats, log_proposal: Floats, *, chains:
 
 @cache
 def chain_runner() -> Callable[[Array, _Point, _Point], tuple[_Point, Array]]:
-    """A compiled function that runs chains over proposals: from keys, starts (chains,) and proposals (chains, n).
-    Raises MissingExtraError: blackjax is not installed."""
+    """Compiles a function that runs chains over proposals, from keys, starts (chains,) and proposals (chains, n).
+    Raises MissingExtraError if blackjax is not installed."""
     try:
         from blackjax.mcmc import random_walk
     except ImportError as error:

@@ -1,10 +1,10 @@
-"""Parameters from measurements: fits, how sure they are, and what treatments would do.
+"""Estimates a knee model's parameters from measurements, with their uncertainty, and predicts effects of treatments.
 
     estimate = fitting.fit_tendons(scene, measured)
     print(estimate.sentence())
     estimate.save("fit.json")
 
-`fitting` builds on `pftwin`. Names are imported when first used, so that `import fitting` costs next to nothing.
+`fitting` builds on `pftwin`. Names are imported on first use, so that `import fitting` is fast.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ _HOME = {
     "free_parameters": "parameters",
     "optimise_treatment": "treatments.optimise",
     "plan_experiment": "identifiability",
-    "predict": "prediction.predicting",  # a module of the same name would hide the function
+    "predict": "prediction.predicting",  # a module named `predict` would hide the function
     "predict_motion": "prediction.motion",
     "profile_likelihood": "identifiability",
     "sample_posterior": "posterior.sampling",

@@ -1,7 +1,8 @@
-"""Is every measured channel what it is taken for? Before a fit by other readings of it, after a fit by what is left.
+"""Checks that every measured channel is what it claims to be: before a fit against other readings of it (units, signs,
+axes), after a fit by the residual.
 
-Below its first limit a doubt is not said, from it on it is named before any number of the estimate, and from the second
-on the fit is refused. docs/fitting.md says what the rig's own measurements reach, and what faults do.
+Each limit is a pair: from the first value on a doubt is reported before any number of the estimate, and from the second
+on the fit is refused. docs/fitting.md states what the rig's own measurements and faults reach.
 """
 
 from __future__ import annotations
@@ -23,17 +24,17 @@ from pftwin.base.quantities import shown
 Limits = Mapping[str, tuple[float, float]]
 
 LIMITS: dict[str, tuple[float, float]] = {
-    "reading": (1.5, 2.0),  # how many times nearer to the twin a channel is in other units, signs or axes, or swapped
-    "position": (0.01, 0.03),  # what a fit leaves of positions, rms [m]
-    "orientation": (0.26, 0.7),  # of orientations, rms [rad]
-    "force": (0.15, 0.5),  # of a force or another reading, as a share of it, rms
-    "noise": (30.0, 300.0),  # of a channel, rms, in units of the noise that was stated
-    "shift": (0.02, 0.1),  # by how much a channel is late or early [s]
-    "simulated": (5.0, 15.0),  # how far it lies outside of what a posterior was learned from, in standard deviations
-    "trained_noise": (3.0, 10.0),  # what no simulation explains, in units of the noise that was trained for
-    "set_up": (1.0, 3.0),  # by how many deviations a trained posterior is off for knees simulated in this set-up
+    "reading": (1.5, 2.0),  # how many times closer to the twin a channel is in other units, signs or axes, or swapped
+    "position": (0.01, 0.03),  # residual of positions, rms [m]
+    "orientation": (0.26, 0.7),  # residual of orientations, rms [rad]
+    "force": (0.15, 0.5),  # residual of a force or another reading, rms, as a share of it
+    "noise": (30.0, 300.0),  # residual of a channel, rms, in units of its stated noise
+    "shift": (0.02, 0.1),  # delay or lead of a channel [s]
+    "simulated": (5.0, 15.0),  # distance from the simulations a posterior was learned from, in standard deviations
+    "trained_noise": (3.0, 10.0),  # what simulations leave unexplained, in units of the training noise
+    "set_up": (1.0, 3.0),  # error of a trained posterior for knees simulated in this set-up, in standard deviations
 }
-_UNITS: dict[str, dict[float, str]] = {  # by what a number must be multiplied, and what it then was
+_UNITS: dict[str, dict[float, str]] = {  # factor for a channel, and what is wrong with it if that fits
     "m": {
         1e-3: "1000 times too large: in millimetres",
         1e-2: "100 times too large: in centimetres",
@@ -48,24 +49,24 @@ _UNITS: dict[str, dict[float, str]] = {  # by what a number must be multiplied, 
     },
 }
 _AXES = "xyz"
-_FRAMES = 200  # looked at for other readings, evenly over the recording
-_SIMPLER = 1.1  # a simpler reading is preferred where it is at most this much farther off
-_FLOOR = {POSITION: 1e-3, ORIENTATION: 0.02}  # distance to which any reading is as good [m], [rad]
-_FORCE_FLOOR = 0.01  # the same of a force, as a share of the twin's
-_SLACK = 0.1  # share of the strongest trial's force, or of what was measured, from which on a trial can be resembled
+_FRAMES = 200  # most frames used to compare readings, spread evenly over the recording
+_SIMPLER = 1.1  # a simpler reading is preferred if it is at most this many times farther away
+_FLOOR = {POSITION: 1e-3, ORIENTATION: 0.02}  # distance below which all readings count as equally good [m], [rad]
+_FORCE_FLOOR = 0.01  # the same for a force, as a share of the twin's
+_SLACK = 0.1  # least force of a trial to compare with, as a share of the strongest trial's or of the measured force
 
 
 class Reading(NamedTuple):
-    """A way to read a channel's numbers that lies nearer to the twin than the numbers as they are."""
+    """A reading of a channel (unit, sign, axes) that lies closer to the twin than the values as given."""
 
     channels: tuple[str, ...]
     words: str  # what the channels look like
-    times: float  # how many times nearer
+    times: float  # how many times closer
 
 
 def limits_of(given: Mapping[str, tuple[float, float]] | None) -> dict[str, tuple[float, float]]:
-    """`LIMITS` with those given by name in their places. Raises InputError: a name that is no limit; a pair that is not
-    positive and in order."""
+    """`LIMITS` updated with those given by name. Raises InputError for an unknown name, or a pair that is not positive
+    and in order."""
     for name, pair in (given or {}).items():
         if name not in LIMITS:
             raise InputError(f"no limit {name!r}", where="limits", expected=f"one of: {', '.join(LIMITS)}")
@@ -76,14 +77,14 @@ def limits_of(given: Mapping[str, tuple[float, float]] | None) -> dict[str, tupl
 
 
 def raised(name: str, limits: Limits, value: float) -> str:
-    """How to allow a value, for messages: in Python and on the command line."""
+    """How to raise a limit above a value, for messages: in Python and on the command line."""
     named, refused = limits[name][0], float(f"{2 * value:.2g}")
     return f"limits={{{name!r}: ({named:g}, {refused:g})}} (--limit {name}={named:g}:{refused:g})"
 
 
 def misread(objective: Objective, trials: Floats, limits: Limits) -> list[str]:
-    """What the channels look like, in words, where another reading lies nearer to one of the trial motions (N, n, c).
-    Raises InputError: a channel to which another reading lies nearer than the limit allows."""
+    """Doubts: what channels look like, in words, if another reading lies closer to one of the trial motions (N, n, c).
+    Raises InputError if another reading is closer by more than the limit allows."""
     found, (named, refused) = [], limits["reading"]
     for r in alike((r for r in readings(objective, trials) if r.times >= named), objective.readings):
         said = f"{_listed(r.channels)} {r.words}"
@@ -99,8 +100,8 @@ def misread(objective: Objective, trials: Floats, limits: Limits) -> list[str]:
 
 
 def alike(found: Iterable[Reading], units: Mapping[str, str]) -> list[Reading]:
-    """Forces, or other readings of one unit, that look alike as one reading of them all; the farthest off in front. Who
-    corrects a file hears of all of its forces at once."""
+    """Merges readings that say the same of several channels of one unit, the most striking first, so that one message
+    names all channels to correct."""
     together: dict[tuple[str, ...], Reading] = {}
     for r in found:
         alone = len(r.channels) == 1 and r.channels[0] not in _FLOOR
@@ -111,7 +112,7 @@ def alike(found: Iterable[Reading], units: Mapping[str, str]) -> list[Reading]:
 
 
 def readings(objective: Objective, trials: Floats) -> Iterator[Reading]:
-    """Of each channel the best other reading, and pairs of forces that fit better swapped."""
+    """The best other reading of each channel, and pairs of forces that fit better swapped."""
     for channel, at, rows in objective.columns():
         keep = _some(objective.present[:, rows.start])
         if not keep.size:
@@ -127,7 +128,7 @@ def readings(objective: Objective, trials: Floats) -> Iterator[Reading]:
             tried = _not_just_smaller(data, tried, seen)
         off = {words: max(float(_off(channel, values, seen).min()) / size, floor) for words, values in tried}
         best = min(off.values())
-        words = next(w for w, value in off.items() if value <= _SIMPLER * best)  # from simple to odd
+        words = next(w for w, value in off.items() if value <= _SIMPLER * best)  # the simplest comes first
         if words:
             yield Reading((channel,), words, off[""] / off[words])
     single = [(channel, at.start, rows.start) for channel, at, rows in objective.columns() if channel not in _FLOOR]
@@ -142,8 +143,8 @@ def readings(objective: Objective, trials: Floats) -> Iterator[Reading]:
 
 
 def left_over(objective: Objective, residuals: Floats, limits: Limits, stated: Mapping[str, float] | None) -> list[str]:
-    """What a fit leaves (n, m) that its noise does not explain, in words. Raises InputError: more than the limits
-    allow."""
+    """Doubts in words: residuals (n, m) that a fit's noise does not explain. Raises InputError if they exceed the
+    limits."""
     found = []
     for channel, columns, rows in objective.columns():
         there = objective.present[:, rows.start]
@@ -155,7 +156,7 @@ def left_over(objective: Objective, residuals: Floats, limits: Limits, stated: M
         said, cases = f"of {channel} the fit leaves {shown(left, unit, 3)} rms", []
         if kind != "force":
             cases.append((kind, left, said))
-        elif size > 0 or channel not in objective.readings:  # of what should read nothing there is no share
+        elif size > 0 or channel not in objective.readings:  # a reading that should be zero has no share
             said += f" of {shown(size, unit, 3)} that were measured"
             cases.append((kind, left / max(size, 1e-300), said))
         if stated is not None:
@@ -171,8 +172,8 @@ def left_over(objective: Objective, residuals: Floats, limits: Limits, stated: M
 def bounded(
     limit: str, value: float, said: str, source: str, limits: Limits, why: str = "", remedy: str = ""
 ) -> list[str]:
-    """What is said of a value, if the limit of this name wants it named. Raises InputError: the value is beyond what
-    the limit allows."""
+    """The statement `said` about a value, if it reaches the named limit; otherwise nothing. Raises InputError if it
+    reaches the limit for refusal."""
     named, refused = limits[limit]
     if value >= refused:
         expected = f"less than {refused:g} by the limit {limit!r}{why}"
@@ -181,8 +182,8 @@ def bounded(
 
 
 def unresolved(errors: Mapping[str, StepError], left: Mapping[str, float], readings: Mapping[str, str]) -> list[str]:
-    """Channels in which the fit's steps are off, in words: too much, and by half of what the fit leaves (rms) or more;
-    no `errors`: a run in half the step is not usable. `readings` are units of channels that are no poses and forces."""
+    """Channels in which the time steps' error is too large and at least half of the fit's residual (rms), in words;
+    without `errors` the run with half the step failed. `readings`: units of channels neither poses nor forces."""
     if not errors:
         return ["in half of the fit's time step no motion comes out, so the error of its steps is not known"]
     found = []
@@ -194,7 +195,7 @@ def unresolved(errors: Mapping[str, StepError], left: Mapping[str, float], readi
 
 
 def _poses(channel: str, data: Floats) -> Iterator[tuple[str, Floats]]:
-    """Positions in other axes, signs and units, or orientations the other way round; as they are first, in no words."""
+    """Positions in other axes, signs and units, or orientations inverted or reordered; first as given, no words."""
     yield "", data
     if channel == ORIENTATION:
         yield "turned the other way: the femur in the patella's frame", data * [1.0, -1.0, -1.0, -1.0]
@@ -214,7 +215,7 @@ def _poses(channel: str, data: Floats) -> Iterator[tuple[str, Floats]]:
 
 
 def _readings(data: Floats, unit: str) -> Iterator[tuple[str, Floats]]:
-    """A force or another single number as it is, in other units, and with the other sign."""
+    """A force or other scalar as given, in other units, and with the other sign."""
     units = _UNITS.get(unit, {})
     yield from (("", data), ("negated", -data))
     yield from ((words, factor * data) for factor, words in units.items())
@@ -222,21 +223,21 @@ def _readings(data: Floats, unit: str) -> Iterator[tuple[str, Floats]]:
 
 
 def _rms(values: Floats) -> Floats:
-    """The root mean square length over frames (..., n, k)."""
+    """Root mean square length over the frames (..., n, k)."""
     return np.sqrt(np.mean(np.sum(values**2, axis=-1), axis=-1))
 
 
 def _off(channel: str, data: Floats, seen: Floats) -> Floats:
-    """Distance of a channel (n, k) from each trial (N, n, k); either sign of a quaternion is the same orientation."""
+    """Distance of a channel (n, k) from each trial (N, n, k); q and -q are the same orientation."""
     if channel == ORIENTATION:
         data = data * np.where(np.sum(data * seen, axis=-1, keepdims=True) < 0, -1.0, 1.0)
     return _rms(data - seen)
 
 
 def _not_just_smaller(data: Floats, tried: Iterator[tuple[str, Floats]], seen: Floats) -> Iterator[tuple[str, Floats]]:
-    """The readings of positions but those in which the numbers are smaller and fit worse than in a frame set off.
+    """Omits readings of positions that only shrink the values and fit worse than the values with a constant offset.
 
-    Of positions in a frame that lies far off every reading that shrinks them is nearer; an offset explains more.
+    Positions in a frame far away come closer with any reading that shrinks them; an offset explains them better.
     """
     apart = data - seen
     set_off = float(_rms(apart - apart.mean(axis=1, keepdims=True)).min())
@@ -246,13 +247,13 @@ def _not_just_smaller(data: Floats, tried: Iterator[tuple[str, Floats]], seen: F
 
 
 def _some(present: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """Up to `_FRAMES` of the frames that were measured, evenly."""
+    """Up to `_FRAMES` of the measured frames, evenly spaced."""
     there = np.flatnonzero(present)
     return there[np.unique(np.linspace(0, there.size - 1, _FRAMES).round().astype(int))] if there.size else there
 
 
 def _up_to_scale(data: Floats, seen: Floats) -> float:
-    """Distance of two forces (n, 2) from the nearest trial (N, n, 2), but for a scale, which no equilibrium fixes."""
+    """Distance of two forces (n, 2) from the nearest trial (N, n, 2), up to a scale, which equilibrium leaves open."""
     size = np.maximum(np.sqrt(np.mean(seen**2, axis=1, keepdims=True)), 1e-300)
     a, b = (data / size).reshape(len(seen), -1), (seen / size).reshape(len(seen), -1)
     scale = np.maximum(np.sum(a * b, axis=1) / np.maximum(np.sum(a * a, axis=1), 1e-300), 0.0)
@@ -270,7 +271,7 @@ def _expected(channels: tuple[str, ...], readings: Mapping[str, str]) -> str:
 
 
 def _listed(channels: tuple[str, ...]) -> str:
-    """The channels and their verb."""
+    """The channels as subject, with their verb."""
     if channels == (POSITION,):
         return "measured positions look"
     first, last = ", ".join(channels[:-1]), channels[-1]

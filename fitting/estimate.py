@@ -1,4 +1,4 @@
-"""The result of a fit: parameters and their uncertainty."""
+"""`Estimate`, the result of a fit: parameters, their uncertainty, and remarks on it."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _ARRAYS = ("values", "covariance", "lower", "upper", "nominal")
 
 
 class FittedTrial(NamedTuple):
-    """What a fit was of."""
+    """One trial that was fitted: its nominal scene and its measurements."""
 
     nominal: Scene
     measured: Measured | None
@@ -40,93 +40,93 @@ class FittedTrial(NamedTuple):
 
 @dataclass(eq=False)
 class Estimate:
-    """Parameters with their uncertainty. Arrays are in the order of `names`."""
+    """Estimated parameters with their uncertainty; arrays are in the order of `names`, in SI units."""
 
     names: tuple[str, ...]
     units: tuple[str, ...]
     values: Floats  # (p,)
     covariance: Floats  # (p, p)
-    lower: Floats  # bounds (p,)
-    upper: Floats
-    nominal: Floats  # the scene's values, where the search began (p,)
+    lower: Floats  # lower bounds (p,)
+    upper: Floats  # upper bounds (p,)
+    nominal: Floats  # the scene's values, where the search started (p,)
     objective: str
     objective_value: float
     objective_unit: str
-    channels: tuple[str, ...]  # what was compared
-    noise: dict[str, float]  # standard deviation of every channel [m], [rad], [N]
-    noise_known: bool  # given, rather than estimated from the residuals
-    serial_correlation: float  # of neighbouring residuals
+    channels: tuple[str, ...]  # channels that were compared
+    noise: dict[str, float]  # standard deviation of each channel's noise [m], [rad], [N]
+    noise_known: bool  # whether it was stated, not estimated from the residuals
+    serial_correlation: float  # correlation of neighbouring residuals
     condition: float  # condition number of the information on relative parameters
-    rmse: dict[str, float]  # of every channel, and of X, Y, Z [m], [rad], [N]
+    rmse: dict[str, float]  # residual of each channel, and of X, Y, Z, rms [m], [rad], [N]
     method: str
     seed: int
-    reason: str  # why it stopped
+    reason: str  # why the method stopped
     evaluations: int
     iterations: int
-    starts: int  # or simulations, where the posterior was learned from them
-    dropped: int  # of these without an equilibrium or a finite motion
+    starts: int  # number of starts, or of simulations if the posterior was learned from them
+    dropped: int  # how many of these had no equilibrium or no finite motion
     seconds: float
     history: list[dict[str, float]]  # iteration, evaluations, best, spread
-    synthetic: bool  # whether the measurements are
-    source: str  # of the measurements
+    synthetic: bool  # whether the measurements are synthetic
+    source: str  # where the measurements come from
     scene_name: str
     notes: list[str] = field(default_factory=list)
     priors: dict[str, tuple[float, float]] = field(default_factory=dict)
-    nuisance: Nuisance = EXACT  # what was taken as not known, and fitted besides
-    besides: tuple[str, ...] = ()  # names of its numbers, and of differences of trials, the last of `names`
-    kinds: tuple[str, ...] = ()  # of each parameter: `fitting.parameters.ASKED`, or of what nuisance it is
-    varies: dict[str, float] = field(default_factory=dict)  # by what deviation a parameter differs between trials
-    differences: tuple[tuple[int, int], ...] = ()  # of the last parameters: to which each is added, in which trial
-    springs: dict[str, str] = field(default_factory=dict)  # whose tensions the femoral and tibial spring forces are
-    verdict: str = ""  # on the fitted motion: "valid", or "INVALID" and why; empty where none was given
-    status: str = ""  # of the fitted motion, in words; empty where none was given
+    nuisance: Nuisance = EXACT  # nuisance parameters' priors, and sensor errors
+    besides: tuple[str, ...] = ()  # names of nuisance parameters and of differences between trials, the last of `names`
+    kinds: tuple[str, ...] = ()  # of each parameter: `fitting.parameters.ASKED`, or the kind of nuisance
+    varies: dict[str, float] = field(default_factory=dict)  # standard deviation between trials, by parameter
+    differences: tuple[tuple[int, int], ...] = ()  # for each of the last parameters: index of its mean, and the trial
+    springs: dict[str, str] = field(default_factory=dict)  # effects measured as femoral and tibial spring force
+    verdict: str = ""  # on the fitted motion: "valid", or "INVALID" and why; empty if none was given
+    status: str = ""  # of the fitted motion, in words; empty if none was given
     status_frames: dict[str, int] = field(default_factory=dict)  # frames of the fitted motion with each flag
-    doubts: list[str] = field(default_factory=list)  # what the measurements look like, if not what they are taken for
-    time_shifts: dict[str, tuple[float, float]] = field(default_factory=dict)  # late by, deviation [s]
-    share: float = 1.0  # of the likelihood that counts beside the priors, for correlated residuals
-    draws: Floats | None = field(default=None, repr=False)  # (N, p) from the posterior; None: it is taken as normal
+    doubts: list[str] = field(default_factory=list)  # reasons to distrust the measurements or the fit
+    time_shifts: dict[str, tuple[float, float]] = field(default_factory=dict)  # delay, its standard deviation [s]
+    share: float = 1.0  # share of the likelihood that counts beside priors, if residuals are correlated
+    draws: Floats | None = field(default=None, repr=False)  # posterior samples (N, p); None: a normal distribution
     coordinates: tuple[str, ...] = ()  # names of parameters that are coordinates of points
-    step_error: dict[str, float] = field(default_factory=dict)  # of the fit's time steps, rms, units as of `rmse`
-    trial_rmse: dict[str, dict[str, float]] = field(default_factory=dict)  # as `rmse`, of each of several trials
-    substeps: int = 0  # between two frames, of the answer; 0: not known
-    readings: dict[str, str] = field(default_factory=dict)  # units of channels that are no poses and forces
-    covariances: dict[str, list[list[float]]] = field(default_factory=dict)  # of noise that was stated so
-    trials: tuple[FittedTrial, ...] = field(default=(), repr=False)  # what was fitted; none of a file
+    step_error: dict[str, float] = field(default_factory=dict)  # rms error of the fit's time steps, units as `rmse`
+    trial_rmse: dict[str, dict[str, float]] = field(default_factory=dict)  # `rmse` of each of several trials
+    substeps: int = 0  # time steps between two frames; 0: not known
+    readings: dict[str, str] = field(default_factory=dict)  # units of channels that are neither poses nor forces
+    covariances: dict[str, list[list[float]]] = field(default_factory=dict)  # of noise that was stated as a covariance
+    trials: tuple[FittedTrial, ...] = field(default=(), repr=False)  # what was fitted; empty if read from a file
 
     @property
     def standard_deviations(self) -> Floats:
-        """(p,)."""
+        """Standard deviations (p,)."""
         return np.sqrt(np.maximum(np.diagonal(self.covariance), 0.0))
 
     @property
     def intervals(self) -> Floats:
-        """95 % intervals (p, 2)."""
+        """95 % intervals (p, 2): quantiles of the draws, or of the normal distribution."""
         if self.draws is not None:
             return np.quantile(self.draws, (0.025, 0.975), axis=0).T
         return self.values[:, None] + NORMAL_95 * self.standard_deviations[:, None] * np.array([-1.0, 1.0])
 
     @property
     def correlation(self) -> Floats:
-        """(p, p)."""
+        """Correlation matrix of the parameters' errors (p, p)."""
         sd = np.maximum(self.standard_deviations, 1e-300)
         with np.errstate(invalid="ignore"):  # NaN beside an infinite variance
             return self.covariance / np.outer(sd, sd)
 
     @property
     def asked(self) -> int:
-        """How many parameters were asked for: the first of `names`; nuisance follows."""
+        """Number of requested parameters: the first of `names`; nuisance parameters follow."""
         return len(self.names) - len(self.besides)
 
     @property
     def shared(self) -> int:
-        """How many parameters trials share: the first of `names`; differences of trials follow."""
+        """Number of parameters that trials share: the first of `names`; differences between trials follow."""
         return len(self.names) - len(self.differences)
 
     @property
     def in_trials(self) -> dict[str, dict[str, tuple[float, float]]]:
-        """Of each parameter that differs between trials its value in each, by name, and that one's standard deviation.
+        """For each parameter that differs between trials, its value and standard deviation in each trial, by name.
 
-        A coordinate is told as in the first trial's scene: in others it is moved by as much.
+        A coordinate is stated as in the first trial's scene; in other trials it is moved by the same amount.
         """
         found: dict[str, dict[str, tuple[float, float]]] = {}
         for at, trial in self.differences:
@@ -137,19 +137,19 @@ class Estimate:
 
     @property
     def coverage(self) -> Coverage:
-        """How often intervals, bands and plans of such fits held where the truth was known, in words."""
+        """Measured coverage of intervals, bands and plans of such fits, in words."""
         return coverage_of(self.draws is not None, len(self.besides) > len(self.differences), len(self.trial_rmse) > 1)
 
     @property
     def at_bounds(self) -> tuple[str, ...]:
-        """Parameters whose value, or whose interval by simulations, reaches a bound: the true one may lie beyond."""
+        """Parameters whose value, or interval by simulations, reaches a bound; the true value may lie beyond."""
         low, high = (self.values, self.values) if self.draws is None else self.intervals.T
         near = np.minimum(low - self.lower, self.upper - high) < 1e-3 * (self.upper - self.lower)
         return tuple(n for n, there in zip(self.names, near, strict=True) if there)
 
     @property
     def undetermined(self) -> Undetermined:
-        """Combinations of what was asked for that are hardly told but by bounds and priors."""
+        """Combinations of the requested parameters that are hardly known beyond bounds and priors."""
         asked = self.asked
         prior = np.array([self.priors.get(name, (0.0, np.inf))[1] for name in self.names[:asked]])
         known = np.minimum((self.upper - self.lower)[:asked] / np.sqrt(12), prior)
@@ -157,57 +157,53 @@ class Estimate:
 
     @property
     def nominal_scene(self) -> Scene | None:
-        """The scene that was fitted, of several trials that of the first; None of an estimate from a file."""
+        """The nominal scene of the (first) trial; None for an estimate read from a file."""
         return self.trials[0].nominal if self.trials else None
 
     @property
     def measured(self) -> Measured | None:
-        """What it was fitted to, likewise."""
+        """Measurements of the (first) trial; None for an estimate read from a file."""
         return self.trials[0].measured if self.trials else None
 
     @property
     def scene(self) -> Scene:
-        """The fitted scene, of several trials that of the first.
+        """The fitted scene of the (first) trial.
 
         Raises:
-            InputError: an estimate from a file, which holds no scene: use `apply`.
+            InputError: for an estimate read from a file, which holds no scene: use `apply`.
         """
         return self.scenes[0]
 
     @property
     def scenes(self) -> tuple[Scene, ...]:
-        """The fitted scenes of all trials.
-
-        Where a file was given fewer scenes than it was fitted to, with what trials share.
+        """The fitted scenes of all trials, with the shared values if fewer scenes were given than trials were fitted.
 
         Raises:
             InputError: as `scene`.
         """
         if not self.trials:
             raise InputError("an estimate from a file holds no scene", remedy="estimate.apply(scene)")
-        whole = len(self.trials) == len(self.trial_rmse)  # else nobody knows which trials these are
+        whole = len(self.trials) == len(self.trial_rmse)  # otherwise it is not known which trials these are
         differences = self.differences if whole else tuple((at, -1) for at, _ in self.differences)
         each = [weights_in(differences, self.shared, k) @ self.values for k in range(len(self.trials))]
         return tuple(self.apply(trial.nominal, theta) for trial, theta in zip(self.trials, each, strict=True))
 
     def about(self, scene: Scene | Sequence[Scene]) -> Estimate:
-        """The same estimate, with the nominal scenes that a file does not hold, and their measurements."""
+        """A copy with the nominal scene of each trial, which a file does not hold, and the scenes' measurements."""
         scenes = [scene] if isinstance(scene, Scene) else scene
         return replace(self, trials=tuple(FittedTrial(self.nuisance.prepared(s), s.measured) for s in scenes))
 
     @property
     def apply(self) -> Applied:
-        """`estimate.apply(scene)` has the estimated values, `estimate.apply(scene, theta)` others (p,).
-
-        They are those that trials share. Coordinates of points are carried as offsets: see `Applied`.
-        """
+        """A function: `estimate.apply(scene)` sets the estimated values in a scene, `estimate.apply(scene, theta)`
+        other values (p,), those that trials share. Coordinates of points are applied as offsets: see `Applied`."""
         shared = self.names[: self.shared]
         nominal = dict(zip(shared, self.nominal.tolist(), strict=False))
         origins = tuple((name, nominal[name]) for name in self.coordinates if name in nominal)
         return Applied(shared, self.values[: self.shared], origins, self.nuisance)
 
     def samples(self, count: int, seed: int = 0) -> Floats:
-        """Parameters (count, p) as uncertain as the estimate: of its draws, or normal and kept within the bounds.
+        """Samples of the parameters (count, p): from the draws, or from the normal distribution clipped to the bounds.
 
         A parameter that differs between trials is drawn for a further trial.
         """
@@ -226,7 +222,7 @@ class Estimate:
 
     @property
     def invalid(self) -> bool:
-        """Whether nothing can be said of the values: the fitted motion may not be spoken of, or data contradict it."""
+        """Whether the values must not be used: the fitted motion is INVALID, or there are doubts."""
         return bool(self._objections())
 
     def _objections(self) -> list[str]:
@@ -234,7 +230,7 @@ class Estimate:
         return [*(f"{reason} (the fitted motion)" for reason in motion), *self.doubts]
 
     def sentence(self) -> str:
-        """The precision of the parameters asked for, in a sentence, or what forbids to speak of it."""
+        """The precision of the requested parameters in a sentence, or why it cannot be stated."""
         asked = self.asked
         if self.invalid:
             untold = f"What the data tell of {', '.join(self.names[:asked])} is not known"
@@ -253,7 +249,7 @@ class Estimate:
         return f"{said}. {'But ' if self.draws is None else ''}{self.coverage.intervals}"
 
     def summary(self) -> str:
-        """A table in text, with the remarks."""
+        """A text table of the values, with the remarks."""
         lines = [self.sentence()] if self.invalid else []
         lines.append(f"{self.scene_name}: {self.method}, objective {self.objective} = {self.objective_value:.6g}")
         for i, name in enumerate(self.names):
@@ -270,7 +266,7 @@ class Estimate:
         return "\n".join(lines)
 
     def untold(self) -> list[str]:
-        """What the measurements do not tell: combinations left to bounds and priors, values at a bound."""
+        """What the measurements do not determine: open combinations, and values at a bound."""
         out = []
         if (open_ := self.undetermined).count and not self.invalid:
             told = f"{self.asked - open_.count} of {self.asked} combinations of what was asked for"
@@ -281,7 +277,7 @@ class Estimate:
         return out
 
     def remarks(self) -> list[str]:
-        """Remarks that qualify the numbers."""
+        """Remarks that qualify the values."""
         out = list(self.notes)
         if self.synthetic:
             out.append("the measurements are synthetic")
@@ -309,13 +305,13 @@ class Estimate:
 
     @property
     def plot(self) -> EstimatePlots:
-        """Figures."""
+        """Figures of this estimate."""
         from fitting.plots import EstimatePlots
 
         return EstimatePlots(self)
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values, for JSON, with derived ones for readers of the file."""
+        """Plain values for JSON, with derived ones for readers of the file."""
         plain = {k: getattr(self, k) for k in self.__dataclass_fields__ if k != "trials"}
         for key in _ARRAYS:
             plain[key] = np.asarray(plain[key]).tolist()
@@ -334,10 +330,10 @@ class Estimate:
         }
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Writes JSON, whole or not at all.
+        """Writes a JSON file, complete or not at all.
 
         Raises:
-            OutputError: it cannot be written.
+            OutputError: if it cannot be written.
         """
         write_json_file(path, self.to_dict())
         return Path(path)
@@ -348,10 +344,10 @@ class Estimate:
 
         Args:
             path: of the JSON file.
-            scene: the nominal scene, needed for `.scene`; of several trials those of all.
+            scene: the nominal scene, needed for `.scene`; or the scenes of all trials.
 
         Raises:
-            InputError: no such file, or one that holds no estimate.
+            InputError: if there is no such file, or it holds no estimate.
         """
         content = restored_numbers(read_json(path, expected=f"a file of {FORMAT!r}, as `pftwin fit -o` writes it"))
         try:

@@ -1,7 +1,7 @@
-"""Predictions for many parameter vectors, with derivatives if asked for, in compiled calls of one size.
+"""Simulates a scene's measured channels for many parameter vectors, with derivatives on request, in batches.
 
-A prediction is a pure function of the parameters: searches for equilibrium start from the nearest of a fixed cloud of
-equilibria, never from the last iterate's. So a resumed fit takes the same course as one without a break.
+A prediction is a pure function of the parameters: each search for equilibrium starts from the nearest of a fixed set
+of equilibria, never from the previous iterate's. So a resumed fit gives the same result as an uninterrupted one.
 """
 
 from __future__ import annotations
@@ -29,54 +29,54 @@ from pftwin.model.scene import Scene
 
 T = TypeVar("T")
 
-CHUNK = 32  # variants evaluated at once by default
-_WITH_SLOPES = 16  # the same, with derivatives, at most
-_WIDEST = 512  # variants in one call
-_ACCELERATED = 2048  # variants in every call of an accelerator: lanes that have nothing to do cost nothing
-_PARTS, _FEWEST = 2, 20  # calls that a batch is split into, for two cores; the least variants of each
-_COLUMNS = 32  # variants times parameters in one call with derivatives: enough for the processor's vectors
-_ACCELERATED_COLUMNS = 256  # the same on an accelerator, where a call takes its time whatever its size
-_ROUGH = 5e-4  # largest error of a search's motion with long steps, rms: of places and lengths [m]
-_ROUGH_SHARE = 0.1  # of other channels, as a share of the range that they go through
-_REMEMBERED = 4  # batches with derivatives that are remembered
-_CLOUD = 96  # equilibria in the cloud
+CHUNK = 32  # variants in one call by default
+_WITH_SLOPES = 16  # most variants in one call with derivatives
+_WIDEST = 512  # most variants in one call
+_ACCELERATED = 2048  # variants in every call on an accelerator, where idle lanes cost nothing
+_PARTS, _FEWEST = 2, 20  # calls into which a batch is split for two cores; least variants of each
+_COLUMNS = 32  # variants times parameters in one call with derivatives: enough to fill the processor's vector units
+_ACCELERATED_COLUMNS = 256  # the same on an accelerator, where the time of a call hardly depends on its size
+_ROUGH = 5e-4  # largest rms error of positions and lengths with the long steps of a search [m]
+_ROUGH_SHARE = 0.1  # largest error of other channels, as a share of their range
+_REMEMBERED = 4  # batches with derivatives that are cached
+_CLOUD = 96  # equilibria from which searches for equilibrium start
 _COARSE_STEP, _FINE_STEP = 5e-3, 1e-2 / 6  # steps of searches and answers [s]: errors of 0.03 mm and 0.01 mm on the rig
-HALVINGS = 2  # of an answer's step by the nominal motion, at most; `fitting.finish` goes on
-_EXACT = 1e-4  # largest error of the steps of an answer, rms: of places and lengths [m]
-_EXACT_SHARE = 0.02  # of other channels, as a share of the range that they go through
-_SEED = 20240418  # of the cloud: the same for every fit
+HALVINGS = 2  # most halvings of the answer's step for the nominal motion; `fitting.finish` may halve it further
+_EXACT = 1e-4  # largest rms error of positions and lengths by the answer's time steps [m]
+_EXACT_SHARE = 0.02  # largest error of other channels, as a share of their range
+_SEED = 20240418  # for the start equilibria: the same for every fit
 
 
 class Prediction(NamedTuple):
-    """Predictions for N variants; NaN where one could not be simulated."""
+    """Predictions for N variants; NaN where a variant could not be simulated."""
 
-    values: Floats  # (N, n, c) the channels side by side: position 3 [m], orientation 4, forces 1 each [N]
-    slopes: Floats | None  # (N, n, c, p) their derivatives by the parameters, where asked for
-    usable: NDArray[np.bool_]  # (N,) whether the equilibrium was found and all numbers are finite
+    values: Floats  # (N, n, c) the channels' columns: position 3 [m], orientation 4 (quaternion), forces 1 each [N]
+    slopes: Floats | None  # (N, n, c, p) their derivatives with respect to the parameters, if requested
+    usable: NDArray[np.bool_]  # (N,) whether the start equilibrium was found and all values are finite
 
 
 class StepError(NamedTuple):
-    """What the length of the steps does to a channel."""
+    """Error of one channel due to the length of the time steps."""
 
-    rms: float  # over the frames [m], [rad], [N]
-    large: bool  # more than an answer should have
+    rms: float  # over the frames [m], [rad] or [N]
+    large: bool  # whether it exceeds the limit for an answer
 
 
 @dataclass(eq=False)
 class Evaluator:
-    """Predictions of one scene's variants. Raises InputError: no such devices.
+    """Simulates the channels of one scene for many parameter vectors. Raises InputError if a device does not exist.
 
-    Of the channels that the program computes, `channels` are picked out of its answer: evaluators that differ in
-    nothing else share one program.
+    The program computes all of `computed`, and `channels` are selected from its output: evaluators that differ only in
+    `channels` share one compiled program.
     """
 
-    scene: Scene  # the nominal one
-    parameters: Parameters  # what varies
-    channels: tuple[str, ...]  # what is predicted, in this order
-    chunk: int = CHUNK  # variants in one call of a program; others are split, and the last part is filled up
+    scene: Scene  # the nominal scene
+    parameters: Parameters  # the free parameters
+    channels: tuple[str, ...]  # channels to predict, in this order
+    chunk: int = CHUNK  # variants in one call; larger batches are split, and the last part is padded
     pull_chunk: int = 8  # the same for gradients by reverse mode
-    computed: tuple[str, ...] | None = None  # channels, `channels` among them; by default these alone
-    devices: Devices = "all"  # over which each call's variants are laid, as `pftwin.simulate_batch` has them
+    computed: tuple[str, ...] | None = None  # channels that the program computes, including `channels`; default: these
+    devices: Devices = "all"  # over which each call's variants are distributed, as in `pftwin.simulate_batch`
 
     def __post_init__(self) -> None:
         found = chosen_devices(self.devices)
@@ -91,7 +91,7 @@ class Evaluator:
         self._recent: list[tuple[Floats, int, Prediction]] = []
 
     def prepare(self, widest: int | None) -> None:
-        """Sets the batch size from the largest request without derivatives; None: there will be no such request."""
+        """Sets the batch size from the largest request without derivatives; None if there will be no such request."""
         self._with_plain = widest is not None
         if self.in_turns:
             self.chunk = 1
@@ -103,21 +103,21 @@ class Evaluator:
 
     @property
     def scenes(self) -> tuple[Scene, ...]:
-        """The nominal scene of every trial: one."""
+        """The nominal scene of every trial: here one."""
         return (self.scene,)
 
     def scenes_at(self, theta: Floats) -> tuple[Scene, ...]:
-        """The scene of every trial with parameters (p,): one."""
+        """The scene of every trial at parameters (p,): here one."""
         return (self.parameters.apply(self.scene, theta),)
 
     @property
     def first(self) -> int:
-        """Steps between two frames of answers, before anything is known of their errors."""
+        """Steps between two frames of the answer, before their error has been checked."""
         return substeps_for(self.scene.motion.frame_interval, _FINE_STEP)
 
     @cached_property
     def coarse(self) -> int:
-        """Steps between two frames during a search: as few as the nominal motion allows."""
+        """Steps between two frames during a search: few, if the nominal motion is then accurate enough."""
         few = substeps_for(self.scene.motion.frame_interval, _COARSE_STEP)
         if few < self.fine:
             rough, good = (self.with_slopes(self.parameters.nominal[None], n) for n in (few, self.fine))
@@ -126,7 +126,7 @@ class Evaluator:
         return few
 
     def _agree(self, rough: Floats, good: Floats) -> bool:
-        """Whether long steps are accurate enough for a search: by the position, or else by every channel."""
+        """Whether long steps are accurate enough for a search, judged by the position if compared, else by all."""
         judged = side_by_side(self.channels)
         for channel, columns in judged[:1] if self.channels[0] == POSITION else judged:
             a, b = rough[:, columns], good[:, columns]
@@ -138,11 +138,11 @@ class Evaluator:
 
     @cached_property
     def fine(self) -> int:
-        """Steps between two frames for the final answer: more, where those of the nominal motion are too long."""
+        """Steps between two frames of the final answer, halved while the nominal motion's error is too large."""
         return self.short_enough()
 
     def short_enough(self, *, slopes: bool = True) -> int:
-        """Steps between two frames that are short enough for the nominal motion; `slopes` as `step_errors` has them."""
+        """Steps between two frames that are accurate enough for the nominal motion; `slopes` as in `step_errors`."""
         steps = self.first
         for _ in range(HALVINGS):
             errors = self.step_errors(self.parameters.nominal, steps, slopes=slopes)
@@ -152,10 +152,9 @@ class Evaluator:
         return steps
 
     def step_errors(self, theta: Floats, substeps: int, *, slopes: bool = True) -> dict[str, StepError]:
-        """How far off each channel is for the length of the steps, from a run in half of it: errors are of first order.
+        """Error of each channel due to the time steps at parameters (p,), from a run with half the step (first order).
 
-        Nothing where one of the two runs is not usable. `slopes`: by the program with derivatives, where that is
-        compiled anyway.
+        Empty if either run fails. `slopes`: use the program with derivatives, where that one is compiled anyway.
         """
         run = self.with_slopes if slopes else self.values
         long, short = (run(theta[None], n) for n in (substeps, 2 * substeps))
@@ -166,7 +165,7 @@ class Evaluator:
             a, b = (run.values[0, :, columns] for run in (long, short))
             rms = 2 * float(np.sqrt(np.mean(np.sum((a - b) ** 2, axis=1))))
             if channel == ORIENTATION:
-                rms *= 2  # an angle is twice what the quaternion changes by
+                rms *= 2  # an angle is twice the change of the quaternion
             place = unit_of(channel, self._readings) == "m"
             most = _EXACT if place else _EXACT_SHARE * float(np.ptp(b, axis=0).max())
             found[channel] = StepError(rms, rms > most)
@@ -177,7 +176,7 @@ class Evaluator:
         return self._in_chunks(theta, substeps, self.chunk, slopes=False)
 
     def with_slopes(self, theta: Floats, substeps: int) -> Prediction:
-        """Predictions and their derivatives for (N, p) parameters; the last few batches are remembered."""
+        """Predictions and their derivatives for (N, p) parameters; the last few batches are cached."""
         theta = np.atleast_2d(np.asarray(theta, dtype=np.float64))
         for before, steps, prediction in self._recent:
             if steps == substeps and len(rows := _rows_of(theta, before)) == len(theta):
@@ -188,8 +187,8 @@ class Evaluator:
         return prediction
 
     def gradients(self, theta: Floats, substeps: int, pulls: Floats) -> Floats:
-        """Of a function of the predictions by (N, p) parameters, by reverse mode; pulls (N, n, c) are its derivatives
-        by the predictions."""
+        """Gradients (N, p) of a function of the predictions by reverse mode, at (N, p) parameters; `pulls` (N, n, c)
+        are the function's derivatives with respect to the predictions."""
         theta = np.atleast_2d(np.asarray(theta, dtype=np.float64))
         program = self._program._replace(channels=self.channels)
         width, parts = self._wide(1 if self.in_turns else self.pull_chunk), []
@@ -203,7 +202,7 @@ class Evaluator:
 
     @property
     def in_turns(self) -> bool:
-        """Whether a call takes its variants one after another: then several in one cost as much as several calls."""
+        """Whether a call computes its variants one after another, so that batching them saves nothing."""
         return not self._accelerated and any(e.in_turns for e in self.scene.effects)
 
     @property
@@ -215,12 +214,12 @@ class Evaluator:
         return max(1, min(_WITH_SLOPES, columns // len(self.parameters)))
 
     def _wide(self, chunk: int) -> int:
-        """Variants of a call, the same number on every device."""
+        """Variants in a call, rounded up to the same number on every device."""
         return -(-chunk // self._count) * self._count
 
     def _in_chunks(self, theta: Floats, substeps: int, chunk: int, *, slopes: bool) -> Prediction:
         theta = np.atleast_2d(np.asarray(theta, dtype=np.float64))
-        self._cloud  # noqa: B018 (before threads ask for it)
+        self._cloud  # noqa: B018 (computed before the threads need it)
         width = self._wide(chunk)
 
         def one(part: Floats) -> list[Any]:
@@ -251,14 +250,14 @@ class Evaluator:
         return np.asarray(values), np.moveaxis(np.asarray(columns), 0, -1), np.asarray(found), poses
 
     def guesses(self, theta: Floats) -> Pose:
-        """Poses (N,) from which searches for equilibrium begin: the nearest of the cloud."""
+        """Poses (N,) from which searches for equilibrium start: the nearest of the precomputed equilibria."""
         where, poses = self._cloud
         distance = np.sum((self.parameters.share(theta)[:, None] - where[None]) ** 2, axis=-1)
         return _picked(poses, np.argmin(distance, axis=1))
 
     @cached_property
     def _cloud(self) -> tuple[Floats, Pose]:
-        """Equilibria throughout the bounds: shares of the range (m, p) and poses (m,), the nominal one first."""
+        """Equilibria throughout the bounds: parameters as shares of their range (m, p), poses (m,); nominal first."""
         slopes = not self._with_plain
         width = self._wide(self.slope_chunk if slopes else self.chunk)
         start = jax.tree.map(lambda a: np.asarray(a)[None], self.scene.start)
@@ -271,7 +270,7 @@ class Evaluator:
             return found, jax.tree.map(np.asarray, pose)
 
         first, poses = settled(parts[0], start)
-        # The nominal one; if it was not found, the scene's start stands in.
+        # If the nominal equilibrium was not found, the scene's start pose replaces it.
         guess = jax.tree.map(lambda a: a[:1], poses) if first[0] else start
         others = self._at_once(lambda part: settled(part, guess), parts[1:])
         where, found = [self.parameters.share(parts[0][:1])], [guess]
@@ -282,7 +281,7 @@ class Evaluator:
         return np.concatenate(where), jax.tree.map(lambda *a: np.concatenate(a), *found)
 
     def _at_once(self, run: Callable[[Floats], T], pieces: Sequence[Floats]) -> list[T]:
-        """What is computed of each piece; XLA runs a loop of small operations on one core, so others take others."""
+        """Results for all pieces, in threads: XLA runs a loop of small operations on one core only."""
         if len(pieces) < 2 or self._threads == 1:
             return list(map(run, pieces))
         with ThreadPoolExecutor(min(len(pieces), self._threads)) as pool:
@@ -299,6 +298,6 @@ def _picked(poses: Pose, which: NDArray[np.intp]) -> Pose:
 
 
 def _rows_of(theta: Floats, among: Floats) -> list[int]:
-    """Indices of the identical parameters among others; shorter than `theta` if some are missing."""
+    """Indices of the rows of `theta` among cached parameters; shorter than `theta` if some are missing."""
     at = {row.tobytes(): i for i, row in enumerate(among)}
     return [at[row.tobytes()] for row in theta if row.tobytes() in at]

@@ -1,9 +1,9 @@
-"""From where a search ended to its answer: steps that are short enough, and one more search from there.
+"""Turns the end of a search into its answer: shortens the time steps, weighs priors, and searches once more.
 
-Where contacts begin and end, an objective computed in long steps is rough: it has many lowest places near one another,
-and its curvature is not that of the motion (on the rig's case 1 steps of 1.7 ms leave jumps of 5 nats). Searches use
-long steps nevertheless, for they have far to go. Then steps are halved until the estimate, with the covariance that is
-reported, no longer changes; and where there are priors, the measurements are weighed against them.
+Where contacts begin and end, an objective computed with long steps is rough: it has many local minima, and its
+curvature is not that of the motion (on the rig's case 1 steps of 1.7 ms leave jumps of 5 nats). Searches use long steps
+nevertheless, since they have far to go. Then steps are halved until the estimate, with the covariance that is reported,
+no longer changes; and if there are priors, the measurements are weighed against them.
 """
 
 from __future__ import annotations
@@ -33,19 +33,19 @@ if TYPE_CHECKING:
     from fitting.trials_evaluator import TrialsEvaluator
 
 
-_MOST = 8  # times as many steps as before anything is known of their errors, at most
-_SETTLED = 0.05  # divergence [nats] of two estimates that are taken for one: a shift by 0.3 deviations, or 22 % of one
+_MOST = 8  # most steps between two frames, as a multiple of the number before their error has been checked
+_SETTLED = 0.05  # divergence [nats] below which two estimates count as equal: a shift by 0.3 SD, or 22 % of one SD
 _UNSETTLED = (
     "time steps half as long would still change the values by a third of their standard deviations, or these by a fifth"
 )
-_BY_BOUNDS = 12.0  # information of an even distribution between bounds, by shares of the range
-_WHOLE = 0.95  # shares above this change nothing that could be seen
-_OPEN = 1e-10  # of the largest eigenvalue: directions with less information are not determined
+_BY_BOUNDS = 12.0  # information of a uniform distribution between the bounds, in shares of the range
+_WHOLE = 0.95  # shares above this make no visible difference
+_OPEN = 1e-10  # share of the largest eigenvalue: directions with less information are not determined
 
 
 def finished(search: Method, state: State, run: Callable[[Method], State]) -> tuple[Method, State]:
-    """A search that has ended, with the steps and weights that its answer needs, and its state with that answer; `run`
-    iterates a method until it stops. A search by a population ends where it was, unless there are priors."""
+    """A finished search with the time steps and weights that its answer needs, and its state with that answer; `run`
+    iterates a method until it stops. A population's search keeps its best parameters unless there are priors."""
     problem = search.problem
     if state["best_theta"] is None or not (search.rough or problem.weighs_priors):
         return search, state
@@ -55,7 +55,7 @@ def finished(search: Method, state: State, run: Callable[[Method], State]) -> tu
         left = settle(problem.evaluator, lambda n: told_at(problem, theta, n)) if search.rough else 0.0
         problem = _weighed(problem, theta)
         again = run(LeastSquares(started_at(problem, theta), search.seed, near=True))
-    except KeyboardInterrupt:  # before it had an answer
+    except KeyboardInterrupt:  # before there is an answer
         return search, {**state, "interrupted": True}
     if again["best_theta"] is None:
         return search, {**state, "stopped": "with shorter steps, or measurements counted anew, nothing could be run"}
@@ -69,10 +69,10 @@ def finished(search: Method, state: State, run: Callable[[Method], State]) -> tu
 def settle(
     evaluator: Evaluator | TrialsEvaluator, told: Callable[[int], Told | None], tolerance: float = _SETTLED
 ) -> float:
-    """Halves the steps of an evaluator's answers until what is `told` with so many between two frames (None where no
-    motion comes out, which ends it) changes by no more than a tolerance [nats].
+    """Halves an evaluator's steps until the normal distribution `told(substeps)` changes by no more than a tolerance
+    [nats]; stops if `told` returns None, because a simulation failed.
 
-    Returns by how much it would still change [nats]: from the last halving, for the error of steps is of first order.
+    Returns the remaining change [nats], after the last halving extrapolated: the error of steps is of first order.
     """
     left, halvings = change(told, evaluator.fine), int(np.log2(_MOST * evaluator.first / evaluator.fine))
     while left > tolerance and halvings > 0:
@@ -83,8 +83,8 @@ def settle(
 
 
 def change(told: Callable[[int], Told | None], substeps: int) -> float:
-    """By how much what is told changes in half the steps [nats]; 0 where no motion comes out there, infinite where
-    one of the two is none."""
+    """Change of what `told` returns when steps are halved [nats]; 0 if a simulation fails, infinite if one of the two
+    is not finite."""
     ours, theirs = (told(n) for n in (substeps, 2 * substeps))
     if ours is None or theirs is None:
         return 0.0
@@ -93,20 +93,20 @@ def change(told: Callable[[int], Told | None], substeps: int) -> float:
 
 
 def _weighed(problem: Problem, theta: Floats) -> Problem:
-    """With what its measurements count beside priors, if there are any."""
+    """The problem with the share of the likelihood that counts beside priors, if there are any."""
     if not problem.weighs_priors:
         return problem
     return replace(problem, objective=replace(problem.objective, share=share_at(problem, theta)))
 
 
 def share_of_independent(objective: Objective, r: Floats, j: Floats) -> float:
-    """How much correlated residuals (n, m), with derivatives (n, m, p), count beside priors, by an objective of known
-    noise: 1 without correlation.
+    """Share of the likelihood with which correlated residuals (n, m), with derivatives (n, m, p), count beside priors,
+    for an objective of known noise; 1 without correlation.
 
-    Measurements whose residuals resemble their neighbours' repeat each other. Counted as independent they drown the
+    Measurements whose residuals resemble their neighbours' are redundant. Counted as independent they overwhelm the
     priors. Their log likelihood is therefore multiplied by a share w before priors are added, as in power posteriors:
     the inverse of the mean inflation, over the p directions of the parameters, of the score's long-run variance (Newey
-    & West 1987) over what it would be without correlation. Sources: Bissiri, Holmes & Walker 2016, JRSS B 78:1103
+    & West 1987) over its variance without correlation. Sources: Bissiri, Holmes & Walker 2016, JRSS B 78:1103
     (general Bayesian updating); Holmes & Walker 2017, Biometrika 104:497 (w by matching information).
     """
     z, a = scaled_by_noise(objective, r, j)
@@ -123,7 +123,7 @@ def share_of_independent(objective: Objective, r: Floats, j: Floats) -> float:
 
 
 def share_at(problem: Problem, theta: Floats) -> float:
-    """w of a problem's measurements at the least of its quadratic model at parameters (p,); 1 where it is nearly 1."""
+    """The share w of a problem at the minimum of its quadratic model around parameters (p,); 1 if it is nearly 1."""
     target = problem.objective
     seen = problem.prediction(theta, problem.evaluator.fine)
     if not seen.usable[0]:
@@ -135,18 +135,18 @@ def share_at(problem: Problem, theta: Floats) -> float:
 
 
 class Told(NamedTuple):
-    """What is told of the parameters asked for, by shares of their ranges: a normal distribution."""
+    """Normal distribution of the requested parameters, in shares of their ranges."""
 
     mean: Floats  # (d,)
-    precision: Floats  # (d, d), with what the bounds tell
+    precision: Floats  # (d, d), including the information in the bounds
 
     @staticmethod
     def of(mean: Floats, precision: Floats) -> Told:
-        """With what the bounds tell besides."""
+        """Adds the information in the bounds."""
         return Told(mean, precision + _BY_BOUNDS * np.eye(len(mean)))
 
     def divergence(self, other: Told) -> float:
-        """From another one (Kullback and Leibler) [nats]."""
+        """Kullback-Leibler divergence from another distribution [nats]."""
         spread = np.linalg.solve(self.precision.T, other.precision.T).T  # its precision times our covariance
         off = self.mean - other.mean
         determinants = np.linalg.slogdet(self.precision)[1] - np.linalg.slogdet(other.precision)[1]
@@ -154,7 +154,7 @@ class Told(NamedTuple):
 
 
 def told_at(problem: Problem, theta: Floats, substeps: int) -> Told | None:
-    """By the quadratic model at these parameters; None where no motion comes out."""
+    """The estimate from the quadratic model at these parameters; None if the simulation fails."""
     seen, target, p = problem.prediction(theta, substeps), problem.objective, problem.parameters
     if not seen.usable[0]:
         return None
@@ -163,7 +163,7 @@ def told_at(problem: Problem, theta: Floats, substeps: int) -> Told | None:
     asked, span = slice(p.asked), p.upper - p.lower
     mean = p.share(theta + problem.ahead(theta, substeps))
     covariance = (uncertainty(known, p, r, j, theta).covariance / np.outer(span, span))[asked, asked]
-    if not np.linalg.eigvalsh(covariance)[0] > 0:  # derivatives that grew from step to step, or an open combination
+    if not np.linalg.eigvalsh(covariance)[0] > 0:  # derivatives that grow from step to step, or an open combination
         return Told(mean[asked], np.full(covariance.shape, np.nan))
     return Told.of(mean[asked], inverse_information(covariance))
 
@@ -175,7 +175,7 @@ def started_at(problem: Problem, theta: Floats) -> Problem:
 
 
 def _joined(state: State, again: State) -> State:
-    """The state of a search, and of another one that went on from there."""
+    """The state of a search, continued by another one."""
     before = {key: state[key] for key in ("iteration", "evaluations")}
     later = [{**entry, **{key: entry[key] + count for key, count in before.items()}} for entry in again["history"]]
     best = {key: again[key] for key in ("best_theta", "best_value", "stopped", "interrupted")}

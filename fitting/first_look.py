@@ -1,4 +1,4 @@
-"""A look at the nominal parameters and others within the bounds before a search, which refuses what none could fit."""
+"""Checks before a search: evaluates the nominal and other parameters, and refuses measurements that none could fit."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from fitting.trials import said_of_trials
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 
-_UNFELT = 1e-7  # smallest effect of a parameter's whole range that can be measured, in metres or newtons
-_FAR = 0.1  # distance between measured and predicted positions that indicates another frame [m]
-_SMALL = 0.02  # share of a parameter's range by which it is moved to see what reacts
-_TRIALS, _COLUMNS = 16, 256  # motions that measurements are held against, at most; the same times parameters
+_UNFELT = 1e-7  # smallest effect of a parameter's whole range that counts, in metres or newtons
+_FAR = 0.1  # median distance between measured and predicted positions that indicates another frame [m]
+_SMALL = 0.02  # share of a parameter's range by which it is moved to test whether anything reacts
+_TRIALS, _COLUMNS = 16, 256  # most motions with which measurements are compared; most motions times parameters
 _EXPECTED = "the button's centre in the femur frame, in metres"
-_SEED = 20240418  # of trial motions that measurements are held against: the same for every fit
+_SEED = 20240418  # for the parameters of these motions: the same for every fit
 
 
 def first_look(problem: Problem, first: Request | None, limits: Limits) -> list[str]:
-    """Evaluates the nominal parameters and others within the bounds, and refuses what no search could fit. Returns what
-    measured channels look like, where that is not what they are taken for.
+    """Evaluates the nominal parameters and others within the bounds, and refuses what no search could fit. Returns
+    doubts: what a measured channel looks like, if another reading of it (unit, sign, axes) fits better.
 
-    Raises InputError: measurements in other units, signs or axes, or swapped; parameters asked for to which nothing
-    that is compared reacts; measured positions in another frame.
+    Raises InputError for measurements in other units, signs or axes, or swapped; for requested parameters that affect
+    no compared channel; for positions measured in another frame.
     """
     evaluator, at = problem.evaluator, problem.parameters.nominal
     count = max(1, min(_TRIALS, _COLUMNS // len(at)))
@@ -42,7 +42,7 @@ def first_look(problem: Problem, first: Request | None, limits: Limits) -> list[
 
 
 def plain_look(problem: Problem, limits: Limits) -> list[str]:
-    """As `first_look`, without derivatives: parameters are moved by a small share of their range in place of them."""
+    """As `first_look`, with parameters moved by a small share of their range instead of derivatives."""
     parameters, at = problem.parameters, problem.parameters.nominal
     asked = np.arange(parameters.asked)
     span = parameters.upper - parameters.lower
@@ -66,9 +66,9 @@ def _misread(problem: Problem, trials: Prediction, limits: Limits) -> list[str]:
 
 
 def _judged(problem: Problem, trials: Prediction, nominal: Floats, effect: Floats, limits: Limits) -> list[str]:
-    """Doubts, from trial motions, the nominal one (n, c), and the effect of each parameter's whole range (p,)."""
+    """Doubts, given trial motions, the nominal one (n, c), and the effect of each parameter's whole range (p,)."""
     doubts = _misread(problem, trials, limits)
-    known = np.arange(len(effect)) >= problem.parameters.asked  # by their priors
+    known = np.arange(len(effect)) >= problem.parameters.asked  # nuisance parameters, which have priors
     if (unfelt := np.flatnonzero((effect < _UNFELT) & ~known)).size:
         names = ", ".join(problem.parameters.names[i] for i in unfelt)
         found = f"nothing that is compared ({', '.join(problem.objective.channels)}) reacts to {names}"

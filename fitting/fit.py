@@ -1,4 +1,4 @@
-"""`fit_tendons`: one verb for every method, and the loop on the host that they share."""
+"""`fit_tendons`: fits a scene's parameters with any method; the iteration loop that the searches share."""
 
 from __future__ import annotations
 
@@ -38,17 +38,17 @@ METHODS = {  # module and class
     "cma_es": ("strategies", "CmaEs"),
     "differential_evolution": ("strategies", "DifferentialEvolution"),
 }
-SIMULATIONS = "simulations"  # no search: see `fitting.inference`
+SIMULATIONS = "simulations"  # a posterior instead of a search: see `fitting.inference`
 SPRING_PARAMETERS = ("K1", "L1", "K2", "L2")
 _BETWEEN_CHECKPOINTS = 1.0  # [s]
 
 
 class Progress(NamedTuple):
-    """Progress of a fit."""
+    """Progress of a fit, reported after every iteration."""
 
     method: str
     iteration: int
-    of: int  # at most
+    of: int  # most iterations
     best: float
     spread: float
 
@@ -80,59 +80,60 @@ def fit_tendons(
     limits: Mapping[str, tuple[float, float]] | None = None,
     **options: Any,
 ) -> Estimate:
-    """Parameters of a scene from measurements of its motion, and how sure they are.
+    """Estimates parameters of a scene, and their uncertainty, from measurements of its motion.
 
     Args:
-        scene: the nominal one; its values are where the search begins. Or several, of trials of one knee, which share
-            all parameters: values are those of the first, and coordinates of points move in each by as much.
-        measured: at the scene's frames; by default those that the scene carries: a case's of the rig, or those of the
-            scene file's table [measured]. Of several trials, those of each.
+        scene: the nominal scene, whose values are where the search starts; or the scenes of several trials of one knee,
+            which share all parameters. Values are then those of the first trial, and a point's coordinates move by the
+            same amount in every trial.
+        measured: measurements at the scene's frames; by default those that the scene carries (of a case of the rig, or
+            from a scene file's table [measured]). For several trials a sequence, one for each.
         method: "least_squares" (multi-start Levenberg-Marquardt), "gradient" (Adam, then L-BFGS, by reverse mode, for
-            many parameters), "genetic", "matlab_ga" (after Matlab's `ga`), "cma_es", "differential_evolution" (these
+            many parameters), "genetic", "matlab_ga" (after Matlab's `ga`), "cma_es", "differential_evolution" (the last
             two need the extra `evosax`); or "simulations": no search, but a posterior learned from some 30,000
             simulated recordings (`fitting.inference`), whose intervals are those to report.
         objective: "likelihood", or "paper": the sum over X, Y, Z of the root mean square error of the sphere's centre
             in the femur frame, without forces.
-        free: names of parameters; see `free_parameters`.
-        bounds: to either side as a share of the nominal values, or by name; of several trials, in the first.
-        priors: by name, mean and standard deviation of a normal prior, likewise.
-        nuisance: what the scene lacks or knows roughly, fitted besides: "rig", "mocap", "mri" or a `fitting.Nuisance`;
-            by default nothing, and whatever it lacks goes into what is free.
-        varies: of several trials, by name of what is free or nuisance, the standard deviation by which it differs from
-            trial to trial. What is told is the mean of all trials that there might be; each trial's difference is
-            fitted besides. By default nothing differs.
-        seed: of all random choices: the same seed gives the same result; by simulations only where rounding is the same
+        free: names of the parameters to estimate; see `free_parameters`.
+        bounds: half width as a share of the nominal value, for all or by name, or (lower, upper) by name; those of the
+            first trial.
+        priors: mean and standard deviation of a normal prior, by name; those of the first trial.
+        nuisance: what the scene omits or knows only roughly, estimated too: "rig", "mocap", "mri" or a
+            `fitting.Nuisance`. By default nothing, so that model errors bias the free parameters.
+        varies: standard deviation by which a free or nuisance parameter differs between trials, by name. The value
+            reported is the mean over all possible trials; each trial's difference is estimated too. By default nothing
+            differs.
+        seed: of all random choices. The same seed gives the same result; with simulations only if rounding is the same
             too, which the number of threads may change.
-        use: channels to compare: "position", "orientation", effects' names for their forces, whatever else effects
-            report ("contact.force_medial"), or "all" that were measured; see `Objective.of`. Of several trials each
-            gives what was measured there.
-        noise: standard deviations of the measurements by channel, or covariances of positions and turns; by default
+        use: channels to compare: "position", "orientation", an effect's name for its force, any other observable
+            of an effect ("contact.force_medial"), or "all" that were measured; see `Objective.of`. Each of several
+            trials contributes those that were measured in it.
+        noise: standard deviation of each channel's noise, or covariance of positions or rotations; by default
             estimated from the residuals.
         loss: "linear", "huber" or "soft_l1".
-        springs: names of the effects whose tensions the "femoral" and the "tibial" spring forces are.
+        springs: names of the effects whose tensions were measured as "femoral" and "tibial" spring forces.
         progress: called after every iteration.
-        checkpoint: file in which the state is kept while the fit runs.
-        resume: go on from that file.
-        computed: channels that the compiled program computes, those compared among them; by default no others. Fits
-            that compare different channels share one program where they compute the same; so does `plan_experiment`
+        checkpoint: file to which the state is saved during the fit.
+        resume: whether to continue from that file.
+        computed: channels that the compiled program computes, including those compared; by default these alone. Fits
+            that compare different channels share one program if they compute the same; so does `plan_experiment`
             with fits that compute `fitting.channels_of(scene)`.
-        devices: over which trial parameters are laid, as `pftwin.simulate_batch` has them. The course of a fit is the
-            same for any number, to rounding.
-        limits: of the checks of what was measured, by name: from which value on a fault is named before any number, and
-            from which the fit is refused; see `fitting.channel_checks`.
-        options: of the method: `starts` (least squares), `generations`, `population`, `populations` (genetic,
-            matlab_ga and evosax), `iterations` (gradient), `simulations` of a round and `rounds` at most (simulations).
+        devices: over which parameter vectors are distributed, as in `pftwin.simulate_batch`. The iterates are the same
+            for any number of devices, to rounding.
+        limits: for the checks of the measurements, by name: the value from which a fault is reported as a doubt, and
+            that from which the fit is refused; see `fitting.channel_checks`.
+        options: of the method: `starts` (least squares); `generations`, `population`, `populations` (genetic,
+            matlab_ga and evosax); `iterations` (gradient); `simulations` per round and `rounds` at most (simulations).
 
     Returns:
         The estimate. After an interrupt (Ctrl-C) it holds the best so far, and says so; the checkpoint can be resumed.
 
     Raises:
-        InputError: what cannot give a right answer: see `free_parameters` and `Objective.of`; a parameter to which
-            nothing that was measured reacts; all starts failing; a checkpoint of another problem; no such devices;
-            measurements in other units, signs or axes, swapped, late, or unlike anything that the scene can do;
-            trials that have not the same tendons, damping and friction, or of which nothing that is used was measured;
-            what varies and is not free, or leaves no room within its bounds;
-            errors of sensors as nuisance with another method than simulations.
+        InputError: unusable input, as in `free_parameters` and `Objective.of`; a parameter that affects no channel
+            compared; failure of all starts; a checkpoint of another problem; an unknown device; measurements in other
+            units, signs or axes, swapped, late, or unlike any motion of the scene; trials that differ in tendons,
+            damping or friction, or without any channel of `use`; a parameter in `varies` that is not free or has no
+            room within its bounds; sensor errors as nuisance with a method other than simulations.
     """
     if method not in (*METHODS, SIMULATIONS):
         known = ", ".join((*METHODS, SIMULATIONS))
@@ -196,7 +197,7 @@ def fit_tendons(
 def _searched(
     search: Method, state: State | None, identity: str, tell: Tell, checkpoint: Path | None
 ) -> tuple[Method, State]:
-    """The search where it ended, and its state there. Raises InputError: all starts failed."""
+    """The search and its state after the last iteration. Raises InputError if all starts failed."""
     state = _run(search, state, identity, tell, checkpoint)
     if state["best_theta"] is None:
         raise InputError(
@@ -213,7 +214,7 @@ def _searched(
 def _check_simulations(
     objective: str, loss: str, checkpoint: str | Path | None, options: Mapping[str, Any]
 ) -> tuple[int, int]:
-    """How many simulations a round has, and how many rounds at most; refuses what simulations do not know."""
+    """Simulations per round and most rounds. Raises InputError for options that simulations do not have."""
     for name, given, expected in (("objective", objective, "likelihood"), ("loss", loss, "linear")):
         if given != expected:
             raise InputError(f"simulations have no {name} {given!r}", where=name, expected=expected)
@@ -227,9 +228,9 @@ def _check_simulations(
 
 
 def likelihood_of(estimate: Estimate, measured: Recordings) -> Problem:
-    """The problem that an estimate solved, with the noise that it found; measured of every trial, by default as the
-    estimate or its scenes have it. Raises InputError: an estimate without a scene, or of the paper's objective; what
-    `Objective.of` has against the measurements."""
+    """The problem that an estimate solved, with the noise that it found. `measured` holds every trial's measurements,
+    by default those of the estimate or its scenes. Raises InputError for an estimate without a scene or of the paper's
+    objective, and as `Objective.of` does for the measurements."""
     e, scenes = estimate, [trial.nominal for trial in estimate.trials]
     if not scenes:
         remedy = "Estimate.load(path, scene)"
@@ -254,7 +255,7 @@ def likelihood_of(estimate: Estimate, measured: Recordings) -> Problem:
 
 
 def _computed(scene: Scene, target: Objective, wanted: Sequence[str] | None) -> tuple[str, ...] | None:
-    """Channels in the scene's order, so that equal sets share one program; None for those compared alone."""
+    """Computed channels in the scene's order, so that equal sets share one program; None: only those compared."""
     if wanted is None:
         return None
     known = with_readings(scene)
@@ -268,7 +269,7 @@ def _computed(scene: Scene, target: Objective, wanted: Sequence[str] | None) -> 
     return tuple(c for c in known if c in names)
 
 
-_MOST = 1_000_000  # starts, generations, ...: beyond, the memory or the life of the machine ends
+_MOST = 1_000_000  # of starts, generations and the like: more would exhaust memory or take forever
 
 
 def _method(name: str, problem: Problem, seed: int, options: dict[str, Any]) -> Method:
@@ -288,7 +289,7 @@ def _check_options(name: str, known: tuple[str, ...], options: Mapping[str, Any]
 
 
 def _run(search: Method, state: State | None, identity: str, tell: Tell, path: Path | None) -> State:
-    """Iterates until the method stops or someone interrupts."""
+    """Iterates until the method stops or the user interrupts."""
     if state is None:
         state = {**search.begin(), "iteration": 0, "evaluations": 0, "history": [], "interrupted": False}
         state.setdefault("starts", search.starts)

@@ -1,4 +1,4 @@
-"""How precisely an experiment could determine parameters (Cramer-Rao bound), and what else to measure."""
+"""How precisely an experiment can determine parameters (Cramer-Rao bound), what else to measure; profile likelihood."""
 
 from __future__ import annotations
 
@@ -28,24 +28,24 @@ from pftwin.model.scene import Scene, check
 NOISE = {POSITION: 2e-4, ORIENTATION: 5e-3}  # of motion capture [m], [rad]
 FORCE_NOISE = 0.15  # of a load cell [N]
 CHI_SQUARED_95 = 3.841458820694124  # quantile for one degree of freedom
-_SETTLED = 5e-4  # divergence [nats] of two bounds that are taken for one: all of four deviations off by 1 %
+_SETTLED = 5e-4  # divergence [nats] below which two bounds count as equal: four standard deviations all off by 1 %
 _UNFELT = 1e-6  # least effect of a parameter's whole range on all frames, in units of the noise
 
 
 @dataclass(frozen=True, eq=False)
 class ExperimentPlan:
-    """The best precision a design allows for parameters (p,), and which further channels or trials would improve it."""
+    """Best precision that a design allows for the parameters (p,), and further channels or trials that improve it."""
 
     names: tuple[str, ...]
     values: Floats
-    channels: tuple[str, ...]  # what is measured
+    channels: tuple[str, ...]  # channels to be measured
     noise: dict[str, float]
     covariance: Floats  # (p, p): no unbiased estimate has a smaller one
     condition: float
-    unfelt: tuple[str, ...]  # parameters to which nothing that is measured reacts
+    unfelt: tuple[str, ...]  # parameters that affect no measured channel
     additions: dict[str, Floats]  # relative standard deviations (p,) with one more channel or trial, best first
-    words: str
-    sizes: Floats  # what deviations are relative to (p,)
+    words: str  # the precision in words
+    sizes: Floats  # what relative standard deviations are relative to (p,)
     trials: tuple[str, ...] = ()  # which additions are trials
 
     @property
@@ -54,7 +54,7 @@ class ExperimentPlan:
         return np.sqrt(np.maximum(np.diagonal(self.covariance), 0)) / self.sizes
 
     def sentence(self) -> str:
-        """In plain words."""
+        """The plan's precision and the best further measurement, in a sentence."""
         text = f"at best, {self.words}"
         if self.unfelt:
             text += f"; nothing reacts to {', '.join(self.unfelt)}"
@@ -96,27 +96,27 @@ def plan_experiment(
     nuisance: str | Nuisance | None = None,
     varies: Mapping[str, float] | None = None,
 ) -> ExperimentPlan:
-    """The Cramer-Rao bound at the scene's parameters, before anything is measured or fitted.
+    """Computes the Cramer-Rao bound at the scene's parameters, before anything is measured or fitted.
 
     Args:
-        scene: with the motion that is to be recorded.
-        free: parameters that are to be found.
-        use: channels to be measured: "position", "orientation", effects' names for their forces, and whatever else
-            effects report ("contact.force_medial").
-        noise: standard deviations by channel [m], [rad], [N]; by default 0.2 mm, 5 mrad and 0.15 N, white. That of
-            a reading that is no force has to be stated.
-        candidates: channels that might be measured besides; by default every other one that the scene has.
-        further: scenes of trials of the same knee that might be recorded besides, by the same channels.
-        priors: by name, mean and standard deviation of a normal prior.
-        bounds: as for a fit: what "no reaction" is measured by.
-        nuisance: what the scene lacks or knows roughly, found besides: as for a fit.
-        varies: as for a fit: by what standard deviation a parameter differs from trial to trial; what is found is its
-            mean.
+        scene: scene with the motion that is to be recorded.
+        free: names of the parameters to be estimated.
+        use: channels to be measured: "position", "orientation", an effect's name for its force, and any other
+            observable of an effect ("contact.force_medial").
+        noise: standard deviations by channel [m], [rad], [N]; by default 0.2 mm, 5 mrad and 0.15 N, white. For a
+            reading that is not a force it is required.
+        candidates: channels that could be measured too; by default all others of the scene.
+        further: scenes of further trials of the same knee that could be recorded, with the same channels.
+        priors: mean and standard deviation of a normal prior, by name.
+        bounds: as in `fit_tendons`: the range over which a parameter must affect the measurements.
+        nuisance: as in `fit_tendons`: what the scene omits or knows only roughly, estimated too.
+        varies: as in `fit_tendons`: standard deviation by which a parameter differs between trials; its mean is
+            estimated.
 
     Raises:
         InputError: unknown parameters or channels; a scene that cannot be simulated; a noise that is not positive;
-            further trials with other tendons, damping or friction; what varies and is not free, or without a further
-            trial.
+            further trials that differ in tendons, damping or friction; a parameter in `varies` that is not free, or
+            without a further trial.
     """
     for each in (scene, *further):
         check(each)
@@ -136,7 +136,7 @@ def plan_experiment(
     prior = np.diag(parameters.prior_terms(parameters.nominal)[2])
 
     def known(*trials: Any) -> Floats:
-        """Of what is asked for, by trials that each have differences of their own."""
+        """Information on the requested parameters from trials that each have their own differences."""
         whole = sum((_of_the_mean(each, parameters, between) for each in trials), prior)
         return _of_the_first(whole, asked)
 
@@ -169,8 +169,8 @@ def plan_experiment(
 def _channels(
     scene: Scene, use: Sequence[str], candidates: Sequence[str] | None
 ) -> tuple[tuple[str, ...], list[str], dict[str, str]]:
-    """The channels that are measured or might be, in the scene's order; the latter; units of those that are no poses
-    and forces. Raises InputError: no such channel, or none."""
+    """Channels measured or possible, in the scene's order; the possible ones; units of those that are neither poses
+    nor forces. Raises InputError for an unknown channel, or if none is measured."""
     plain = channels_of(scene)
     more = [c for c in plain if c not in use] if candidates is None else list(candidates)
     for channel in (*use, *more):
@@ -184,7 +184,7 @@ def _channels(
 
 
 def _noise(channels: Sequence[str], units: Mapping[str, str], stated: Mapping[str, float]) -> dict[str, float]:
-    """Standard deviations by channel. Raises InputError: one that is none, or that has to be stated."""
+    """Standard deviations by channel. Raises InputError if one is invalid, or missing without a default."""
     sigma = {c: NOISE.get(c, FORCE_NOISE) for c in channels} | dict(stated)
     if unknown := [c for c in channels if units.get(c, "N") != "N" and c not in stated]:
         expected = f"its standard deviation [{units[unknown[0]]}]"
@@ -197,7 +197,7 @@ def _noise(channels: Sequence[str], units: Mapping[str, str], stated: Mapping[st
 
 
 def _of_the_mean(information: Floats, parameters: Parameters, varies: Mapping[str, float]) -> Floats:
-    """What one trial tells of the mean of all trials (p, p), where its own difference is found besides."""
+    """Information from one trial on the mean over trials (p, p), its own difference being estimated too."""
     at = [i for i, name in enumerate(parameters.names) if name in varies]
     if not at:
         return information
@@ -206,7 +206,7 @@ def _of_the_mean(information: Floats, parameters: Parameters, varies: Mapping[st
 
 
 def _of_the_first(information: Floats, asked: int) -> Floats:
-    """What is known of the first parameters (asked, asked) where the others are found besides: Schur's complement."""
+    """Information on the first parameters (asked, asked), the others being estimated too: Schur's complement."""
     a, b, d = information[:asked, :asked], information[:asked, asked:], information[asked:, asked:]
     return a - b @ inverse_information(d) @ b.T if len(d) else a
 
@@ -214,10 +214,10 @@ def _of_the_first(information: Floats, asked: int) -> Floats:
 def _information(
     scene: Scene, parameters: Parameters, channels: tuple[str, ...], noise: dict[str, float], use: tuple[str, ...]
 ) -> tuple[dict[str, Floats], tuple[str, ...]]:
-    """Fisher information of every channel (p, p), and the parameters that the used ones do not feel. Raises InputError:
-    the scene cannot be simulated; a number that moves the point whose path is measured.
+    """Fisher information of each channel (p, p), and the parameters that affect no used channel. Raises InputError if
+    the scene cannot be simulated, or a parameter moves the point whose path is measured.
 
-    In steps as short as those of a fit's answer: half as long ones tell the same of what is asked for.
+    Time steps are as short as those of a fit's answer: halving them changes nothing about the requested parameters.
     """
     if POSITION in use:
         refuse_moved_point(scene, parameters)
@@ -242,14 +242,14 @@ def _information(
 def _information_at(
     evaluator: Evaluator, parameters: Parameters, noise: Mapping[str, float], substeps: int
 ) -> dict[str, Floats]:
-    """Fisher information of every channel (p, p) with so many steps between frames; none where nothing can be run."""
+    """Fisher information of each channel (p, p) with so many steps between frames; empty if the simulation fails."""
     seen, out = evaluator.with_slopes(parameters.nominal[None], substeps), {}
     if not seen.usable[0] or seen.slopes is None:
         return {}
     for channel, columns in side_by_side(evaluator.channels):
         j = seen.slopes[0, :, columns] / noise[channel]
         if channel == ORIENTATION:
-            j = 2 * j  # of a unit quaternion: half the turn
+            j = 2 * j  # a unit quaternion changes by half the rotation
         flat = j.reshape(-1, j.shape[-1])
         out[channel] = flat.T @ flat
     return out
@@ -257,12 +257,12 @@ def _information_at(
 
 @dataclass(frozen=True, eq=False)
 class LikelihoodProfile:
-    """How much worse the best fit gets as one parameter is held at values away from its estimate."""
+    """Profile likelihood of one parameter: the others are refitted at each of its values."""
 
     name: str
     values: Floats  # (k,)
-    deviance: Floats  # (k,) twice the loss of log-likelihood
-    theta: Floats  # (k, p) the others' best values
+    deviance: Floats  # (k,) twice the decrease of the log-likelihood
+    theta: Floats  # (k, p) all parameters, the others refitted
     interval: tuple[float, float]  # 95 %; infinite where the profile does not rise that far
 
 
@@ -275,17 +275,17 @@ def profile_likelihood(
     reach: float = 3.0,
     iterations: int = 6,
 ) -> LikelihoodProfile:
-    """The profile likelihood of one parameter, all points of the profile fitted at once.
+    """Computes the profile likelihood of one parameter, fitting all its points in one batch.
 
-    Where residuals are correlated in time it is scaled to the estimate's variance, which allows for that.
+    If residuals are correlated in time, it is scaled to the estimate's variance, which allows for that.
 
     Args:
-        estimate: of a likelihood; with its scene.
-        name: of the parameter.
-        measured: the measurements, of several trials those of each; by default those of the estimate.
-        points: of the profile.
-        reach: how far to either side, in standard deviations (kept within the bounds).
-        iterations: of Gauss-Newton on the others.
+        estimate: estimate by likelihood, with its scene.
+        name: name of the parameter.
+        measured: the measurements (of each trial); by default those of the estimate.
+        points: number of points of the profile.
+        reach: distance of the end points in standard deviations, limited by the bounds.
+        iterations: Gauss-Newton iterations on the others.
 
     Raises:
         InputError: no such parameter; an estimate without a scene, or of the paper's objective, which is no likelihood.
@@ -305,7 +305,7 @@ def profile_likelihood(
 
 
 def _conditional(problem: Problem, estimate: Estimate, i: int, held: Floats, iterations: int) -> Floats:
-    """The others' best values with parameter i held (k, p), by damped Gauss-Newton from the linear prediction."""
+    """Best values of the others with parameter i fixed (k, p), by damped Gauss-Newton from the linear prediction."""
     parameters = problem.parameters
     covariance = estimate.covariance
     theta = estimate.values + (held - estimate.values[i])[:, None] * covariance[i] / covariance[i, i]
@@ -337,13 +337,13 @@ def _conditional(problem: Problem, estimate: Estimate, i: int, held: Floats, ite
 
 
 def _crossings(held: Floats, deviance: Floats) -> tuple[float, float]:
-    """Where the deviance passes the 95 % quantile, to either side of its least."""
+    """Where the deviance crosses the 95 % quantile, on either side of its minimum."""
     least = int(np.argmin(deviance))
 
     def cross(order: NDArray[np.intp], none: float) -> float:
         for a, b in itertools.pairwise(order):
             if deviance[a] <= CHI_SQUARED_95 < deviance[b]:
-                roots = np.sqrt(np.maximum(deviance[[a, b]], 0))  # about linear, for the deviance is about a parabola
+                roots = np.sqrt(np.maximum(deviance[[a, b]], 0))  # about linear, as the deviance is about quadratic
                 share = (np.sqrt(CHI_SQUARED_95) - roots[0]) / (roots[1] - roots[0])
                 return float(held[a] + share * (held[b] - held[a]))
         return none

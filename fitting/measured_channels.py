@@ -1,4 +1,4 @@
-"""What was measured of a scene, as the channels of a fit."""
+"""Selects the measured channels of a scene that a fit compares."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from pftwin.base.errors import InputError
 from pftwin.model.measured import Measured
 from pftwin.model.scene import Scene
 
-_SAME_TIME = 0.1  # of a frame's interval: allows for the rounding of printed times
-_OF_FORCES = ("force", "tension")  # what the channel is that has an effect's name
+_SAME_TIME = 0.1  # share of a frame's interval, for times rounded in a file
+_OF_FORCES = ("force", "tension")  # observables that a channel with an effect's name already stands for
 
 
 def force_fields(scene: Scene, springs: Mapping[str, str]) -> dict[str, str]:
-    """Channels of a scene whose forces are fields of `Measured`, and which."""
+    """Field of `Measured` for each channel of a scene whose force is stored in such a field."""
     names = {e.name for e in scene.effects}
     own = {} if scene.contact is None else {scene.contact.name: "contact_force"}
     return own | {springs[s]: f"{s}_spring_force" for s in ("femoral", "tibial") if springs.get(s) in names}
@@ -27,8 +27,8 @@ def force_fields(scene: Scene, springs: Mapping[str, str]) -> dict[str, str]:
 def measured_channels(
     scene: Scene, measured: Measured, springs: Mapping[str, str]
 ) -> tuple[dict[str, Floats], tuple[str, ...]]:
-    """What was measured of a scene's channels, (n, columns) each, and all channels that could be. Raises InputError: a
-    reading that no effect reports, or that is measured as a force already."""
+    """Measured channels of a scene, (n, columns) each, and the names of all channels that could be measured. Raises
+    InputError for a reading that no effect reports, or that repeats a force already measured."""
     available: dict[str, Any] = {POSITION: measured.center, ORIENTATION: measured.quaternion}
     available |= {channel: getattr(measured, name) for channel, name in force_fields(scene, springs).items()}
     for name, values in measured.readings.items():
@@ -46,7 +46,7 @@ def measured_channels(
 def chosen_channels(
     scene: Scene, measured: Measured, kind: str, use: str | Sequence[str], springs: Mapping[str, str]
 ) -> dict[str, Floats]:
-    """The measured channels that are compared, (n, columns) each. Raises InputError: one that was not measured;
+    """The measured channels to compare, (n, columns) each. Raises InputError if one was not measured, or if there are
     none."""
     data, available = measured_channels(scene, measured, springs)
     wanted = tuple(data) if use == "all" else (use,) if isinstance(use, str) else tuple(use)
@@ -66,7 +66,7 @@ def chosen_channels(
 
 
 def check_times(scene: Scene, measured: Measured) -> None:
-    """Refuses measurements at other times than the scene's. Raises InputError: another number, rate or start."""
+    """Raises InputError unless the measurements have the number of frames, rate and start time of the scene."""
     ours, theirs, interval = scene.motion.times, measured.times, scene.motion.frame_interval
     if theirs.size != ours.size:
         rate = (theirs.size - 1) / (theirs[-1] - theirs[0]) if theirs.size > 1 else 0.0

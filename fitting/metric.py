@@ -1,8 +1,8 @@
-"""How residuals count beside one another: weights of frames, and covariances of a channel's noise.
+"""Weights of residuals: weights of frames, and covariances of a channel's noise.
 
-Residuals are multiplied by a matrix of each channel and by a number of each frame, after which their noise is white and
-of one size: r' = sqrt(w) s C^(-1/2) r for a frame of weight w (1 on average) and noise of covariance C, where s^2 is
-the mean of C's diagonal. Whatever compares residuals goes by r'; how far off a fit is, is told with the weights alone.
+Residuals are multiplied by a matrix for each channel and a factor for each frame, so that their noise is white and of
+equal size: r' = sqrt(w) s C^(-1/2) r for a frame of weight w (1 on average) and noise of covariance C, where s^2 is
+the mean of C's diagonal. Objectives and covariances use r'; the residuals that are reported use the weights alone.
 """
 
 from __future__ import annotations
@@ -19,25 +19,25 @@ from pftwin.base.errors import InputError
 
 StatedNoise = Mapping[str, ArrayLike]  # by channel: a standard deviation, or a covariance of its columns
 
-_SYMMETRIC = 1e-9  # largest difference of a covariance's halves, as a share of its largest number
+_SYMMETRIC = 1e-9  # largest asymmetry of a covariance, as a share of its largest element
 
 
 class Metric(NamedTuple):
-    """By what residuals are multiplied."""
+    """What residuals are multiplied by."""
 
-    frames: Floats  # (n,) roots of weights
-    channels: dict[str, Floats]  # (k, k) of those whose noise has a covariance
+    frames: Floats  # (n,) square roots of the weights
+    channels: dict[str, Floats]  # (k, k) for channels whose noise has a covariance
 
     @staticmethod
     def of(weights: Floats | None, frames: int, stated: Mapping[str, Sequence[Sequence[float]]]) -> Metric | None:
-        """Of frames' weights (n,), and of the `covariances` that were stated; None where all count alike."""
+        """From frames' weights (n,) and stated covariances; None if all residuals count equally."""
         made = {c: _whitening(np.asarray(value)) for c, value in stated.items()}
         if weights is None and not made:
             return None
         return Metric(np.ones(frames) if weights is None else np.sqrt(weights), made)
 
     def times(self, rows: Floats, channels: Iterable[tuple[str, slice]], *, transposed: bool = False) -> Floats:
-        """Residuals or their derivatives (N, n, m, k), of these channels in these columns."""
+        """Multiplies residuals or derivatives (N, n, m, k), whose columns belong to these channels."""
         out = rows * self.frames[:, None, None]
         for channel, columns in channels:
             if channel in self.channels:
@@ -46,12 +46,12 @@ class Metric(NamedTuple):
         return out
 
     def at(self, frames: slice) -> Metric:
-        """Of these frames alone."""
+        """The metric of these frames alone."""
         return self._replace(frames=self.frames[frames])
 
     @staticmethod
     def joined(each: Sequence[Metric | None], lengths: Sequence[int]) -> Metric | None:
-        """Of trials one after another, with a frame between two."""
+        """The metric of trials joined with a frame between two."""
         if not any(each):
             return None
         parts = [np.ones(n) if one is None else one.frames for one, n in zip(each, lengths, strict=True)]
@@ -60,22 +60,22 @@ class Metric(NamedTuple):
 
 
 def covariances(noise: StatedNoise | None) -> dict[str, list[list[float]]]:
-    """Those that were stated, as plain numbers."""
+    """The noise that was stated as a covariance, as plain numbers."""
     stated = {c: np.asarray(value, dtype=float) for c, value in (noise or {}).items()}
     return {c: value.tolist() for c, value in stated.items() if value.ndim == 2}
 
 
 def level(value: ArrayLike) -> float:
-    """The standard deviation: of a covariance the root mean square over its columns."""
+    """Standard deviation of a noise; for a covariance the root mean square over its columns."""
     given = np.asarray(value, dtype=float)
     return float(given if given.ndim == 0 else np.sqrt(np.trace(given) / len(given)))
 
 
 def check_noise(noise: StatedNoise, channels: Sequence[str], widths: Sequence[int]) -> None:
-    """Refuses noise of a channel that is missing, not positive, or no covariance of its columns.
+    """Checks the stated noise of these channels.
 
     Raises:
-        InputError: it is.
+        InputError: if one is missing, not positive, or not a covariance of its columns.
     """
     for channel, width in zip(channels, widths, strict=True):
         if channel not in noise:
@@ -96,6 +96,6 @@ def check_noise(noise: StatedNoise, channels: Sequence[str], widths: Sequence[in
 
 
 def _whitening(covariance: Floats) -> Floats:
-    """s C^(-1/2), by Cholesky's factor."""
+    """s C^(-1/2), from the Cholesky factor."""
     root = np.linalg.cholesky(covariance)
     return level(covariance) * solve_triangular(root, np.eye(len(root)), lower=True)

@@ -1,9 +1,9 @@
-"""What a twin lacks, or knows only roughly, as numbers that are fitted beside those that are asked for.
+"""Nuisance parameters: what a twin omits or knows only roughly, estimated in addition to the requested parameters.
 
-A twin that is taken as exact puts whatever it lacks into the parameters that are asked for, and is sure of them. Here
-the joint may have friction, tendons may be attached elsewhere, and damping may be other than it is in the scene; each
-of these numbers has a normal prior, and what the measurements leave open of it widens the intervals of the others.
-Only what moves the button matters: bones and button are as the scene has them.
+A twin that is taken as exact puts whatever it omits into the requested parameters, and is overconfident of them. With
+nuisance parameters the joint may have friction, tendons may be attached elsewhere, and damping may differ from the
+scene's; each has a normal prior, and what the measurements leave open of it widens the other intervals. Only what
+moves the button is included: bones and button stay as in the scene.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ from pftwin.model.number_place import NumberPlace, named_arrays
 from pftwin.model.scene import Scene
 from pftwin.model.scene_parameters import find
 
-FRICTION = 0.05  # of wet UHMWPE on CoCr 0.04 to 0.10 is measured: BioMed Research International 2015:185142, Table 5
+FRICTION = 0.05  # wet UHMWPE on CoCr, measured 0.04 to 0.10: BioMed Research International 2015:185142, Table 5
 SLIP_SPEED = 1e-3  # [m/s]
 OF_SENSORS = ("force_scale", "force_bias", "time_shift", "placement", "turn")
-DEVIATIONS = ("attachments", "friction", "damping", "stiffening", *OF_SENSORS)  # what a text can set
-REACH = 4.0  # standard deviations from the prior's mean to the bounds
-_ANY = Quantity("")  # of a number of which nothing is declared
-_SMALLEST_SHARE = 1e-3  # of its mean that a number which must be positive is at least
-_DAMPING = ("N s/m", "N m s/rad")  # units of coefficients of damping
+DEVIATIONS = ("attachments", "friction", "damping", "stiffening", *OF_SENSORS)  # fields that a text can set
+REACH = 4.0  # distance of the bounds from the prior's mean, in standard deviations
+_ANY = Quantity("")  # of a parameter with no declared quantity
+_SMALLEST_SHARE = 1e-3  # lower bound of a positive parameter, as a share of its mean
+_DAMPING = ("N s/m", "N m s/rad")  # units of damping coefficients
 
 
 class NuisanceNumbers(NamedTuple):
-    """Names of numbers of a scene, with bounds, normal priors and what they are by name."""
+    """Names of nuisance parameters of a scene; bounds, normal priors and kinds by name."""
 
     names: tuple[str, ...]
     bounds: dict[str, tuple[float, float]]
@@ -44,28 +44,28 @@ class NuisanceNumbers(NamedTuple):
 
 @dataclass(frozen=True)
 class Nuisance:
-    """What a twin lacks or knows roughly: standard deviations of priors; 0: it is as the scene has it.
+    """What a twin omits or knows only roughly, as standard deviations of priors; 0: as in the scene.
 
     Args:
         attachments: of each coordinate of both ends of every tendon and strand [m].
-        friction: of the coefficient between button and femur; its mean is the scene's, or 0.05 where that has none.
-        damping: of all damping of the patella and the tendons, as a share of the scene's.
-        stiffening: no deviation: by what share linear tendons are stiffer, at most, when stretched by a quarter of
-            their length. Posteriors by simulations find it, for each tendon, by a normal prior that is cut off at 0 and
-            there; what they tell of its stiffness and slack length is the straight line nearest to its spring, over the
-            fitted knee's lengths where both are free. A search has no number for it.
-        force_scale: of each force's sensor, as a share of what it reads. This and what follows stay the same throughout
-            a recording, are drawn into simulated ones, and have no number of their own: posteriors by simulations allow
-            for them, other methods refuse them.
-        force_bias: of the zero of each force's sensor, in each trial [N].
-        time_shift: by which the forces of a trial are late or early against the markers [s].
-        placement: of the tracked point in the femur's frame, each coordinate: bones registered to markers [m].
-        turn: of the femur's frame, about each of its axes, likewise [rad]: tracked points and orientations turn with
-            it.
-        others: of any other numbers of the scene, by name: a tendon's toe strain, a coefficient of the fitted surface,
-            a contact's stiffness. A name of several numbers stands for all of them.
-        working: at what lengths tendons work, by name, over which lines are nearest: `at_work` finds them for the
-            nominal knee. Others stay linear.
+        friction: of the coefficient between button and femur, whose mean is the scene's, or 0.05 if it has none.
+        damping: of each damping coefficient of the patella and the tendons, as a share of the scene's.
+        stiffening: not a deviation but the largest share by which linear tendons are stiffer when stretched by a
+            quarter of their length. Posteriors by simulations estimate it for each tendon, with a normal prior
+            truncated at 0 and this maximum; they report as stiffness and slack length the straight line nearest to its
+            spring, over the fitted knee's lengths if both are free. Searches have no such parameter.
+        force_scale: scale error of each force sensor, as a share of its reading. This and the following are constant
+            throughout a recording, drawn for simulated ones, and not estimated: posteriors by simulations allow for
+            them, other methods refuse them.
+        force_bias: zero error of each force sensor, in each trial [N].
+        time_shift: delay or lead of a trial's forces against the markers [s].
+        placement: error of each coordinate of the tracked point in the femur's frame, from registration [m].
+        turn: rotation of the femur's frame about each of its axes, from registration [rad]; tracked points and
+            orientations turn with it.
+        others: of any other parameters of the scene, by name: a tendon's toe strain, a coefficient of the fitted
+            surface, a contact's stiffness. A name of an array stands for all its elements.
+        working: lengths at which tendons work, by name, over which the lines are nearest; `at_work` computes them from
+            the nominal knee. Tendons without them stay linear.
     """
 
     attachments: float = 0.0
@@ -82,7 +82,7 @@ class Nuisance:
 
     def __post_init__(self) -> None:
         known = tuple((name, Working(*(float(x) for x in numbers))) for name, numbers in self.working)
-        object.__setattr__(self, "working", known)  # lists, where it comes from a file
+        object.__setattr__(self, "working", known)  # files give lists
         others = tuple((str(name), sd) for name, sd in dict(self.others).items())
         object.__setattr__(self, "others", others)
         for name, value in [*((name, getattr(self, name)) for name in DEVIATIONS), *others]:
@@ -91,11 +91,11 @@ class Nuisance:
 
     @staticmethod
     def of(given: str | Nuisance | None) -> Nuisance:
-        """Of a preset's name, "attachments=0.001,friction=0.05", "rig,force_scale=0.02,graft.toe_strain=0.01" or
-        itself; None: a twin that is taken as exact.
+        """From a preset's name, "attachments=0.001,friction=0.05", "rig,force_scale=0.02,graft.toe_strain=0.01", or a
+        `Nuisance`, which is returned; None gives none: the twin is taken as exact.
 
         Raises:
-            InputError: no such preset; a text that names something else, or no numbers.
+            InputError: an unknown preset; a text with another name, or without numbers.
         """
         if given is None or isinstance(given, Nuisance):
             return given or EXACT
@@ -117,10 +117,10 @@ class Nuisance:
         return replace(preset or EXACT, **found, others=others)
 
     def refuse_sensors(self, by: str) -> None:
-        """Refuses errors of sensors, where there is nothing that allows for them.
+        """Refuses sensor errors for a method that cannot allow for them.
 
         Raises:
-            InputError: there are some.
+            InputError: if there are any.
         """
         if some := [name for name in OF_SENSORS if getattr(self, name)]:
             expected = f"nothing of {', '.join(OF_SENSORS)}"
@@ -128,10 +128,10 @@ class Nuisance:
             raise InputError(f"{by} cannot allow for {some[0]}", where="nuisance", expected=expected, remedy=remedy)
 
     def at_work(self, scenes: Sequence[Scene]) -> Nuisance:
-        """The same, with what is needed to let tendons stiffen: the nominal knee is simulated in its trials.
+        """A copy with the working lengths of tendons, for stiffening, from simulations of the nominal knee's trials.
 
         Raises:
-            InputError: its motion is not finite.
+            InputError: if a motion is not finite.
         """
         if not self.stiffening or self.working:
             return self
@@ -141,15 +141,15 @@ class Nuisance:
         return replace(self, working=tuple(found.items()))
 
     def prepared(self, scene: Scene, working: Mapping[str, Working] | None = None) -> Scene:
-        """The scene with whatever is to be fitted in it: with friction, if that is and the contact has none, and with
-        tendons that stiffen, of which it is known at what lengths they work. Pure.
+        """The scene with nuisance effects: friction, if requested and the contact has none, and stiffening tendons
+        where working lengths are known. Pure.
 
         Args:
-            scene: to be prepared.
-            working: these lengths, as arrays maybe; by default its own.
+            scene: scene to prepare.
+            working: working lengths, which may be traced arrays; by default those of this object.
 
         Raises:
-            InputError: no contact, or one that cannot have friction.
+            InputError: if friction is requested without a contact, or the contact cannot have friction.
         """
         working = dict(self.working) if working is None else working
         scene = stiffened(scene, working, dict.fromkeys(working, 0.5 * self.stiffening))
@@ -162,16 +162,16 @@ class Nuisance:
         return scene.with_effect(rough)
 
     def numbers(self, scene: Scene, but: Sequence[str] = ()) -> NuisanceNumbers:
-        """The numbers of a prepared scene that are fitted beside others, which have these names.
+        """Nuisance parameters of a prepared scene, without those that the names in `but` already cover.
 
-        What is zero in the scene, such as missing damping, stays so.
+        A zero coefficient in the scene, such as missing damping, stays zero.
         """
         arrays = named_arrays(scene)
         lines = {e.name for e in scene.effects if e.line_element() is not None}
         found: dict[str, tuple[NumberPlace, float, str]] = {}  # by name, with deviation and kind
         declared = {name: number.quantity for name, number in arrays.items() if number.quantity is not None}
         for whole, quantity in declared.items():
-            # An obstacle's centre has a frame too, and is not where a line is attached.
+            # An obstacle's centre has a frame too, but is no attachment of a line.
             attached = quantity.frame in ("patella", "body") and quantity.unit == "m" and arrays[whole].owner in lines
             for place in find(scene, whole) if len(arrays[whole].shape) < 2 else []:
                 if self.attachments and attached:
@@ -179,7 +179,7 @@ class Nuisance:
                 elif self.damping and quantity.unit in _DAMPING:
                     found[place.name] = place, self.damping * float(place.read(scene)), "damping"
         for name, sd in dict(self.others).items():
-            own = find(scene, name)  # in the place of what else is known of the same numbers
+            own = find(scene, name)  # replaces what the fields above give for the same numbers
             found = {n: each for n, each in found.items() if not any(each[0].overlaps(place) for place in own)}
             found |= {place.name: (place, sd, "others") for place in own}
         if self.friction:
@@ -197,7 +197,7 @@ class Nuisance:
         for name in (f"{tendon}.stiffening" for tendon, _ in self.working):
             if name in stiff and name not in but:
                 bounds[name] = (0.0, self.stiffening)
-                priors[name] = (0.5 * self.stiffening, self.stiffening / np.sqrt(12))  # cut off at the bounds
+                priors[name] = (0.5 * self.stiffening, self.stiffening / np.sqrt(12))  # truncated at the bounds
                 kinds[name] = "stiffening"
         return NuisanceNumbers(tuple(priors), bounds, priors, kinds)
 
@@ -207,8 +207,8 @@ def _friction_name(scene: Scene) -> str:
     return "" if contact is None else f"{contact.name}.friction.coefficient"
 
 
-EXACT = Nuisance()  # a twin that is taken as it is
-PRESETS = {  # choices
+EXACT = Nuisance()  # nothing: the twin is taken as exact
+PRESETS = {
     "rig": Nuisance(attachments=1e-3, friction=0.05, damping=0.5, stiffening=0.1),  # parts made to drawings
     "mocap": Nuisance(attachments=5e-3, friction=0.05, damping=0.5, stiffening=0.1),  # attachments found by hand
     "mri": Nuisance(attachments=2e-3, friction=0.05, damping=0.5, stiffening=0.1),  # attachments seen in images

@@ -1,6 +1,6 @@
 """The distance between predictions and measurements: the paper's sum of errors, or a likelihood.
 
-With S the mean square of a group of residuals over its n measured numbers, the objective is a sum over groups of
+With S the mean square of a group of residuals over its n measured values, the objective is a sum over groups of
 
 | objective | groups | term |
 |---|---|---|
@@ -8,10 +8,10 @@ With S the mean square of a group of residuals over its n measured numbers, the 
 | likelihood, noise known | every channel: position, orientation, each force | n S / (2 noise^2) |
 | likelihood, noise unknown | the same | (n / 2) log S: the noise at its most likely value |
 
-Every term is a concave function of S, so weighted least squares with the weights that its slope gives (iteratively
-reweighted, as for robust losses) reduces the objective at least as much as its quadratic model predicts.
+Every term is a concave function of S, so weighted least squares with weights from its slope (iteratively reweighted, as
+for robust losses) reduces the objective at least as much as its quadratic model predicts.
 
-Missing measurements (NaN) are left out. All of this runs on the host, in numpy.
+Missing measurements (NaN) are omitted. All of this runs on the host, in numpy.
 """
 
 from __future__ import annotations
@@ -34,16 +34,16 @@ from pftwin.model.scene import Scene
 
 OBJECTIVES = ("likelihood", "paper")
 LOSSES = ("linear", "huber", "soft_l1")
-SPRINGS = {"femoral": "quadriceps", "tibial": "patellar_tendon"}  # effects by measured spring force
+SPRINGS = {"femoral": "quadriceps", "tibial": "patellar_tendon"}  # effect of each measured spring force
 _AXES = ("X", "Y", "Z")
 _SMALLEST = {POSITION: 1e-7, ORIENTATION: 1e-6}  # residuals below these are rounding [m], [rad]
-_SMALLEST_FORCE = 1e-5  # the same of a force [N]
-_SMALLEST_SHARE = 1e-6  # the same of another reading, as a share of its root mean square
+_SMALLEST_FORCE = 1e-5  # the same for a force [N]
+_SMALLEST_SHARE = 1e-6  # the same for another reading, as a share of its root mean square
 _HUBER = 1.345  # residual from which the loss is linear, in units of the noise
 
 
 class Normal(NamedTuple):
-    """An objective and its quadratic model, of N variants: infinite and zero where a prediction is not usable."""
+    """Objective and quadratic model of N variants; infinite value and zero derivatives where one is not usable."""
 
     value: Floats  # (N,)
     gradient: Floats  # (N, p)
@@ -55,7 +55,7 @@ class Objective:
     """Measurements of a scene's motion and how predictions are compared with them; made by `Objective.of`."""
 
     kind: str
-    channels: tuple[str, ...]  # as the evaluator predicts them
+    channels: tuple[str, ...]  # in the evaluator's order
     measured: Floats  # (n, c) in the columns of the predictions
     present: NDArray[np.bool_]  # (n, m) which residuals exist
     groups: tuple[str, ...]
@@ -64,12 +64,12 @@ class Objective:
     loss: str
     synthetic: bool
     source: str
-    share: float = 1.0  # of the likelihood that counts beside priors: see `fitting.finish`
-    frames: tuple[slice, ...] = (slice(None),)  # those of each trial: see `fitting.trials`
-    sources: tuple[str, ...] = ()  # of the measurements of each of several trials
-    metric: Metric | None = None  # where frames or columns do not count alike
-    covariances: dict[str, list[list[float]]] = field(default_factory=dict)  # of noise, as stated
-    readings: dict[str, str] = field(default_factory=dict)  # units of channels that are no poses and forces
+    share: float = 1.0  # share of the likelihood that counts beside priors: see `fitting.finish`
+    frames: tuple[slice, ...] = (slice(None),)  # rows of each trial: see `fitting.trials`
+    sources: tuple[str, ...] = ()  # sources of the measurements of several trials
+    metric: Metric | None = None  # weights of frames and columns; None: all equal
+    covariances: dict[str, list[list[float]]] = field(default_factory=dict)  # of noise stated as a covariance
+    readings: dict[str, str] = field(default_factory=dict)  # units of channels that are neither poses nor forces
 
     @staticmethod
     def of(
@@ -82,23 +82,23 @@ class Objective:
         loss: str = "linear",
         springs: Mapping[str, str] = SPRINGS,
     ) -> Objective:
-        """Compares a scene with measurements.
+        """Makes the objective that compares a scene with measurements.
 
         Args:
-            scene: the nominal one.
-            measured: at the frames of its motion.
+            scene: the nominal scene.
+            measured: measurements at the frames of its motion.
             kind: "likelihood" or "paper".
-            use: channels: "position", "orientation", effects' names for their forces ("contact", "quadriceps"), or
-                whatever else effects report ("contact.force_medial"); "all": all that were measured. By default
+            use: channels: "position", "orientation", an effect's name for its force ("contact", "quadriceps"), or any
+                other observable of an effect ("contact.force_medial"); "all": all that were measured. By default
                 positions, the only channel of the paper's objective.
             noise: standard deviation of each channel's measurements [m], [rad], [N], or the covariance (3, 3) of a
-                position or a turn about the femur's axes; by default unknown, and estimated from the residuals.
+                position or of a rotation about the femur's axes; by default estimated from the residuals.
             loss: "linear", or for outliers "huber" or "soft_l1", which need the noise.
-            springs: names of the effects whose tensions the "femoral" and "tibial" spring forces are.
+            springs: names of the effects whose tensions were measured as "femoral" and "tibial" spring forces.
 
         Raises:
-            InputError: other times than the scene's (number, rate or start); no measured variable for this objective;
-                an unknown objective, channel or loss; a noise that is missing or not positive.
+            InputError: times that differ from the scene's (number, rate or start); no measured channel for this
+                objective; an unknown objective, channel or loss; a noise that is missing or not positive.
         """
         if kind not in OBJECTIVES:
             raise InputError(f"no objective {kind!r}", where="objective", expected=f"one of: {', '.join(OBJECTIVES)}")
@@ -160,25 +160,25 @@ class Objective:
 
     @property
     def plain(self) -> Objective:
-        """With all columns alike, to tell how far off a fit is: frames count by their weights still."""
+        """With all columns weighted equally, to state residuals; frames keep their weights."""
         return self if self.metric is None else replace(self, metric=self.metric._replace(channels={}))
 
     @property
     def stated_noise(self) -> StatedNoise | None:
-        """As it was stated: standard deviations and covariances by channel."""
+        """The noise as stated: standard deviations and covariances by channel."""
         return None if self.noise is None else {**self.noise, **self.covariances}
 
     @property
     def unit(self) -> str:
-        """Of the objective's value."""
+        """Unit of the objective's value."""
         return "m" if self.kind == "paper" else "nats"
 
     def tolerance(self, value: Floats | float) -> Floats:
-        """The smallest decrease worth another iteration, from these values."""
+        """Smallest decrease worth another iteration, from these values."""
         return 1e-7 * np.abs(value) if self.kind == "paper" else np.full(np.shape(value), 1e-3)
 
     def residuals(self, values: Floats) -> Floats:
-        """Predicted less measured (N, n, m), 0 where nothing was measured; turns as 2 sin(angle / 2) times the axis."""
+        """Predicted minus measured (N, n, m), 0 if not measured; rotations as 2 sin(angle / 2) times the axis."""
         return self._compared(values[..., None], offset=True)[..., 0]
 
     def slopes(self, slopes: Floats, values: Floats) -> Floats:
@@ -186,24 +186,24 @@ class Objective:
         return self._compared(slopes, offset=False, values=values)
 
     def linear(self, prediction: Prediction) -> tuple[Floats, Floats]:
-        """Residuals (N, n, m) and their derivatives (N, n, m, p); those of nothing where it is not usable."""
+        """Residuals (N, n, m) and their derivatives (N, n, m, p); those of zeros if a prediction is not usable."""
         assert prediction.slopes is not None
         values = np.where(prediction.usable[:, None, None], prediction.values, 0.0)
         slopes = np.where(prediction.usable[:, None, None, None], prediction.slopes, 0.0)
         return self.residuals(values), self.slopes(slopes, values)
 
     def mean_squares(self, residuals: Floats) -> Floats:
-        """Of every group, over what was measured (N, groups)."""
+        """Mean square of each group over its measured values (N, groups)."""
         return self._by_group(np.sum(residuals**2, axis=1)) / self._counts
 
     def value(self, prediction: Prediction) -> Floats:
-        """The objective (N,); infinite where a prediction is not usable."""
+        """The objective (N,); infinite if a prediction is not usable."""
         with np.errstate(all="ignore"):
             value = self._value(self.residuals(prediction.values))
         return np.where(prediction.usable & np.isfinite(value), value, np.inf)
 
     def normal(self, prediction: Prediction) -> Normal:
-        """The objective with gradient and Gauss-Newton Hessian by the parameters."""
+        """The objective with its gradient and Gauss-Newton Hessian with respect to the parameters."""
         usable, (r, j) = prediction.usable, self.linear(prediction)
         weights, n, p = self._weights(r), len(r), j.shape[-1]
         flat, weighted = j.reshape(n, -1, p), (weights[..., None] * j).reshape(n, -1, p)
@@ -213,7 +213,7 @@ class Objective:
         return Normal(value, np.where(usable[:, None], gradient, 0), np.where(usable[:, None, None], hessian, 0))
 
     def pull(self, values: Floats) -> Floats:
-        """Derivatives of the objective by the predictions (N, n, c), for reverse mode."""
+        """Derivatives of the objective with respect to the predictions (N, n, c), for reverse mode."""
         r = self.residuals(values)
         weighted = self._weights(r) * r
         if self.metric is not None:
@@ -227,7 +227,7 @@ class Objective:
         return out
 
     def noise_of(self, residuals: Floats, parameters: int) -> dict[str, float]:
-        """The noise of every channel estimated from residuals (n, m), corrected for the free parameters."""
+        """Noise of each channel estimated from residuals (n, m), corrected for the number of free parameters."""
         own = self.known(dict.fromkeys(self.channels, 1.0))
         counts, total = own._counts, self.present.sum()
         squares = own._by_group(np.sum(residuals**2, axis=0))
@@ -237,7 +237,7 @@ class Objective:
         }
 
     def known(self, noise: Mapping[str, float]) -> Objective:
-        """The same measurements as a likelihood of known noise, for covariances."""
+        """The same measurements as a likelihood with known noise, for covariances."""
         by_channel = {"groups": self.channels, "group_of": channel_of_columns(self.channels), "noise": dict(noise)}
         return replace(self, kind="likelihood", loss="linear", **by_channel)
 
@@ -246,12 +246,12 @@ class Objective:
         return self._by_group(self.present.sum(axis=0).astype(float))
 
     def _by_group(self, columns: Floats) -> Floats:
-        """Sums over the columns (..., m) of every group (..., groups)."""
+        """Sums over the columns (..., m) of each group (..., groups)."""
         return np.stack([columns[..., self.group_of == g].sum(axis=-1) for g in range(len(self.groups))], axis=-1)
 
     @property
     def floor(self) -> Floats:
-        """Mean squares of each group below which residuals are rounding."""
+        """Mean square of each group below which residuals are rounding (groups,)."""
         sizes = {
             c: _SMALLEST_SHARE * float(np.sqrt(np.mean(self.measured[self.present[:, rows.start], columns] ** 2)))
             for c, columns, rows in self.columns()
@@ -270,7 +270,7 @@ class Objective:
         return 0.5 * self.share * _rho(np.square(r / self.noise_columns), self.loss).sum(axis=(1, 2))
 
     def _weights(self, r: Floats) -> Floats:
-        """Twice the objective's derivative by every squared residual (N, n, m) or (N, 1, m)."""
+        """Twice the derivative of the objective with respect to each squared residual (N, n, m) or (N, 1, m)."""
         if self.noise is not None:
             return self.share * _rho_slope(np.square(r / self.noise_columns), self.loss) / self.noise_columns**2
         s = self.mean_squares(r) + self.floor
@@ -279,12 +279,12 @@ class Objective:
 
     @property
     def noise_columns(self) -> Floats:
-        """The noise of each residual column (m,), where it is known."""
+        """Noise of each residual column (m,); only if it is known."""
         assert self.noise is not None
         return np.array([self.noise[g] for g in self.groups])[self.group_of]
 
     def _turn(self, q: Floats, columns: slice) -> Floats:
-        """The matrices (N, n, 3, 4) from predicted quaternions to turns relative to the measured ones."""
+        """Matrices (N, n, 3, 4) from predicted quaternions to rotations relative to the measured ones."""
         measured = self.measured[:, columns]
         w, x, y, z = measured.T
         rows = np.stack([np.stack(a, -1) for a in ((-x, w, z, -y), (-y, -z, w, x), (-z, y, -x, w))], axis=1)
@@ -292,7 +292,7 @@ class Objective:
         return np.nan_to_num(sign[..., None, None] * rows)
 
     def _compared(self, a: Floats, *, offset: bool, values: Floats | None = None) -> Floats:
-        """Columns of predictions or of their derivatives (N, n, c, k) as residuals' (N, n, m, k)."""
+        """Converts columns of predictions or of their derivatives (N, n, c, k) to those of residuals (N, n, m, k)."""
         quaternions, out = a[..., 0] if values is None else values, []
         for channel, columns, _ in self.columns():
             part = a[..., columns, :]
@@ -309,7 +309,7 @@ class Objective:
         return [(channel, rows) for channel, _, rows in self.columns()]
 
     def columns(self) -> Iterator[tuple[str, slice, slice]]:
-        """Every channel with its columns among the predictions' and among the residuals."""
+        """Each channel with its columns in the predictions and in the residuals."""
         ends = np.cumsum(counts := _residuals_of(self.channels)).tolist()
         for (channel, columns), count, end in zip(side_by_side(self.channels), counts, ends, strict=True):
             yield channel, columns, slice(end - count, end)
@@ -321,12 +321,12 @@ def channel_of_columns(channels: tuple[str, ...]) -> NDArray[np.intp]:
 
 
 def _residuals_of(channels: Sequence[str]) -> list[int]:
-    """How many residuals a frame each has."""
+    """Number of residuals per frame of each channel."""
     return [3 if c in (POSITION, ORIENTATION) else 1 for c in channels]
 
 
 def _rho(z: Floats, loss: str) -> Floats:
-    """The loss of squared, noise-scaled residuals."""
+    """Loss of squared residuals in units of the noise."""
     if loss == "huber":
         return np.where(z <= _HUBER**2, z, 2 * _HUBER * np.sqrt(np.maximum(z, _HUBER**2)) - _HUBER**2)
     return 2 * (np.sqrt(1 + z) - 1) if loss == "soft_l1" else z

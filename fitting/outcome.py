@@ -1,4 +1,4 @@
-"""From what a method came to, to an estimate: what is left of the measurements, and whether that may be believed."""
+"""Turns the outcome of a fit's method into an estimate, with residuals and checks."""
 
 from __future__ import annotations
 
@@ -30,31 +30,31 @@ if TYPE_CHECKING:
     from fitting.inference.infer import Inferred
 
 
-_TRIED, _PER_PARAMETER = 63, 3  # draws next to the posterior's mean, at least, and per number of parameters
+_TRIED, _PER_PARAMETER = 63, 3  # draws tried if the posterior's mean fails: at least, and per parameter
 _ANOTHER_DRAW = "the posterior's means give no finite motion; values are those of a draw next to them"
 _NO_DRAW_RUNS = "neither the posterior's means nor the draws next to them give a finite motion"
 
 
 class Outcome(NamedTuple):
-    """What a method came to."""
+    """Result of a method, before it becomes an estimate."""
 
     theta: Floats  # (p,)
     covariance: Floats  # (p, p)
-    draws: Floats | None  # (N, p) from the posterior, where the method gives them
+    draws: Floats | None  # posterior samples (N, p), if the method gives them
     seen: Prediction  # at theta, with derivatives
-    steps: dict[str, StepError]  # of its time steps
+    steps: dict[str, StepError]  # errors of the time steps
     noise: dict[str, float]  # by channel
     serial: float  # correlation of neighbouring residuals
     condition: float
     doubts: list[str]
     reason: str
     interrupted: bool
-    substeps: int  # between two frames
+    substeps: int  # time steps between two frames
     facts: dict[str, Any]  # seed, evaluations, iterations, starts, dropped, history
 
     @staticmethod
     def of_search(search: Method, state: State) -> Outcome:
-        """Of a search that has ended, at its best parameters."""
+        """Outcome of a finished search, at its best parameters."""
         problem, theta = search.problem, np.asarray(state["best_theta"])
         seen, target = problem.prediction(theta, problem.evaluator.fine), problem.objective
         _check_usable(seen, "the best parameters found with long time steps give no finite motion with short ones")
@@ -85,8 +85,8 @@ class Outcome(NamedTuple):
 
     @staticmethod
     def of_simulations(problem: Problem, found: Inferred, seed: int, limits: Limits) -> Outcome:
-        """Of a posterior learned from simulations, at its mean, or at the draw nearest to it that can be simulated.
-        Raises InputError: the measurements lie farther outside of what was simulated than the limits allow."""
+        """Outcome of a posterior learned from simulations, at its mean, or at the nearest draw that can be simulated.
+        Raises InputError if the measurements lie farther from the simulations than the limits allow."""
         draws, target = found.answer.draws, problem.objective
         mean, deviations = draws.mean(axis=0), np.maximum(draws.std(axis=0), 1e-300)
         count = max(_TRIED, _PER_PARAMETER * draws.shape[1])
@@ -127,7 +127,7 @@ class Outcome(NamedTuple):
 
 
 def _slopes(theta: Floats, values: Floats) -> Floats:
-    """Of values (N, n, c) by parameters (N, p), by linear regression: (n, c, p)."""
+    """Derivatives (n, c, p) of values (N, n, c) with respect to parameters (N, p), by linear regression."""
     scale = np.maximum(theta.std(axis=0), 1e-300)
     x = (theta - theta.mean(axis=0)) / scale
     rows = (values - values.mean(axis=0)).reshape(len(values), -1)
@@ -150,10 +150,10 @@ def estimate_of(
     limits: Limits,
     began: float,
 ) -> Estimate:
-    """The estimate of a problem that this method solved, with what forbids to believe it.
+    """The estimate of a solved problem, with its doubts.
 
-    Beside arguments of `fit_tendons` it takes `doubts` of the measurements before the search, and when that began, by
-    `time.perf_counter`. Raises InputError: more is left of the measurements than the limits allow, or they are late.
+    Arguments are those of `fit_tendons`, and `doubts` about the measurements from before the search, and its start time
+    `began` (`time.perf_counter`). Raises InputError if residuals or time shifts exceed the limits.
     """
     parameters, target, seen = problem.parameters, problem.objective, found.seen
     r = target.plain.residuals(seen.values)[0]
@@ -222,7 +222,7 @@ def estimate_of(
 
 
 def judge(estimate: Estimate) -> None:
-    """Runs the fitted motions as everybody else runs them: a fit does not look at status."""
+    """Simulates the fitted motions and sets the estimate's verdict and status, which a fit itself does not check."""
     scenes = estimate.scenes
     results = [simulate(scene) for scene in scenes]
     reasons = [
@@ -236,7 +236,7 @@ def judge(estimate: Estimate) -> None:
 
 
 def _rmse(target: Objective, r: Floats) -> dict[str, float]:
-    """Of residuals (n, m), by channel and, of positions and turns, by axis; nothing of what was not measured."""
+    """RMS of residuals (n, m) by channel and, for positions and rotations, by axis; without unmeasured channels."""
     squares, counts = np.sum(r**2, axis=0), target.present.sum(axis=0)
     parts = {channel: rows for channel, _, rows in target.columns() if counts[rows.start]}
     for channel, names in ((POSITION, "XYZ"), (ORIENTATION, TURNS)):

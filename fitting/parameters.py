@@ -1,4 +1,4 @@
-"""The free parameters of a fit: which numbers of a scene, with which bounds and priors."""
+"""The free parameters of a fit: their places in the scene, bounds and priors."""
 
 from __future__ import annotations
 
@@ -27,25 +27,24 @@ if TYPE_CHECKING:
 Bounds = float | Mapping[str, float | tuple[float, float]]
 DEFAULT_BOUNDS = 0.3
 ASKED, BETWEEN_TRIALS = "what was asked for", "differences between trials"  # kinds of parameters
-_EDGE = 1e-9  # share of the range by which iterates keep clear of the bounds
+_EDGE = 1e-9  # least distance of iterates from the bounds, as a share of the range
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """One free number.
+    """One free parameter.
 
     Args:
         name: as the user wrote it ("K1", "quadriceps.origin.y").
         place: where it is in the scene.
-        nominal: its value in the scene that is fitted, where searches begin.
+        nominal: value in the scene that is fitted, where searches start.
         lower, upper: bounds.
         prior: mean and standard deviation of a normal prior; None: flat.
-        unit: of all of them.
-        coordinate: whether it is one of a point, which other scenes may have elsewhere.
-        kind: `ASKED`; or what nuisance it is, or `BETWEEN_TRIALS`: then it is fitted besides, for what others would
-            make good otherwise.
-        trial: None: the number is shared by all trials; k: it is by how much that of trial k, from 0, is more than the
-            shared number at the same place (`fitting.trials`).
+        unit: of all these values.
+        coordinate: whether it is a coordinate of a point, which may lie elsewhere in other scenes.
+        kind: `ASKED` if requested; otherwise the kind of nuisance, or `BETWEEN_TRIALS`.
+        trial: None for a parameter that all trials share; k for the difference of trial k (from 0) from the shared
+            parameter at the same place (`fitting.trials`).
     """
 
     name: str
@@ -62,7 +61,7 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Parameters:
-    """The free parameters in their order, differences of trials last; vectors of them have shape (..., p)."""
+    """All free parameters, differences between trials last; parameter vectors have shape (..., p)."""
 
     items: tuple[Parameter, ...]
 
@@ -71,39 +70,39 @@ class Parameters:
 
     @property
     def asked(self) -> int:
-        """How many were asked for: the first; nuisance follows."""
+        """Number of requested parameters, which come first; nuisance parameters follow."""
         return sum(p.kind == ASKED for p in self.items)
 
     @property
     def shared(self) -> Parameters:
-        """Those that trials share: the first."""
+        """The parameters that trials share, which come first."""
         return Parameters(tuple(p for p in self.items if p.trial is None))
 
     @property
     def differences(self) -> tuple[tuple[int, int], ...]:
-        """Of each that is one trial's difference: which of the shared ones it is added to, and the trial, from 0."""
+        """For each difference between trials: index of the shared parameter to which it is added, and trial from 0."""
         at = {p.place: i for i, p in enumerate(self.shared.items)}
         return tuple((at[p.place], p.trial) for p in self.items if p.trial is not None)
 
     @property
     def varies(self) -> dict[str, float]:
-        """Names of the shared ones that differ between trials, and by what standard deviation."""
+        """Standard deviation between trials of each shared parameter that varies, by name."""
         own = (p.prior for p in self.items if p.trial is not None)
         return {self.items[at].name: prior[1] for (at, _), prior in zip(self.differences, own, strict=True) if prior}
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Their names, as the user wrote them."""
+        """Names as the user wrote them."""
         return tuple(p.name for p in self.items)
 
     @property
     def places(self) -> tuple[NumberPlace, ...]:
-        """Where the numbers are in the scene."""
+        """Places of the parameters in the scene."""
         return tuple(p.place for p in self.items)
 
     @property
     def coordinates(self) -> tuple[str, ...]:
-        """Names of those that are coordinates of points."""
+        """Names of the parameters that are coordinates of points."""
         return tuple(p.name for p in self.items if p.coordinate)
 
     @property
@@ -118,7 +117,7 @@ class Parameters:
 
     @property
     def nominal(self) -> NDArray[np.float64]:
-        """Where searches begin (p,)."""
+        """Nominal values (p,), where searches start."""
         return np.array([p.nominal for p in self.items])
 
     def apply(self, scene: Scene, theta: Any) -> Scene:
@@ -126,11 +125,11 @@ class Parameters:
         return applied(self.places, scene, theta)
 
     def vector(self, scene: Scene) -> NDArray[np.float64]:
-        """The values in a scene (p,)."""
+        """The parameters' values in a scene (p,)."""
         return np.array([float(place.read(scene)) for place in self.places])
 
     def share(self, theta: Any) -> NDArray[np.float64]:
-        """Where values (..., p) stand between the bounds: 0 at the lower, 1 at the upper."""
+        """Values (..., p) as shares of the range between the bounds: 0 at the lower, 1 at the upper."""
         return (np.asarray(theta, dtype=float) - self.lower) / (self.upper - self.lower)
 
     def at_share(self, share: ArrayLike) -> NDArray[np.float64]:
@@ -138,7 +137,7 @@ class Parameters:
         return self.lower + (self.upper - self.lower) * np.asarray(share, dtype=float)
 
     def to_bounded(self, u: ArrayLike) -> NDArray[np.float64]:
-        """From any real numbers (..., p) to values within the bounds: lower + range / (1 + exp(-u))."""
+        """Maps real numbers (..., p) to values within the bounds: lower + range / (1 + exp(-u))."""
         share = 0.5 * (1 + np.tanh(0.5 * np.asarray(u, dtype=float)))
         return self.lower + (self.upper - self.lower) * np.clip(share, _EDGE, 1 - _EDGE)
 
@@ -159,11 +158,11 @@ class Parameters:
         return self.lower + (self.upper - self.lower) * share
 
     def scattered(self, count: int, random: np.random.Generator) -> NDArray[np.float64]:
-        """Points (count, p) to search from: a Latin hypercube of what has no prior, and draws of what has one."""
+        """Points (count, p) to search from: draws where there is a prior, otherwise a Latin hypercube."""
         found = self.latin_hypercube(count, random)
         for i, p in enumerate(self.items):
             if p.prior is not None:
-                # Within the bounds, not at them: there a search by gradients, of unbounded parameters, stands still.
+                # Truncated, not clipped: at a bound a search in unbounded parameters would have zero gradient.
                 ends = [(bound - p.prior[0]) / p.prior[1] for bound in (p.lower, p.upper)]
                 found[:, i] = truncnorm.rvs(*ends, *p.prior, size=count, random_state=random)
         return found
@@ -177,8 +176,8 @@ class Parameters:
 
 
 def weights_in(differences: Sequence[tuple[int, int]], shared: int, trial: int) -> NDArray[np.float64]:
-    """W (s, p): the s shared numbers have the values W theta in a trial, from 0; `differences` as `Parameters` has
-    them."""
+    """Matrix W (s, p) that maps parameters theta to the s shared parameters' values in a trial (from 0), W theta;
+    `differences` as in `Parameters`."""
     weights = np.eye(shared, shared + len(differences))
     for column, (at, own) in enumerate(differences, start=shared):
         weights[at, column] = own == trial
@@ -186,7 +185,7 @@ def weights_in(differences: Sequence[tuple[int, int]], shared: int, trial: int) 
 
 
 def applied(places: tuple[NumberPlace, ...], scene: Scene, theta: Any) -> Scene:
-    """The scene with values (p,) at the places; lengths given by a force go last: they need the stiffness."""
+    """The scene with values (p,) at the places. Lengths given by a force are set last: they need the stiffness."""
     order = sorted(range(len(places)), key=lambda i: places[i].meaning != "value")
     values: list[Scalar] = [theta[i] for i in range(len(places))]
     for i in order:
@@ -200,23 +199,23 @@ def free_parameters(
     bounds: Bounds = DEFAULT_BOUNDS,
     priors: Mapping[str, tuple[float, float]] | None = None,
 ) -> Parameters:
-    """The parameters that these names stand for.
+    """Resolves names of parameters, with bounds and priors.
 
     Args:
-        scene: whose numbers are the nominal values.
-        names: "K1", "L1", "K2", "L2": stiffness and slack length of the first and the second tendon; "L2.strain",
+        scene: scene whose values are the nominal ones.
+        names: "K1", "L1", "K2", "L2": stiffness and slack length of the first and second tendon; "L2.strain",
             "L2.force": the slack length as strain or force at the scene's start pose; "quadriceps.stiffness",
-            "patellar_tendon.origin.y", "contact.radius", "contact.surface.coefficients[3]", or all coefficients, each
-            for itself, without the index; "pt.slack_length[:]": all of a ligament's strands together, in their
-            proportions, told by their mean; "quadriceps.damping~patellar_tendon.damping": two that keep their
-            proportion (coordinates: their distance), of which the first is told.
-        bounds: to either side as a share of the nominal value; or by name such a share or (lower, upper), the others
-            +-30 %.
-        priors: by name mean and standard deviation of a normal prior.
+            "patellar_tendon.origin.y", "contact.radius", "contact.surface.coefficients[3]" (without an index, each
+            coefficient is a separate parameter); "pt.slack_length[:]": all of a ligament's strands as one parameter,
+            reported as their mean, which keep their proportions; "quadriceps.damping~patellar_tendon.damping": two that
+            keep their proportion (coordinates: their distance), of which the first is reported.
+        bounds: half width as a share of the nominal value; or by name such a share or (lower, upper), with +-30 % for
+            the others.
+        priors: mean and standard deviation of a normal prior, by name.
 
     Raises:
-        InputError: an unknown or repeated name; bounds that are empty, exclude the nominal value, or are a share of
-            nothing; a prior that is none.
+        InputError: an unknown or repeated name; bounds that are empty, exclude the nominal value, or are a share of a
+            zero value; an invalid prior.
     """
     if isinstance(names, str) or not names:
         raise InputError(f"found {names!r}", where="free", expected='names of parameters, such as ("K1", "L1")')
@@ -242,8 +241,8 @@ def with_nuisance(
     priors: Mapping[str, tuple[float, float]] | None,
     nuisance: Nuisance,
 ) -> tuple[Scene, Parameters]:
-    """The scene with whatever is fitted in it, and what is free: what these names stand for, then nuisance. Raises
-    InputError: as `free_parameters` and `Nuisance.prepared`."""
+    """The scene with nuisance effects added, and its free parameters: the requested ones, then nuisance. Raises
+    InputError as `free_parameters` and `Nuisance.prepared` do."""
     scene = nuisance.prepared(scene)
     asked = free_parameters(scene, names, bounds, priors)
     more = nuisance.numbers(scene, but=[name for p in asked.items for name in p.place.names])
@@ -289,15 +288,15 @@ def _limits(name: str, nominal: float, given: Any) -> tuple[float, float]:
 
 
 class Applied(eqx.Module):
-    """`Estimate.apply`. Its numbers are arrays, so that programs serve all estimates of the same parameters.
+    """`Estimate.apply`. Its values are arrays, so that one compiled program serves all estimates of the same names.
 
-    A coordinate of a point moves the scene's own by what the fit has moved that of the fitted scene: a tuberosity that
-    was found 2 mm more distal is 2 mm more distal in a treated knee too, and does not undo the treatment.
+    A point's coordinate is applied as an offset from the fitted scene's nominal value: a tuberosity that was found 2 mm
+    more distal is 2 mm more distal in a treated knee too, and does not undo the treatment.
     """
 
     names: tuple[str, ...] = eqx.field(static=True)
     values: Array  # (p,)
-    working: dict[str, Working]  # lengths at which tendons worked that stiffen
+    working: dict[str, Working]  # working lengths of tendons that stiffen
     origins: tuple[tuple[str, float], ...] = eqx.field(static=True)
     nuisance: Nuisance = eqx.field(static=True)
 
@@ -308,16 +307,16 @@ class Applied(eqx.Module):
         origins: tuple[tuple[str, float], ...] = (),
         nuisance: Nuisance = EXACT,
     ) -> None:
-        """As `Estimate` has them: names and values (p,) of parameters, names of coordinates with their values in the
-        fitted scene, and the nuisance that other scenes have to be given first."""
+        """Takes names and values (p,) of parameters, names of coordinates with their nominal values in the fitted
+        scene, and the nuisance effects that other scenes need first."""
         self.names, self.origins = tuple(names), origins
         self.values = jnp.asarray(values, dtype=float)
         self.working = {n: Working(*(jnp.asarray(x, dtype=float) for x in numbers)) for n, numbers in nuisance.working}
         self.nuisance = replace(nuisance, working=())
 
     def __call__(self, scene: Scene, theta: Any = None) -> Scene:
-        """The scene with the values, or with others (p,) of the fitted scene. Pure in both. Raises InputError: it has
-        no such parameters."""
+        """The scene with the estimated values, or with other values (p,) of the fitted scene. Pure in both. Raises
+        InputError if the scene has no such parameters."""
         scene = self.nuisance.prepared(scene, self.working)
         places = tuple(find(scene, name)[0] for name in self.names)
         theta = self.values if theta is None else theta

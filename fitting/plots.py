@@ -1,4 +1,4 @@
-"""Figures of a fit: measured against fitted motion, correlations, predictions, and the search's history."""
+"""Figures of a fit: measured and fitted motion, correlations, predictions, and the search's history."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ if TYPE_CHECKING:
     from pftwin.model.scene import Scene
 
 DRAWS = 20  # draws from the estimate's uncertainty, each simulated
-SAMPLES = 50  # draws of a prediction, simulated side by side
-_WRITTEN = 8  # most parameters for which correlations are written as numbers
+SAMPLES = 50  # draws for a prediction, simulated in one batch
+_WRITTEN = 8  # most parameters for which correlations are printed as numbers
 
 
 class EstimatePlots:
-    """`estimate.plot`: each method gives a matplotlib figure; `figure.savefig("name.pdf")` writes it, or .svg, .png."""
+    """`estimate.plot`: each method returns a matplotlib figure; `figure.savefig("name.pdf")` saves it (.svg, .png)."""
 
     def __init__(self, estimate: Estimate) -> None:
         self._estimate = estimate
 
     def fit(self, trial: int = 1) -> Figure:
-        """The measured trajectory of a trial, the first by default, the nominal and the fitted one.
+        """Measured, nominal and fitted trajectory of a trial (from 1).
 
         Raises:
-            InputError: an estimate from a file, which holds neither scene nor measurements; no such trial.
+            InputError: for an estimate read from a file, which holds neither scene nor measurements; no such trial.
         """
         import pftwin
         from pftwin.results.plots import case_figure
@@ -48,12 +48,12 @@ class EstimatePlots:
         return case_figure(results, measured, f"{nominal.name}: {e.method}, objective {e.objective}")
 
     def correlation(self, axes: Any = None) -> Figure:
-        """Correlations of the errors of what was asked for; values and 95 % intervals in percent of nominal values.
+        """Correlations of the requested parameters' errors; values and 95 % intervals in percent of nominal values.
 
-        Nuisance that was fitted besides is not drawn.
+        Nuisance parameters are not drawn.
 
         Args:
-            axes: two, to draw into; by default a new figure.
+            axes: two axes to draw into; by default a new figure.
 
         Raises:
             InputError: another number of axes.
@@ -74,10 +74,10 @@ class EstimatePlots:
         return figure_of(own[0])
 
     def posterior(self, sampled: Posterior | None = None) -> Figure:
-        """Every parameter and every pair: the estimate's normal distribution, and a sampled posterior under it.
+        """Every parameter and every pair: the estimate's normal distribution, over a sampled posterior if given.
 
         Args:
-            sampled: what `fitting.sample_posterior` found; without it the estimate's distribution is drawn alone.
+            sampled: result of `fitting.sample_posterior`; without it the estimate's distribution is drawn alone.
 
         Raises:
             InputError: a posterior of other parameters.
@@ -94,9 +94,9 @@ class EstimatePlots:
 
         Args:
             variants: a grid of treatments (`fitting.prediction.variants.grid`), as `fitting.predict` takes it.
-            scene: untreated; by default the one that was fitted.
+            scene: untreated scene; by default the one that was fitted.
             samples: draws from the estimate's uncertainty; 0 gives lines without bands.
-            title, axes: as in `fitting.prediction.plots.outcome_figure`, which draws a prediction that is there.
+            title, axes: as in `fitting.prediction.plots.outcome_figure`, which draws an existing prediction.
 
         Raises:
             InputError: an estimate from a file without `scene`; no amount varies; what `fitting.predict` refuses.
@@ -108,13 +108,13 @@ class EstimatePlots:
         return outcome_figure(data, title, axes=axes)
 
     def against_flexion(self, scene: Scene | None = None, *, draws: int = DRAWS, seed: int = 0, **more: Any) -> Figure:
-        """Tracking and contact force against knee flexion over draws from the estimate's uncertainty: mean and sd.
+        """Tracking and contact force against knee flexion: mean and SD over draws from the estimate's uncertainty.
 
         Args:
-            scene: by default the one that was fitted; where parameters differ between trials, in a further trial.
-            draws: simulations besides the estimate's own.
+            scene: by default the one that was fitted; parameters that differ between trials are those of a further one.
+            draws: simulations in addition to the estimate's own.
             seed: of the draws.
-            more: for `pftwin.results.plots.against_flexion`.
+            more: options of `pftwin.results.plots.against_flexion`.
 
         Raises:
             InputError: an estimate from a file without `scene`; fewer than one draw; a knee that does not bend.
@@ -145,10 +145,10 @@ class EstimatePlots:
         return figure_of(own)
 
     def save(self, stem: Path) -> list[Path]:
-        """All figures as STEM_fit.png, STEM_correlation.png, STEM_history.png, and as SVG; STEM_fit_2.png of trial 2.
+        """Saves all figures as PNG and SVG: STEM_fit, STEM_correlation, STEM_history; STEM_fit_2 of trial 2.
 
         Raises:
-            OutputError: the folder is missing or cannot be written to.
+            OutputError: if the folder is missing or cannot be written to.
         """
         from pftwin.results.plots import save_figure
 
@@ -184,7 +184,7 @@ def _correlations(ax: Axes, e: Estimate) -> None:
 
 
 def _values(ax: Axes, e: Estimate) -> None:
-    """Values in percent of the nominal ones, since units differ; of 1 unit where a nominal value is zero."""
+    """Values in percent of the nominal ones, since units differ; in units of 1 where the nominal value is zero."""
     from pftwin.results.plots.style import COLOURS
 
     rows, nominal, values = np.arange(e.asked), e.nominal[: e.asked], e.values[: e.asked]

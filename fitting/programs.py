@@ -1,8 +1,8 @@
-"""The channels that can be measured of a motion, and compiled programs that predict them for many parameter vectors.
+"""Channels that can be measured of a motion, and compiled programs that predict them for many parameter vectors.
 
-Predictions only: which measurements they are compared with, and how, is decided on the host (`fitting.objective`), so
-one program serves every objective, and every method and phase of a fit. The number of steps between two frames is a
-variable of the program, not part of it. Variants are sharded over several devices.
+The programs only predict. Measurements are compared on the host (`fitting.objective`), so that one program serves every
+objective, method and phase of a fit. The number of steps between two frames is a variable of the program, not part of
+it. Variants are sharded over several devices.
 """
 
 from __future__ import annotations
@@ -32,48 +32,48 @@ from pftwin.model.scene import Scene
 from pftwin.model.scene_parameters import numbered_elements
 
 POSITION, ORIENTATION = "position", "orientation"
-TURNS = ("tilt", "flexion", "rotation")  # small ones about the patella's axes x, y, z: to first order these angles
+TURNS = ("tilt", "flexion", "rotation")  # small rotations about the patella's axes x, y, z: to first order these angles
 
 
 def channels_of(scene: Scene) -> tuple[str, ...]:
-    """A scene's poses, and the forces of contact, tendons and ligaments. Whatever else its effects report is a channel
-    too: "EFFECT.OBSERVABLE"."""
+    """Standard channels of a scene: poses, and forces of contact, tendons and ligaments. Any other observable of an
+    effect is a channel too: "EFFECT.OBSERVABLE"."""
     contact = scene.contact
     tensions = [element.name for element in numbered_elements(scene)]
     return (POSITION, ORIENTATION, *([] if contact is None else [contact.name]), *tensions)
 
 
 def with_readings(scene: Scene) -> tuple[str, ...]:
-    """All channels of a scene, whatever its effects report among them."""
+    """All channels of a scene, including every observable of its effects."""
     return (*channels_of(scene), *(f"{e.name}.{key}" for e in scene.effects for key in type(e).observables))
 
 
 def unit_of(channel: str, readings: Mapping[str, str]) -> str:
-    """Of a channel; `readings` are those that are no poses and forces, with their units."""
+    """Unit of a channel; `readings` holds the units of channels that are neither poses nor forces."""
     return readings.get(channel) or {POSITION: "m", ORIENTATION: "rad"}.get(channel, "N")
 
 
 def reading_units(scene: Scene, channels: Iterable[str]) -> dict[str, str]:
-    """Units of those channels that are readings, "EFFECT.OBSERVABLE". Raises InputError: one that no effect of the
-    scene reports."""
+    """Units of those channels that are readings, "EFFECT.OBSERVABLE". Raises InputError if no effect of the scene
+    reports one."""
     known = channels_of(scene)
     return {channel: scene.reported(channel).unit for channel in channels if channel not in known}
 
 
 def channel_widths(channels: tuple[str, ...]) -> tuple[int, ...]:
-    """Columns of each: position 3, orientation 4 (a unit quaternion), forces 1."""
+    """Columns of each channel: position 3, orientation 4 (a unit quaternion), forces 1."""
     return tuple({POSITION: 3, ORIENTATION: 4}.get(c, 1) for c in channels)
 
 
 def side_by_side(channels: tuple[str, ...]) -> list[tuple[str, slice]]:
-    """Each channel with its columns."""
+    """Each channel with its columns in the predictions."""
     widths = channel_widths(channels)
     ends = np.cumsum(widths).tolist()
     return [(c, slice(end - n, end)) for c, n, end in zip(channels, widths, ends, strict=True)]
 
 
 def columns_of(channels: tuple[str, ...], among: tuple[str, ...]) -> NDArray[np.intp]:
-    """Indices of some channels' columns among those of more channels."""
+    """Indices of some channels' columns within those of a larger set."""
     columns = dict(side_by_side(among))
     return np.concatenate([np.r_[columns[c]] for c in channels])
 
@@ -91,7 +91,7 @@ def _sharded(
 def _predicted(
     scene: Scene, guess: Pose, substeps: int | Scalar, channels: tuple[str, ...]
 ) -> tuple[Array, Pose, Array]:
-    """The channels over the frames (n, c); the patella's pose at the start; whether that is an equilibrium."""
+    """Channels over the frames (n, c); the patella's pose at the start; whether that is an equilibrium."""
     start = starting_equilibrium(scene, guess)
     motion, effects = scene.motion, System.of(scene).effects
     forces = channels_of(scene)
@@ -120,7 +120,7 @@ def _predicted(
 
 
 def _number(value: Array, channel: str) -> Scalar:
-    """What is reported, if it is one number a frame. Raises InputError: there are several."""
+    """A reported value that is one number per frame. Raises InputError if there are several."""
     if jnp.ndim(value):
         expected = "one number a frame, as a measurement has"
         raise InputError(f"{channel} has {jnp.size(value)} numbers a frame", where="use", expected=expected)
@@ -131,7 +131,7 @@ class FitProgram(NamedTuple):
     """The static part of a compiled program: what it computes, and on which devices."""
 
     places: tuple[NumberPlace, ...]  # of the parameters, in their order
-    channels: tuple[str, ...]  # what is predicted
+    channels: tuple[str, ...]  # predicted channels
     mesh: Mesh | None  # devices over which the variants are sharded; None: JAX's default device
 
     def predicted(self, scene: Scene, theta: Array, guess: Pose, substeps: int | Scalar) -> tuple[Array, Pose, Array]:
@@ -141,7 +141,7 @@ class FitProgram(NamedTuple):
 
 @eqx.filter_jit
 def predictions(program: FitProgram, scene: Scene, substeps: Array, theta: Array, guesses: Pose) -> Any:
-    """Values (N, n, c), starting poses, and whether those are equilibria (N,), of parameters (N, p)."""
+    """Values (N, n, c), start poses, and whether those are equilibria (N,), for parameters (N, p)."""
 
     def batch(shared: tuple[Scene, Array], thetas: Array, near: Pose) -> Any:
         return batched(lambda t, g: program.predicted(shared[0], t, g, shared[1]))(thetas, near)
@@ -151,7 +151,7 @@ def predictions(program: FitProgram, scene: Scene, substeps: Array, theta: Array
 
 @eqx.filter_jit
 def with_slopes(program: FitProgram, scene: Scene, substeps: Array, theta: Array, guesses: Pose) -> Any:
-    """As `predictions`, and derivatives (p, N, n, c). Columns outside, variants inside: the fastest order in memory."""
+    """As `predictions`, and derivatives (p, N, n, c). Parameters outside, variants inside: the fastest memory order."""
 
     def pushed(shared: tuple[Scene, Array], thetas: Array, near: Pose) -> Any:
         def batch(some: Array) -> Any:
@@ -172,7 +172,7 @@ def with_slopes(program: FitProgram, scene: Scene, substeps: Array, theta: Array
 def loss_gradients(
     program: FitProgram, scene: Scene, substeps: int, theta: Array, guesses: Pose, pulls: Array
 ) -> Array:
-    """Gradients (N, p) of sum(pull * prediction) by reverse mode, for pulls (N, n, c); the steps' number is fixed."""
+    """Gradients (N, p) of sum(pull * prediction) by reverse mode, for pulls (N, n, c); the step count is static."""
 
     def loss(theta: Array, shared: Scene, guess: Pose, pull: Array) -> Array:
         return jnp.sum(pull * program.predicted(shared, theta, guess, substeps)[0])

@@ -1,4 +1,4 @@
-"""What sensors may be off by throughout a recording: drawn into simulated ones, so that posteriors allow for it."""
+"""Sensor errors that are constant throughout a recording: added to simulated ones, so posteriors allow for them."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
 
 def sensed(values: Floats, nuisance: Nuisance, problem: Problem, random: np.random.Generator) -> Floats:
-    """Simulated motions (N, n, c) as such sensors would tell them: scale, placement and turn are the same in all trials
-    of a recording."""
+    """Simulated motions (N, n, c) with sensor errors drawn for each. Scale, placement and turn are the same in all
+    trials of a recording."""
     if not any(getattr(nuisance, name) for name in OF_SENSORS):
         return values
     count, out, objective = len(values), values.copy(), problem.objective
@@ -42,13 +42,13 @@ def sensed(values: Floats, nuisance: Nuisance, problem: Problem, random: np.rand
 
 
 def noise_beside(noise: dict[str, float], nuisance: Nuisance, objective: Objective) -> dict[str, float]:
-    """Noise of each channel together with errors of sensors, root mean square; a shift in time is judged apart."""
+    """Noise of each channel combined with sensor errors, rms; time shifts are judged separately."""
     found = {}
     for channel, columns, rows in objective.columns():
         own = nuisance.turn if channel == ORIENTATION else 0.0
         if channel == POSITION:
             point = objective.measured[objective.present[:, rows].all(axis=1), columns]
-            # A turn moves a point by its distance from the axis: of three axes two thirds of the square count.
+            # A turn moves a point by its distance from the axis: averaged over three axes, 2/3 of its square counts.
             own = np.hypot(nuisance.placement, nuisance.turn * np.sqrt(2 * np.mean(point**2)))
         elif unit_of(channel, objective.readings) == "N":
             force = objective.measured[objective.present[:, rows.start], columns]
@@ -58,7 +58,7 @@ def noise_beside(noise: dict[str, float], nuisance: Nuisance, objective: Objecti
 
 
 def sensors_in_words(nuisance: Nuisance) -> str:
-    """The errors that there are."""
+    """The sensor errors that are not zero."""
     said = {
         f"forces read {100 * nuisance.force_scale:.3g} % too large or small": nuisance.force_scale,
         f"their zeros {nuisance.force_bias:.3g} N off": nuisance.force_bias,
@@ -70,7 +70,7 @@ def sensors_in_words(nuisance: Nuisance) -> str:
 
 
 def _later(signal: Floats, frames: Floats) -> Floats:
-    """Signals (N, n, 1), each later by its own number of frames (N,); straight between frames, held at the ends."""
+    """Signals (N, n, 1), each delayed by its number of frames (N,): interpolated linearly, constant at the ends."""
     n = signal.shape[1]
     at = np.clip(np.arange(n) - frames[:, None], 0, n - 1)
     before = np.minimum(at.astype(int), n - 2)

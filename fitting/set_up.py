@@ -1,4 +1,4 @@
-"""What a posterior was trained for, and recordings of such a set-up as it reads them: from the nominal knee."""
+"""The set-up that a posterior is trained for, and its recordings expressed relative to the nominal knee's motion."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from pftwin.base.errors import InputError
 from pftwin.model.measured import Measured
 from pftwin.model.scene import Scene
 
-_MISSING = 0.1  # largest share of a column's frames that may be missing: gaps are bridged
+_MISSING = 0.1  # largest share of a column's frames that may be missing and are interpolated
 
 
 class SetUp(NamedTuple):
-    """What a posterior was trained for."""
+    """The set-up that a posterior is trained for."""
 
     scene_name: str
     free: tuple[str, ...]
@@ -32,14 +32,14 @@ class SetUp(NamedTuple):
     priors: dict[str, tuple[float, float]]  # without those of nuisance
     nuisance: Nuisance
     channels: tuple[str, ...]
-    noise: dict[str, Any] | None  # by channel, if it was stated: standard deviations and covariances
+    noise: dict[str, Any] | None  # by channel, if stated: standard deviations and covariances
     springs: dict[str, str]
-    frames: tuple[int, ...]  # of each trial
-    varies: dict[str, float]  # between trials, by name
+    frames: tuple[int, ...]  # number of frames of each trial
+    varies: dict[str, float]  # standard deviation between trials, by name
 
     @staticmethod
     def of(problem: Problem, nuisance: Nuisance, springs: Mapping[str, str]) -> SetUp:
-        """Of a problem whose posterior is trained."""
+        """The set-up of a problem whose posterior is trained."""
         asked, scenes = problem.parameters.items[: problem.parameters.asked], problem.evaluator.scenes
         return SetUp(
             " + ".join(trial_names(scenes)),
@@ -55,12 +55,12 @@ class SetUp(NamedTuple):
         )
 
     def parameters(self, scenes: Sequence[Scene]) -> tuple[list[Scene], list[Parameters]]:
-        """The scenes with whatever is fitted in them, and what is free in each."""
+        """The scenes with nuisance effects added, and the free parameters of each."""
         return free_in_trials(scenes, self.free, self.bounds, self.priors, self.nuisance, self.varies)
 
     def objective(self, scenes: Sequence[Scene], measured: Sequence[Measured]) -> Objective:
-        """The measurements of such scenes. Raises InputError: other frames; a channel that was not measured; of several
-        trials, other channels in some."""
+        """The measurements of such scenes. Raises InputError for another number of frames, a channel that was not
+        measured, or channels that differ from those in training."""
         if (found := tuple(scene.motion.times.size for scene in scenes)) != self.frames:
             said = f"{listed(found)} frames"
             raise InputError(said, where=measured[0].source, expected=f"{listed(self.frames)}, as it was trained for")
@@ -72,8 +72,8 @@ class SetUp(NamedTuple):
 
 
 def from_nominal(problem: Problem, substeps: int, others: Floats) -> tuple[Objective, Prediction]:
-    """A comparison with the nominal knee's motion in the place of the measurements, of what was measured at all; and
-    the motions of others (N, p), simulated in the same call. Raises InputError: the nominal knee does not run."""
+    """The objective with the nominal knee's motion in place of the measurements, for the measured channels and frames;
+    and motions of other parameters (N, p), simulated in the same call. Raises InputError if the nominal knee fails."""
     seen = problem.evaluator.values(np.concatenate([problem.parameters.nominal[None], others]), substeps)
     if not seen.usable[0]:
         raise InputError("the nominal knee finds no equilibrium or no finite motion", where=problem.scene.name)
@@ -85,8 +85,8 @@ def from_nominal(problem: Problem, substeps: int, others: Floats) -> tuple[Objec
 
 
 def bridged(problem: Problem, held: Objective, wanted: NDArray[np.bool_]) -> Rows:
-    """The measurements (n, m) from the nominal knee's motion, with straight lines over gaps; zero where none is wanted.
-    Raises InputError: too much is missing."""
+    """Measurements (n, m) relative to the nominal knee's motion, interpolated over gaps; zero where not `wanted`.
+    Raises InputError if too much is missing."""
     target = problem.objective
     measured = -target.residuals(held.measured[None])[0]
     out = np.zeros(measured.shape, np.float32)
@@ -102,7 +102,7 @@ def bridged(problem: Problem, held: Objective, wanted: NDArray[np.bool_]) -> Row
 
 
 def refuse_weights(measured: Sequence[Measured]) -> None:
-    """Refuses weights of frames: a set-up is one for all its recordings. Raises InputError: there are some."""
+    """Raises InputError if frames have weights: a set-up's recordings would all need the same."""
     for data in measured:
         if data.weights is not None:
             remedy = "measurements without them, or fit_tendons, which answers one recording"
@@ -110,5 +110,5 @@ def refuse_weights(measured: Sequence[Measured]) -> None:
 
 
 def listed(numbers: Sequence[int]) -> str:
-    """With commas."""
+    """The numbers, separated by commas."""
     return ", ".join(str(n) for n in numbers)

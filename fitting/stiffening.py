@@ -1,4 +1,4 @@
-"""Springs that stiffen as they are stretched, and the straight lines nearest to them, which a twin has."""
+"""Tendons whose springs stiffen with stretch, parametrised by the straight lines nearest to their force curves."""
 
 from __future__ import annotations
 
@@ -19,25 +19,25 @@ from pftwin.model.effects.tendon import DampedLine, SpringForce
 from pftwin.model.number_place import named_arrays
 from pftwin.model.scene import Scene
 
-_TAUT = 2.0  # least distance of the slack length from the lengths that occur, in their deviations
-_SHARE = ".stiffening"  # the end of its name among the scene's numbers
-_SOLVING = 12  # steps of a search for a slack length, of which each is ten times as near
+_TAUT = 2.0  # least distance of the slack length from the mean length at work, in standard deviations of the length
+_SHARE = ".stiffening"  # end of its name among the scene's parameters
+_SOLVING = 12  # iterations for a slack length, each of which reduces the error tenfold
 
 
 class StiffeningSpring(NamedTuple):
-    """F = K s (1 + e s / (L0 / 4))."""
+    """Spring with force F = K s (1 + e s / (L0 / 4)) at the stretch s, with slack length L0 and stiffening e."""
 
     stiffness: Scalar  # K [N/m]
     more: Scalar  # 4 e / L0 [1/m]
 
     def at(self, stretch: Scalar) -> SpringForce:
-        """At a stretch [m]."""
+        """Force, stiffness and energy at a stretch [m]."""
         k, m, s = self.stiffness, self.more, stretch
         return SpringForce(k * s * (1 + m * s), k * (1 + 2 * m * s), k * s * s * (0.5 + m * s / 3))
 
 
 class Working(NamedTuple):
-    """The lengths at which a tendon works."""
+    """Statistics of the lengths at which a tendon works in a motion."""
 
     mean: Any  # [m]
     variance: Any  # [m^2]
@@ -45,25 +45,25 @@ class Working(NamedTuple):
 
     @staticmethod
     def of(lengths: Floats) -> Working:
-        """Of lengths (n,) over the frames."""
+        """Statistics of lengths (n,) over the frames [m]."""
         off = lengths - lengths.mean()
         variance = float(np.mean(off**2))
         return Working(float(lengths.mean()), variance, float(np.mean(off**3)) / max(variance, 1e-300))
 
     def taut(self, slack_length: Any) -> Any:
-        """Whether a tendon that long is taut at all lengths, as far as their deviation tells."""
+        """Whether a tendon with this slack length is taut at all lengths, judged by their standard deviation."""
         return self.mean - slack_length > _TAUT * jnp.sqrt(self.variance)
 
     def bent(self, stiffness: Scalar, slack_length: Scalar, share: Scalar) -> tuple[StiffeningSpring, Scalar]:
-        """The spring that stiffens by a share, to whose forces at these lengths the line with this stiffness and slack
-        length is nearest, by least squares; and its own slack length.
+        """The stiffening spring whose nearest line at these lengths, by least squares, has this stiffness and slack
+        length; and the spring's own slack length. `share`: extra stiffness at a stretch of a quarter of the length.
 
-        With m = 4 e / L, D from L to the mean length, v the lengths' variance, c their skew, a slack length lies at
+        With m = 4 e / L, D from L to the mean length, v the lengths' variance and c their skew, a slack length lies at
 
             d = 2 (D (1 + m c) - m v) / (1 - 2 m D + sqrt((1 - 2 m D)^2 + 4 m (D (1 + m c) - m v)))
 
         below the mean, and the stiffness is that of the line over 1 + m (2 d + c). A tendon that is slack at some of
-        the lengths stays straight.
+        the lengths stays linear.
         """
         reach = self.mean - slack_length
         m = jnp.where(self.taut(slack_length), 4 * share / slack_length, 0.0)
@@ -73,8 +73,8 @@ class Working(NamedTuple):
         return StiffeningSpring(stiffness / (1 + m * (2 * d + self.skew)), m), self.mean - d
 
     def told_at(self, other: Working, stiffness: Scalar, slack_length: Scalar, share: Scalar) -> tuple[Scalar, ...]:
-        """The same spring, told at other lengths: stiffness and slack length of the line nearest to it there, and its
-        share for which `other.bent` gives the spring again."""
+        """The same spring described at other lengths: stiffness and slack length of its nearest line there, and the
+        share with which `other.bent` returns the spring."""
         law, own = self.bent(stiffness, slack_length, share)
         k, m, d = law.stiffness, law.more, other.mean - own
         line = k * (1 + m * (2 * d + other.skew))
@@ -83,9 +83,9 @@ class Working(NamedTuple):
 
 
 class StiffeningTendon(DampedLine):
-    """A tendon that is stiffer the more it is stretched, told by the straight line nearest to its spring.
+    """A tendon that stiffens with stretch, described by the stiffness and slack length of its nearest straight line.
 
-    The line is nearest over the lengths at which the tendon works, and is what a twin with straight springs would have.
+    The line is nearest over the lengths at which the tendon works: what a model with linear springs would have there.
     """
 
     stiffness: Scalar = eqx.field(metadata=quantity("N/m", positive=True, alias="K"))  # of the line
@@ -93,8 +93,8 @@ class StiffeningTendon(DampedLine):
     damping: Scalar = eqx.field(metadata=quantity("N s/m", at_least=0))  # c
     insertion: Vec3 = eqx.field(metadata=quantity("m", frame="patella"))
     origin: Vec3 = eqx.field(metadata=quantity("m", frame="body"))
-    stiffening: Scalar = eqx.field(metadata=quantity("", at_least=0))  # e, when stretched by a quarter of its length
-    mean_length: Scalar = eqx.field(metadata=quantity("m"))  # at work: see `Working`
+    stiffening: Scalar = eqx.field(metadata=quantity("", at_least=0))  # e, at a stretch of a quarter of its length
+    mean_length: Scalar = eqx.field(metadata=quantity("m"))  # over the lengths at work: see `Working`
     length_variance: Scalar = eqx.field(metadata=quantity("m^2"))
     length_skew: Scalar = eqx.field(metadata=quantity("m"))
     body: str = eqx.field(static=True)
@@ -106,21 +106,21 @@ class StiffeningTendon(DampedLine):
 
     @property
     def law(self) -> StiffeningSpring:
-        """Its spring's."""
+        """The stiffening spring."""
         return self._bent()[0]
 
     @property
     def rest_length(self) -> Scalar:
-        """Where it begins to pull [m]."""
+        """Length at which the tendon begins to pull [m]."""
         return self._bent()[1]
 
     def lengthened(self, by: Scalar | float) -> Self:
-        """See `ElasticLine`: it works at as much longer lengths."""
+        """See `ElasticLine`: the lengths at which it works grow as much."""
         longer = self.slack_length + by, self.mean_length + by
         return eqx.tree_at(lambda t: (t.slack_length, t.mean_length), self, longer)
 
     def slack_length_for(self, length: Scalar, tension: Scalar) -> Scalar:
-        """See `ElasticLine`: of the line, by which the spring itself pulls so much."""
+        """See `ElasticLine`: slack length of the line with which the spring itself has this tension [N]."""
         found = length - tension / self.stiffness
         for _ in range(_SOLVING):
             there = eqx.tree_at(lambda t: t.slack_length, self, found)
@@ -129,19 +129,19 @@ class StiffeningTendon(DampedLine):
 
 
 def linear_tendons(scene: Scene) -> tuple[str, ...]:
-    """Names of the single tendons whose springs are linear: those that offer a toe region."""
+    """Names of the single tendons with linear springs: those that offer a toe region."""
     lines = [e for e in scene.effects if any(change.label == TOE for change in e.elaborations())]
     return tuple(e.name for e in lines if (line := e.line_element()) is not None and line.count is None)
 
 
 def stiffening_tendons(scene: Scene) -> tuple[str, ...]:
-    """Names of those that stiffen."""
+    """Names of the tendons that stiffen."""
     return tuple(name.removesuffix(_SHARE) for name in named_arrays(scene) if name.endswith(_SHARE))
 
 
 def stiffened(scene: Scene, working: Mapping[str, Working], shares: Mapping[str, Any]) -> Scene:
-    """The scene with tendons that stiffen in the place of its linear ones, each by its share when stretched by a
-    quarter of its length, for all of which it is known at what lengths they work. Pure in the numbers."""
+    """The scene with each linear tendon of known working lengths replaced by one that stiffens by its share at a
+    stretch of a quarter of its length. Pure in the numbers."""
     for name in linear_tendons(scene):
         if name in working:
             e: Any = scene.effect(name)
@@ -153,6 +153,6 @@ def stiffened(scene: Scene, working: Mapping[str, Working], shares: Mapping[str,
 
 
 def working_of(scenes: Sequence[Scene], names: Sequence[str]) -> dict[str, Working]:
-    """At what lengths these tendons of a knee work in the motions of these scenes, which are simulated."""
+    """Working lengths of these tendons, from simulations of the motions of these scenes."""
     runs = [simulate(scene).lengths for scene in scenes]
     return {name: Working.of(np.concatenate([r[name] for r in runs])) for name in names}

@@ -1,12 +1,12 @@
-"""By how much a measured channel is late or early, estimated together with what the parameters would make good for.
+"""Estimates by how much a measured channel is late or early, together with the parameters, which may absorb a part.
 
-Each channel is compared with the fitted motion shifted in time, p(t - s), with the parameters' linear effect taken out.
-Residuals of a wrong model are correlated from frame to frame, and such errors are slow: so neighbouring frames are
-differenced by their own correlation (generalised least squares, autoregressive noise of first order) before the sum of
-squares is made least over s. The standard deviation is from its curvature there. Friction in the joint and what else
-the twin lacks delay what is measured. So a shift is said only where it is beyond the limit by two standard deviations,
-is known to a quarter of the limit, and explains more of the whitened squares than those effects do: of `EXPLAINED` the
-rig's positions reach 0.07, and 0.20 to 0.39 where they are 30 ms late; its tensions 0.25, and 0.18 to 0.45.
+Each channel is compared with the fitted motion shifted in time, p(t - s), after projecting out the parameters' linear
+effect. Model errors are slow, so residuals are correlated from frame to frame: they are whitened by differencing
+neighbouring frames (generalised least squares, first-order autoregressive noise) before their sum of squares is
+minimised over s. The standard deviation follows from the curvature at the minimum. Friction in the joint and other
+effects that the twin omits also delay the measurements. So a shift is reported only if it exceeds the limit by two
+standard deviations, is known to a quarter of the limit, and explains more of the whitened squares than those effects
+do: the rig's positions reach 0.07, and 0.20 to 0.39 if 30 ms late; its tensions 0.25, and 0.18 to 0.45.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from fitting.objective import Objective
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 
-EXPLAINED = (1 / 6, 1 / 3)  # share of the whitened squares of a pose and of a force that a shift must explain
-_REACH = 0.2  # largest shift looked for [s], and at most this share of the recording:
+EXPLAINED = (1 / 6, 1 / 3)  # least share of the whitened squares of a pose, and of a force, that a shift must explain
+_REACH = 0.2  # largest shift searched [s], and at most this share of the recording:
 _SHARE = 1 / 8
-_TELLING = 0.1  # reach [s] below which its end tells of no shift: slow errors of the model lie there as well
-_STEPS = 40  # of the search, to either side, at most
-_ROUNDS = 3  # of shift, and correlation of what it leaves
+_TELLING = 0.1  # reach [s] below which a minimum at its end is no evidence of a shift, but may be slow model error
+_STEPS = 40  # most steps of the search to either side
+_ROUNDS = 3  # alternations of shift, and correlation of the residuals
 
 
 class TimeShift(NamedTuple):
@@ -35,21 +35,21 @@ class TimeShift(NamedTuple):
 
     seconds: float  # positive: the channel is late
     deviation: float  # its standard deviation [s]
-    explained: float  # the share of the channel's whitened squares
-    enough: float  # the least such share of a shift that is said
-    change: Floats  # (p,) by which the parameters would change without it
-    at_least: bool = False  # whether it is the largest that was looked for: it may be larger, and has no deviation
+    explained: float  # share of the channel's whitened squares that it explains
+    enough: float  # least such share for a shift to be reported
+    change: Floats  # (p,) change of the parameters if the shift were removed
+    at_least: bool = False  # whether it is the largest shift searched: then it may be larger, without a deviation
 
     def beyond(self, limit: float) -> bool:
-        """Whether it is surely larger than a limit [s], well known, and explains the residuals."""
+        """Whether the shift surely exceeds a limit [s], is known well, and explains enough of the residuals."""
         sure = abs(self.seconds) - 2 * self.deviation > limit and self.deviation < 0.25 * limit
         return sure and self.explained >= self.enough
 
 
 def time_shifts(objective: Objective, times: Floats, values: Floats, slopes: Floats) -> dict[str, TimeShift]:
-    """The shift of each channel, from a fit's motion (n, c) and its derivatives by the parameters (n, c, p).
+    """Time shift of each channel, from a fit's motion (n, c) and its derivatives (n, c, p).
 
-    A recording too short for a shift of two frames has none.
+    Empty if the recording is too short for a shift of two frames.
     """
     reach = min(_REACH, _SHARE * float(times[-1] - times[0]))
     if reach < 2 * float(np.median(np.diff(times))):
@@ -65,8 +65,8 @@ def time_shifts(objective: Objective, times: Floats, values: Floats, slopes: Flo
 
 
 def late_channels(shifts: Mapping[str, TimeShift], source: str, limits: Limits) -> list[str]:
-    """The channels that are late or early beyond the limit "shift" [s], in words. Raises InputError: a shift so large
-    that the measurements are not of this motion."""
+    """Channels late or early by more than the limit "shift" [s], in words. Raises InputError for a shift so large that
+    the measurements cannot be of this motion."""
     said = []
     for channel, s in shifts.items():
         if not s.beyond(limits["shift"][0]):
@@ -75,7 +75,7 @@ def late_channels(shifts: Mapping[str, TimeShift], source: str, limits: Limits) 
         size = f"at least {size}" if s.at_least else f"{size} (+- {2e3 * s.deviation:.1f})"
         verb, when = ("is", "late") if s.seconds > 0 else ("comes", "early")
         words = f"measured {channel} {verb} {size} {when} against the motion of the bones"
-        if s.at_least:  # slow errors of the model can end there, too: named, not refused
+        if s.at_least:  # slow model errors can also end there: reported, not refused
             words += ", or what the twin lacks looks so"
         elif s.beyond(limits["shift"][1]):
             raise InputError(
@@ -89,7 +89,7 @@ def late_channels(shifts: Mapping[str, TimeShift], source: str, limits: Limits) 
 
 
 class _Fitted(NamedTuple):
-    """A fit's motion (n, c), its residuals' derivatives (n, m, p), and which residuals are looked at (n, m)."""
+    """A fit's motion (n, c), derivatives of its residuals (n, m, p), and which residuals are used (n, m)."""
 
     objective: Objective
     times: Floats
@@ -98,7 +98,7 @@ class _Fitted(NamedTuple):
     present: NDArray[np.bool_]
 
     def residuals(self, columns: slice, seconds: float) -> Floats:
-        """With these columns of the motion later by so much (n, m)."""
+        """Residuals (n, m) with these columns of the motion delayed."""
         moved = self.values.copy()
         late = [np.interp(self.times - seconds, self.times, v) for v in self.values[:, columns].T]
         moved[:, columns] = np.stack(late, axis=1)
@@ -106,17 +106,17 @@ class _Fitted(NamedTuple):
 
 
 class _Whitened(NamedTuple):
-    """Residuals less their correlation with the frame before, over their own size, and the parameters' directions."""
+    """Whitening: residuals less their prediction from the frame before, scaled; and the parameters' directions."""
 
     correlation: Floats  # (m,)
     size: Floats  # (m,)
-    pairs: NDArray[np.bool_]  # (n - 1, m) frames that exist together with the one before
-    q: Floats  # orthonormal directions of the parameters (k, p)
-    root: Floats  # (p, p) whose product with the parameters' changes they are
+    pairs: NDArray[np.bool_]  # (n - 1, m) frames present together with the one before
+    q: Floats  # orthonormal basis of the parameters' effects (k, p)
+    root: Floats  # (p, p) triangular factor: q root are the whitened derivatives
 
     @staticmethod
     def of(seen: _Fitted, r: Floats) -> _Whitened:
-        """By the correlation of these residuals (n, m)."""
+        """Whitening with the correlation of these residuals (n, m)."""
         pairs = seen.present[1:] & seen.present[:-1]
         squares = np.maximum(np.sum(r**2, axis=0), 1e-300)
         correlation = np.sum(np.where(pairs, r[1:] * r[:-1], 0.0), axis=0) / squares
@@ -127,20 +127,20 @@ class _Whitened(NamedTuple):
         return _Whitened(correlation, size, pairs, *np.linalg.qr(directions.reshape(-1, j.shape[-1])))
 
     def residuals(self, r: Floats) -> Floats:
-        """Whitened (k,), from residuals (n, m)."""
+        """Whitened residuals (k,), from residuals (n, m)."""
         return np.where(self.pairs, (r[1:] - self.correlation * r[:-1]) / self.size, 0.0).ravel()
 
     def change(self, z: Floats) -> Floats:
-        """Of the parameters (p,), which makes the least of whitened residuals."""
+        """Change of the parameters (p,) that minimises whitened residuals."""
         return np.asarray(-np.linalg.lstsq(self.root, self.q.T @ z, rcond=None)[0], dtype=np.float64)
 
     def left(self, z: Floats) -> Floats:
-        """What the parameters do not make good for (n - 1, m)."""
+        """What a change of the parameters cannot explain (n - 1, m)."""
         return (z - self.q @ (self.q.T @ z)).reshape(self.pairs.shape)
 
 
 def _shift(seen: _Fitted, columns: slice, rows: slice, reach: float) -> TimeShift | None:
-    """The shift of one channel; at the end of a long reach it is `at_least` that. None where too little is known."""
+    """Shift of one channel; at the end of a long search range it is `at_least` that. None if too little is known."""
     frame = float(np.median(np.diff(seen.times)))  # whole frames: between them interpolation would smooth the motion
     h = frame * max(1, int(reach / frame) // _STEPS)
     grid = h * np.arange(-int(reach / h), int(reach / h) + 1)

@@ -1,4 +1,4 @@
-"""A posterior that was trained once for a set-up and answers each of its recordings: `fitting.train_posterior`."""
+"""`TrainedPosterior`: trained once for a set-up, it answers each of its recordings (`fitting.train_posterior`)."""
 
 from __future__ import annotations
 
@@ -36,37 +36,37 @@ from pftwin.model.measured import Measured
 from pftwin.model.scene import Scene
 
 FORMAT = "pftwin trained posterior 2"
-_FEWEST_PROBES = 0.5  # share of the knees that are run again that must run
-_DRAWN = 1000  # of a posterior that is compared with another
+_FEWEST_PROBES = 0.5  # share of the probes that must run
+_DRAWN = 1000  # draws of each posterior to compare
 
 
 class Probes(NamedTuple):
-    """Knees that were simulated in the set-up, by which another one is told."""
+    """Knees simulated in training, which are simulated again in a recording's set-up to measure how it differs."""
 
     theta: Floats  # (N, p)
-    recordings: Rows  # (N, n, m) without noise, from the nominal one
+    recordings: Rows  # (N, n, m) without noise, relative to the nominal knee's
 
 
 @dataclass(frozen=True, eq=False)
 class TrainedPosterior:
     """The posterior of every recording of a set-up.
 
-    A recording is held against the nominal knee in its own motion, so that femur and tibia need not move in just the
-    same way again. Whether they moved, and the rest of the set-up is, enough like it was, is told by knees that are
-    simulated in both: as far as their posteriors move, that of this recording may be off.
+    A recording is compared with the nominal knee in its own motion, so femur and tibia need not move exactly as in
+    training. Whether motion and set-up are similar enough is measured with probes, knees simulated in both: the shift
+    of their posteriors is the error to expect of this recording's.
     """
 
     set_up: SetUp
     learned: Learned
     probes: Probes
-    present: NDArray[np.bool_]  # (n, m) which numbers recordings have
-    substeps: int  # between two frames
+    present: NDArray[np.bool_]  # (n, m) which values recordings have
+    substeps: int  # time steps between two frames
     simulations: int
-    dropped: int  # of them, without an equilibrium or a finite motion
+    dropped: int  # simulations without an equilibrium or a finite motion
     seed: int
-    seconds: float  # that training took
-    widened: tuple[float, ...] = ()  # times (d,), as a calibration has asked for
-    doubts: tuple[str, ...] = ()  # of the recording that it was trained on
+    seconds: float  # duration of the training [s]
+    widened: tuple[float, ...] = ()  # factors (d,) by which intervals are widened after a calibration
+    doubts: tuple[str, ...] = ()  # about the recording that it was trained on
 
     def estimate(
         self,
@@ -75,15 +75,15 @@ class TrainedPosterior:
         *,
         limits: Mapping[str, tuple[float, float]] | None = None,
     ) -> Estimate:
-        """What a recording of this set-up tells.
+        """Estimates the parameters from a recording of this set-up.
 
         Args:
-            scene: with the motion that was recorded, else as it was trained for; or those of several trials.
-            measured: as `fit_tendons` has it; `limits` too.
+            scene: scene as in training, with the motion of this recording; or the scenes of several trials.
+            measured: as in `fit_tendons`, like `limits`.
 
         Raises:
-            InputError: another number of frames, or weights of them; channels that were not measured; another set-up,
-                or a recording unlike all that was simulated, by more than the limits allow; as `fit_tendons`.
+            InputError: another number of frames, or weights of them; channels that were not measured; a set-up or a
+                recording that differs from those simulated by more than the limits allow; as `fit_tendons`.
             PftwinError: the posterior lies beyond the bounds.
         """
         began, allowed = time.perf_counter(), limits_of(limits)
@@ -111,8 +111,8 @@ class TrainedPosterior:
         *,
         limits: Mapping[str, tuple[float, float]] | None = None,
     ) -> tuple[Floats, list[str]]:
-        """Draws (N, d) of what is asked for, and what forbids to believe them: `estimate`, without a look at other
-        readings of the measurements and at the fitted motion.
+        """Draws (N, d) of the requested parameters, and doubts: as `estimate`, without checking other readings of the
+        measurements or the fitted motion.
 
         Raises:
             PftwinError: as `estimate`.
@@ -123,7 +123,7 @@ class TrainedPosterior:
 
     @staticmethod
     def _problem(scene: Scenes, measured: Recordings, set_up: SetUp) -> tuple[Problem, list[Measured]]:
-        """What is to be answered, and the measurements of every trial."""
+        """The problem to answer, and the measurements of every trial."""
         nominal, given = trials_of(scene, measured)
         scenes, parameters = set_up.parameters(nominal)
         refuse_weights(given)
@@ -132,7 +132,7 @@ class TrainedPosterior:
         return problem, given
 
     def _answer(self, problem: Problem, limits: Limits) -> tuple[Answer, Floats, Nuisance, list[str]]:
-        """The posterior without nuisance, draws (N, p) with it, the nuisance by which they are told, and doubts."""
+        """Posterior without nuisance, draws (N, p) with it, nuisance with the lengths they refer to, and doubts."""
         held, seen = from_nominal(problem, self.substeps, self.probes.theta)
         source = problem.objective.source
         off = self._off(held, seen)
@@ -149,28 +149,28 @@ class TrainedPosterior:
         return answer, draws, besides, doubts
 
     def _off(self, held: Objective, seen: Prediction) -> Floats:
-        """How far posteriors (d,) of knees simulated in training lie from those of the same knees as they are seen in
-        another motion and set-up, held against its nominal knee: rms in their deviations.
-        Raises InputError: most do not run."""
+        """Shift of the posteriors (d,) of the probes between training and this motion and set-up, each relative to its
+        own nominal knee: rms, in standard deviations of the posteriors.
+        Raises InputError if most of the probes do not run."""
         if seen.usable.mean() < _FEWEST_PROBES:
             found = "most knees that the posterior was trained with do not run"
             raise InputError(found, where=held.source, expected="the set-up that it was trained for")
         moved = held.residuals(seen.values[seen.usable]).astype(np.float32)
         ends = []
         for each in (self.probes.recordings[seen.usable], moved):
-            random = np.random.default_rng(self.seed)  # the same of both
+            random = np.random.default_rng(self.seed)  # the same for both
             u = self.learned.coordinates_drawn(self.learned.seen(each), _DRAWN, random)
             ends.append((u.mean(axis=1), u.std(axis=1)))
         (mean, sd), (other, _) = ends
         return np.asarray(np.sqrt(np.mean(((other - mean) / sd) ** 2, axis=0)))
 
     def facts(self) -> dict[str, Any]:
-        """Plain values, for JSON and for the file."""
+        """Plain values, for JSON and the file."""
         plain = {**self.set_up._asdict(), "nuisance": asdict(self.set_up.nuisance)}
         return {"format": FORMAT, **plain, **{key: getattr(self, key) for key in _FACTS}}
 
     def sentence(self) -> str:
-        """What it answers, and what it was learned from."""
+        """Which recordings it answers, and from what it was learned."""
         s = self.set_up
         more = ", ".join(f"{name} {times:.2g}" for name, times in zip(s.free, self.widened, strict=False) if times > 1)
         return (
@@ -181,10 +181,10 @@ class TrainedPosterior:
         )
 
     def save(self, path: str | os.PathLike[str]) -> Path:
-        """Writes a file of NumPy's (.npz), whole or not at all.
+        """Writes a NumPy file (.npz), complete or not at all.
 
         Raises:
-            OutputError: it cannot be written.
+            OutputError: if it cannot be written.
         """
         from fitting.inference.network import leaves_of
 
@@ -207,10 +207,10 @@ class TrainedPosterior:
 
         Args:
             path: of the file.
-            scene: of the set-up, or of its trials.
+            scene: the scene of the set-up, or those of its trials.
 
         Raises:
-            InputError: no such file, or one that holds no trained posterior; a scene without its parameters.
+            InputError: no such file, or no trained posterior in it; a scene without its parameters.
         """
         from fitting.inference.network import network_of
         from fitting.inference.recordings import Noise, Summaries, SummaryNoise, Table

@@ -1,7 +1,7 @@
-"""`train_posterior`: simulations and networks once for a set-up, and then an answer at once for each recording.
+"""`train_posterior`: trains networks on simulations of a set-up once, to answer each of its recordings in seconds.
 
-It is the first round of `fit_tendons(method="simulations")`, with more simulations, for any recording of the set-up and
-not for one alone. So its intervals are wider than those of later rounds, and hold no less often.
+This is the first round of `fit_tendons(method="simulations")`, with more simulations, for any recording of the set-up
+instead of one. So its intervals are wider than those of later rounds.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ from pftwin.dynamics.batch.devices import Devices
 from pftwin.model.measured import Measured
 from pftwin.model.scene import Scene
 
-AT_ALL = 30_000  # simulations
-_AT_ONCE = 2048  # of them, between two reports of progress
-_PROBES = 24
+AT_ALL = 30_000  # simulations by default
+_AT_ONCE = 2048  # simulations between two reports of progress
+_PROBES = 24  # knees that are simulated again in the set-up of each recording
 
 
 def train_posterior(
@@ -56,19 +56,19 @@ def train_posterior(
     devices: Devices = "all",
     limits: Mapping[str, tuple[float, float]] | None = None,
 ) -> TrainedPosterior:
-    """A posterior that answers every recording of a set-up.
+    """Trains a posterior that answers every recording of a set-up.
 
     Args:
-        scene: the nominal one, with the motion of a first recording; or those of several trials of one knee.
-        measured: the first recording, of which noise is found that is not stated; by default what the scene carries.
-        free: as `fit_tendons` has it; `bounds`, `priors`, `nuisance`, `varies`, `seed`, `use`, `noise`, `springs`,
-            `devices` and `limits` too.
-        simulations: recordings that are simulated; by default 30,000, or as many as memory is meant to hold.
-        progress: told how many simulations have run, of how many.
+        scene: the nominal scene with the motion of a first recording; or the scenes of several trials of one knee.
+        measured: the first recording, from which noise that is not stated is estimated; by default the scene's.
+        free: as in `fit_tendons`, like `bounds`, `priors`, `nuisance`, `varies`, `seed`, `use`, `noise`, `springs`,
+            `devices` and `limits`.
+        simulations: number of simulated recordings; by default 30,000, or fewer if memory would not suffice.
+        progress: called with the number of simulations that have run, and of all.
 
     Raises:
-        InputError: as `fit_tendons(method="simulations")`; a channel of which too many frames are missing; weights of
-            frames, which every recording would need to share.
+        InputError: as `fit_tendons(method="simulations")`; if too many frames of a channel are missing; if frames have
+            weights, which every recording would need to share.
     """
     began, allowed, besides = time.perf_counter(), limits_of(limits), Nuisance.of(nuisance)
     nominal, given = trials_of(scene, measured)
@@ -116,8 +116,8 @@ def _simulated(
     random: np.random.Generator,
     progress: Callable[[int, int], None] | None,
 ) -> tuple[Floats, Rows]:
-    """Of these parameters (N, p) those that run, and their recordings (N, n, m) from the nominal one, without noise but
-    each with errors of its own sensors."""
+    """Those of the parameters (N, p) that could be simulated, and their recordings (N, n, m) relative to the nominal
+    one, without noise but with sensor errors drawn for each."""
     kept, recordings = [], []
     for i in range(0, len(theta), _AT_ONCE):
         part = theta[i : i + _AT_ONCE]

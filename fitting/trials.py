@@ -1,13 +1,13 @@
-"""Several trials of one knee as one long recording: motions one after another, and one frame of nothing between two.
+"""Joins several trials of one knee to one long recording: motions in sequence, with one empty frame between two.
 
-Parameters are shared, but for differences that are stated, `fit_tendons([...], varies={"L1": 0.5e-3})`:
+Trials share all parameters, except for stated differences, `fit_tendons([...], varies={"L1": 0.5e-3})`:
 
     value in trial k = shared value + difference k,    difference k ~ N(0, sd)
 
-So trials lend each other strength as far as they are alike: the smaller the standard deviation, the more. The shared
-value is the mean of all trials that there might be, and is what is told and carried to other knees. A coordinate of a
-point is moved in every trial by as much as in the first, whose value is the one that is told: a tuberosity that lies
-2 mm more distal does so in the treated knee too.
+The smaller the standard deviation, the more the trials support each other. The shared value is the mean over all
+possible trials, and is what is reported and applied to other knees. A coordinate of a point moves by the same amount in
+every trial, and its value in the first trial is reported: a tuberosity that lies 2 mm more distal does so in the
+treated knee too.
 """
 
 from __future__ import annotations
@@ -30,16 +30,16 @@ from pftwin.model.number_place import named_arrays
 from pftwin.model.scene import Scene, check
 
 Scenes = Scene | Sequence[Scene]  # of one trial, or of several
-Recordings = Measured | Sequence[Measured | None] | None  # of each; None: what its scene carries
+Recordings = Measured | Sequence[Measured | None] | None  # of each trial; None: the scene's own measurements
 
-_ANY = (-1e12, 1e12)  # bounds where the first trial's hold
-_EQUAL = 1e-6  # share by which numbers of two scenes may differ that count as the same: rounding in files
+_ANY = (-1e12, 1e12)  # bounds of other trials, where the first trial's apply
+_EQUAL = 1e-6  # relative difference below which values of two scenes count as equal: rounding in files
 
 
 def trials_of(scene: Scenes, measured: Recordings) -> tuple[list[Scene], list[Measured]]:
-    """Every trial's scene and measurements, of one or several; by default what scenes carry. Raises InputError: no
-    scene, something that is none, or one that cannot give a right answer; a scene that carries no measurements; not as
-    many measurements as scenes."""
+    """Scene and measurements of every trial, for one or several; by default the scenes' own measurements. Raises
+    InputError if there is no scene, one is not a scene or fails `check`, one has no measurements, or the numbers of
+    scenes and measurements differ."""
     scenes = list(scene) if isinstance(scene, Sequence) else [scene]
     if not scenes:
         raise InputError("no trial", where="scene", expected="a scene, or several")
@@ -57,14 +57,14 @@ def trials_of(scene: Scenes, measured: Recordings) -> tuple[list[Scene], list[Me
 
 
 def measured_of(scene: Scene) -> Measured:
-    """The measurements that a scene carries. Raises InputError: it carries none."""
+    """The measurements that a scene carries. Raises InputError if it carries none."""
     if scene.measured is None:
         raise InputError("nothing to compare with", where="measured", expected="measurements of this scene's motion")
     return scene.measured
 
 
 def trial_names(scenes: Sequence[Scene]) -> list[str]:
-    """Their names, those that come again with a number."""
+    """Names of the trials; repeated names get a number."""
     found: list[str] = []
     for scene in scenes:
         numbered = (f"{scene.name} ({n})" for n in range(2, len(scenes) + 2))
@@ -75,7 +75,7 @@ def trial_names(scenes: Sequence[Scene]) -> list[str]:
 def said_of_trials(
     scenes: Sequence[Scene], objective: Objective, say: Callable[[Objective, slice], list[str]]
 ) -> list[str]:
-    """What a check of one trial's measurements, given them and their frames, says of each; of several by name."""
+    """Statements of a check `say(objective, frames)` about each trial, with its name if there are several."""
     names, found = trial_names(scenes), []
     for name, own, rows in zip(names, objective.trials, objective.frames, strict=True):
         found += [said if len(names) == 1 else f"{said} (in {name})" for said in say(own, rows)]
@@ -91,8 +91,8 @@ def objective_of(
     loss: str,
     springs: Mapping[str, str],
 ) -> Objective:
-    """The distance from all trials' measurements: as `Objective.of`, of each what was measured there. Raises
-    InputError: as `Objective.of`; a trial of which nothing that is used was measured."""
+    """The objective of all trials' measurements, of each the channels measured in it. Raises InputError as
+    `Objective.of` does, and for a trial in which no channel of `use` was measured."""
     there = [tuple(measured_channels(*each, springs)[0]) for each in zip(scenes, measured, strict=True)]
     found = []
     for scene, data, channels in zip(scenes, measured, there, strict=True):
@@ -100,7 +100,7 @@ def objective_of(
         if len(scenes) > 1 and use != "all":
             names = [use] if isinstance(use, str) else list(use)
             elsewhere = {c for other in there for c in other}
-            wanted = [c for c in names if c in channels or c not in elsewhere]  # what nobody measured is refused
+            wanted = [c for c in names if c in channels or c not in elsewhere]  # a channel measured nowhere is refused
             if not wanted:
                 raise InputError(
                     f"nothing of {', '.join(names)} was measured in {scene.name}",
@@ -114,7 +114,7 @@ def objective_of(
 
 
 def check_channels(scenes: Sequence[Scene], channels: Sequence[str]) -> None:
-    """Refuses a trial that has not all channels that are predicted, of every trial."""
+    """Raises InputError if a trial lacks one of the channels, which are predicted for every trial."""
     for scene in scenes:
         known = with_readings(scene)
         if missing := [c for c in channels if c not in known]:
@@ -123,7 +123,7 @@ def check_channels(scenes: Sequence[Scene], channels: Sequence[str]) -> None:
 
 
 def frames_of(lengths: Sequence[int]) -> tuple[slice, ...]:
-    """Which rows are those of each trial."""
+    """Rows of each trial in the joined recording."""
     starts = np.cumsum([0, *(n + 1 for n in lengths[:-1])]).tolist()
     return tuple(slice(start, start + n) for start, n in zip(starts, lengths, strict=True))
 
@@ -136,9 +136,9 @@ def free_in_trials(
     nuisance: Nuisance,
     varies: Mapping[str, float] | None = None,
 ) -> tuple[list[Scene], list[Parameters]]:
-    """Every trial's scene with whatever is fitted in it, and what is free in it; bounds and priors are of the first. So
-    are the differences of trials. Raises InputError: as `with_nuisance` and `with_differences`; another number is free
-    in one trial than in another, or one that does not vary has another value there."""
+    """Scene of every trial with nuisance effects added, and its free parameters; bounds, priors and differences are
+    those of the first trial. Raises InputError as `with_nuisance` and `with_differences` do, and if the free parameters
+    of two trials differ, or a parameter that does not vary has another value."""
     first, own = with_nuisance(scenes[0], names, bounds, priors, nuisance)
     found, free = [first], [own]
     for scene in scenes[1:]:
@@ -151,7 +151,7 @@ def free_in_trials(
 
 
 def _check_ties(own: Parameters, first: Scene, scene: Scene) -> None:
-    """Refuses a trial in which what is tied has another proportion than in the first. Raises InputError: it has."""
+    """Raises InputError if tied parameters have other proportions in a trial than in the first."""
     for p in own.items:
         here, there = ([] if p.coordinate else p.place.proportions(s) for s in (first, scene))
         if len(here) != len(there) or not np.allclose(here, there, rtol=_EQUAL, atol=0):
@@ -160,7 +160,7 @@ def _check_ties(own: Parameters, first: Scene, scene: Scene) -> None:
 
 
 def _shared(first: Parameters, own: Parameters, number: int, varies: Mapping[str, float]) -> Parameters:
-    """What is free in a trial of this number, with the first's values, bounds and priors; coordinates are moved."""
+    """Free parameters of trial `number`, with the first's values, bounds and priors; coordinates are shifted."""
     here, there = ({p.place.name: p for p in both.items} for both in (first, own))
     if here.keys() != there.keys():
         apart = ", ".join(sorted(here.keys() ^ there.keys()))
@@ -187,9 +187,9 @@ def _shared(first: Parameters, own: Parameters, number: int, varies: Mapping[str
 def with_differences(
     scene: Scene, parameters: Parameters, varies: Mapping[str, float], trials: Sequence[str]
 ) -> Parameters:
-    """The parameters that trials of these names share, and of each that varies, by a standard deviation, differences
-    of all trials, at the end; `scene` is the first trial's, with whatever is fitted in it. Raises InputError: a name
-    that is not free, or one of many numbers; no standard deviation; a single trial; bounds that leave no room."""
+    """The shared parameters of trials with these names and, for each that varies, the differences of all trials at the
+    end; `scene` is the first trial's, with nuisance effects. Raises InputError for a name that is not free, an invalid
+    standard deviation, a single trial, or bounds that leave no room."""
     if not varies:
         return parameters
     if len(trials) < 2:
@@ -209,8 +209,8 @@ def with_differences(
 
 
 def _deviation(scene: Scene, p: Parameter, sd: float) -> float:
-    """It, if it can be one. Raises InputError: it is no positive number, or the least of the bounds less so many
-    deviations is no such quantity."""
+    """The standard deviation `sd`. Raises InputError if it is not positive, or if the bounds widened by so many
+    standard deviations contain impossible values."""
     if not (isinstance(sd, Real) and np.isfinite(float(sd)) and float(sd) > 0):
         raise InputError(f"{p.name}: found {sd!r}", where="varies", expected="a positive standard deviation")
     declared = named_arrays(scene)[p.place.names[0].partition("[")[0]].quantity
@@ -226,7 +226,7 @@ def _deviation(scene: Scene, p: Parameter, sd: float) -> float:
 
 
 def joined_objective(trials: Sequence[Objective]) -> Objective:
-    """Measurements of all trials: channels that one lacks are missing there."""
+    """Joins the measurements of all trials; a channel that a trial lacks is missing there."""
     if len(trials) == 1:
         return trials[0]
     pose = [c for c in (POSITION, ORIENTATION) if any(c in t.channels for t in trials)]

@@ -1,4 +1,4 @@
-"""Predictions of several trials of one knee, as those of one long recording: see `fitting.trials`."""
+"""Simulates several trials of one knee, joined to one long recording: see `fitting.trials`."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from pftwin.model.scene import Scene
 
 @dataclass(eq=False)
 class TrialsEvaluator:
-    """`Evaluator` for several trials, with its methods; numbers of steps between two frames are those of the first."""
+    """`Evaluator` for several trials. Numbers of steps between two frames are those of the first trial."""
 
-    evaluators: tuple[Evaluator, ...]  # of every trial, by the parameters that trials share
-    differences: tuple[tuple[int, int], ...] = ()  # as `Parameters` has them: columns behind those of the shared ones
+    evaluators: tuple[Evaluator, ...]  # of each trial, for the shared parameters
+    differences: tuple[tuple[int, int], ...] = ()  # as `Parameters.differences`; their columns follow the shared ones
 
     def __post_init__(self) -> None:
         nominal = [e.parameters.nominal for e in self.evaluators]
@@ -41,7 +41,7 @@ class TrialsEvaluator:
 
     @cached_property
     def coarse(self) -> int:
-        """As `Evaluator.coarse`: as many as the trial needs that needs most."""
+        """As `Evaluator.coarse`, for the trial that needs the shortest steps."""
         return max(self._of_the_first(each, each.coarse) for each in self.evaluators)
 
     @cached_property
@@ -83,7 +83,7 @@ class TrialsEvaluator:
         return np.sum([e.gradients(at, steps, pulls[:, rows]) @ w for (e, at, steps), rows, w in parts], axis=0)
 
     def step_errors(self, theta: Floats, substeps: int, *, slopes: bool = True) -> dict[str, StepError]:
-        """As `Evaluator.step_errors`: of the trial in which a channel is farthest off."""
+        """As `Evaluator.step_errors`, from the trial in which a channel's error is largest."""
         found = [e.step_errors(at[0], steps, slopes=slopes) for e, at, steps in self._each(theta[None], substeps)]
         if not all(found):
             return {}
@@ -98,12 +98,12 @@ class TrialsEvaluator:
         ]
 
     def _of_the_first(self, each: Evaluator, substeps: int) -> int:
-        """Steps between two frames of the first trial that are no longer than these of another."""
+        """Steps between two frames of the first trial that are no longer than these of another trial."""
         return -(-substeps * self.first // each.first)
 
 
 def _joined(parts: list[Prediction]) -> Prediction:
-    """Motions one after another; usable where all are."""
+    """Joins the trials' predictions; usable if all are."""
     usable = np.logical_and.reduce([p.usable for p in parts])
     slopes = [p.slopes for p in parts if p.slopes is not None]
     values = _one_after_another([p.values for p in parts])
@@ -111,6 +111,6 @@ def _joined(parts: list[Prediction]) -> Prediction:
 
 
 def _one_after_another(parts: list[Floats]) -> Floats:
-    """Of (N, n, ...), with a frame of zeros between two."""
+    """Joins arrays (N, n, ...) along the frames, with a frame of zeros between two."""
     between = np.zeros_like(parts[0][:, :1])
     return np.concatenate([part for one in parts for part in (between, one)][1:], axis=1)

@@ -1,4 +1,4 @@
-"""Covariance of a fit from the Gauss-Newton Hessian and the noise, and its meaning in words."""
+"""Covariance of a fit from the Gauss-Newton Hessian and the noise, and the precision in words."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from pftwin.base.quantities import as_read
 NORMAL_95 = 1.959963984540054  # quantile of the normal distribution for 95 % intervals
 SERIAL = 0.2  # correlation of neighbouring residuals above which they do not count as independent
 POORLY = 0.02  # relative standard deviation worth a remark
-_OPEN = 0.87  # of the deviation that was known before: above it measurements tell hardly anything
-_USELESS = 10  # times a value: a deviation that tells nothing of it
-_MINOR = 0.1  # share of a parameter's square that lies in open combinations, below which it is not named
-_HUGE = 1e6  # times what was known before: in the place of infinite deviations
+_OPEN = 0.87  # ratio of posterior to prior standard deviation above which measurements add hardly anything
+_USELESS = 10  # relative standard deviation above which a value has no useful accuracy
+_MINOR = 0.1  # share of a parameter's square within open combinations, below which it is not named
+_HUGE = 1e6  # replaces infinite standard deviations, in units of the prior's
 
 
 class Uncertainty(NamedTuple):
@@ -32,10 +32,10 @@ class Uncertainty(NamedTuple):
 
 
 def uncertainty(objective: Objective, parameters: Parameters, r: Floats, j: Floats, theta: Floats) -> Uncertainty:
-    """From residuals (n, m) and their derivatives (n, m, p) at theta, with an objective of known noise.
+    """Uncertainty from residuals (n, m) and their derivatives (n, m, p) at theta, for an objective of known noise.
 
-    Where neighbouring residuals are correlated the covariance is Newey and West's (1987), which counts what correlated
-    residuals repeat; otherwise it is the inverse of the information.
+    If neighbouring residuals are correlated, the covariance is that of Newey and West (1987), which accounts for it;
+    otherwise it is the inverse of the information.
     """
     z, a = scaled_by_noise(objective, r, j)
     precision = np.diag(parameters.prior_terms(theta)[2])
@@ -76,9 +76,9 @@ def serial_correlation(z: Floats, present: NDArray[np.bool_]) -> float:
 
 
 def long_run_score(a: Floats, z: Floats, serial: float, frames: tuple[slice, ...] = (slice(None),)) -> Floats:
-    """The long-run covariance of the score's sum (p, p), with Bartlett's weights over some correlation lengths.
+    """Long-run covariance of the score's sum (p, p), with Bartlett weights over some correlation lengths.
 
-    `frames` are those of each trial: what lies in two of them is not correlated.
+    `frames`: rows of each trial; different trials are uncorrelated.
     """
     score = np.einsum("tmp,tm->tp", a, z)
     parts = [score[rows] for rows in frames]
@@ -94,27 +94,25 @@ def long_run_score(a: Floats, z: Floats, serial: float, frames: tuple[slice, ...
 
 
 def sizes(names: tuple[str, ...], span: Floats, values: Floats, coordinates: tuple[str, ...] = ()) -> Floats:
-    """What deviations of parameters are relative to (p,): their values; the span of the bounds of those without a size.
-
-    These are coordinates of points, which may be near zero as well as not, and what is zero.
-    """
+    """What relative deviations are relative to (p,): the values, or the range between bounds for coordinates of points,
+    which may lie near zero, and for values of zero."""
     return np.where((values == 0) | np.isin(names, coordinates), span, values)
 
 
 def relative(size: Floats, covariance: Floats) -> Floats:
-    """The covariance of relative deviations."""
+    """Covariance of relative deviations."""
     return covariance / np.outer(size, size)
 
 
 class Undetermined(NamedTuple):
-    """Combinations of parameters that are hardly told but by what was known before."""
+    """Combinations of parameters that are hardly known beyond the prior."""
 
     count: int
-    names: tuple[str, ...]  # of parameters in them, those that lie most in them first
+    names: tuple[str, ...]  # parameters in them, the most involved first
 
     @staticmethod
     def of(names: tuple[str, ...], known: Floats, covariance: Floats) -> Undetermined:
-        """From the deviations of what was known before (p,), and the covariance (p, p) of what is known now."""
+        """From prior standard deviations (p,) and the posterior covariance (p, p)."""
         limited = np.where(np.isfinite(covariance), covariance, np.eye(len(names)) * (_HUGE * known) ** 2)
         values, vectors = np.linalg.eigh(relative(known, limited))
         inside = np.sum(vectors[:, values > _OPEN**2] ** 2, axis=1)
@@ -133,8 +131,8 @@ def in_words(
     readings: Mapping[str, str] | None = None,
     units: Sequence[str] | None = None,
 ) -> str:
-    """A sentence on which parameters the data determine and which they do not: with the values where there are units,
-    else how well; `readings` are channels that are no poses and forces, with their units."""
+    """A sentence on which parameters the data determine and how well, with values if `units` are given. `readings`:
+    units of channels that are neither poses nor forces."""
     rel = relative(sizes(names, span, values, coordinates), covariance)
     sd = np.sqrt(np.maximum(np.diagonal(rel), 0))
     subject = "positions" if channels == (POSITION,) else ", ".join(channels)
@@ -169,14 +167,14 @@ def in_words(
 
 
 def percent(share: float) -> str:
-    """A share in words."""
+    """A share as a percentage, or words if it is useless."""
     if not np.isfinite(share) or share > _USELESS:
         return "no useful accuracy"
     return f"{100 * share:.2g} %" if share < 0.995 else f"{100 * share:.0f} %"
 
 
 def _with_deviation(value: float, deviation: float, share: float, unit: str) -> str:
-    """A value and its standard deviation to two digits, or to whole units; of a share of it that tells nothing, so."""
+    """A value and its standard deviation to two digits, or to whole units; words if the relative `share` is useless."""
     scale, read = as_read(unit)
     if not np.isfinite(deviation) or share > _USELESS:
         return "with no useful accuracy"
@@ -185,7 +183,7 @@ def _with_deviation(value: float, deviation: float, share: float, unit: str) -> 
 
 
 def _length(deviation: float) -> str:
-    """A standard deviation of a coordinate in words [m]."""
+    """Standard deviation of a coordinate [m], as text."""
     return f"{1e3 * deviation:.2g} mm" if np.isfinite(deviation) and deviation < 1 else "no useful accuracy"
 
 

@@ -90,12 +90,12 @@ def misread(objective: Objective, trials: Floats, limits: Limits) -> list[str]:
         said = f"{_listed(r.channels)} {r.words}"
         if r.times >= refused:
             raise InputError(
-                f"{said}? So read, the numbers lie {r.times:.3g} times nearer to what the scene can do",
+                f"{said}? Read like this, the values lie {r.times:.3g} times closer to what the scene can do",
                 where=objective.source,
                 expected=_expected(r.channels, objective.readings),
                 remedy=f"correct the file; or, if it is right, {raised('reading', limits, r.times)}",
             )
-        found.append(f"{said} ({r.times:.2g} times nearer to the twin)")
+        found.append(f"{said} ({r.times:.2g} times closer to the twin)")
     return found
 
 
@@ -153,11 +153,11 @@ def left_over(objective: Objective, residuals: Floats, limits: Limits, stated: M
         left = float(_rms(residuals[there, rows]))
         kind = channel if channel in _FLOOR else "force"
         size, unit = float(_rms(objective.measured[there, columns])), unit_of(channel, objective.readings)
-        said, cases = f"of {channel} the fit leaves {shown(left, unit, 3)} rms", []
+        said, cases = f"residual of {channel}: {shown(left, unit, 3)} rms", []
         if kind != "force":
             cases.append((kind, left, said))
         elif size > 0 or channel not in objective.readings:  # a reading that should be zero has no share
-            said += f" of {shown(size, unit, 3)} that were measured"
+            said += f" of {shown(size, unit, 3)} measured"
             cases.append((kind, left / max(size, 1e-300), said))
         if stated is not None:
             times = left / (stated[channel] * np.sqrt(rows.stop - rows.start))
@@ -185,12 +185,12 @@ def unresolved(errors: Mapping[str, StepError], left: Mapping[str, float], readi
     """Channels in which the time steps' error is too large and at least half of the fit's residual (rms), in words;
     without `errors` the run with half the step failed. `readings`: units of channels neither poses nor forces."""
     if not errors:
-        return ["in half of the fit's time step no motion comes out, so the error of its steps is not known"]
+        return ["with half the time step the simulation fails, so the error of the fit's time steps is not known"]
     found = []
     for channel, error in errors.items():
         if error.large and error.rms > 0.5 * left[channel]:
             off, rest = (shown(x, unit_of(channel, readings), 2) for x in (error.rms, left[channel]))
-            found.append(f"the fit's time steps are off by {off} rms of {channel}, beside {rest} that it leaves")
+            found.append(f"the fit's time steps cause an error of {off} rms of {channel}, beside a residual of {rest}")
     return found
 
 

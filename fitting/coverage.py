@@ -20,7 +20,7 @@ _NO_PLANS = "how many plans from such fits are safe was not measured"
 _NO_WORD = "how often they contain the truth was not measured"
 
 NOT_KNOWN = Coverage(
-    "How often intervals of such fits contain the truth was not measured, except of posteriors with nuisance 'rig', "
+    "How often intervals of such fits contain the truth was not measured, except for posteriors with nuisance 'rig', "
     "trained once on three trials with a force in each: 39 of 40 cases",
     _NO_BANDS,
     _NO_PLANS,

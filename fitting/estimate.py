@@ -233,8 +233,8 @@ class Estimate:
         """The precision of the requested parameters in a sentence, or why it cannot be stated."""
         asked = self.asked
         if self.invalid:
-            untold = f"What the data tell of {', '.join(self.names[:asked])} is not known"
-            return f"{INVALID}: {'; '.join(self._objections())}. {untold}"
+            unknown = f"The precision of {', '.join(self.names[:asked])} is not known"
+            return f"{INVALID}: {'; '.join(self._objections())}. {unknown}"
         span, covariance = self.upper - self.lower, self.covariance[:asked, :asked]
         said = in_words(
             self.names[:asked],
@@ -269,9 +269,9 @@ class Estimate:
         """What the measurements do not determine: open combinations, and values at a bound."""
         out = []
         if (open_ := self.undetermined).count and not self.invalid:
-            told = f"{self.asked - open_.count} of {self.asked} combinations of what was asked for"
-            hardly = f"hardly more than bounds and priors do ({', '.join(open_.names)})"
-            out.append(f"the measurements tell {told}, and of the others {hardly}")
+            found = f"{self.asked - open_.count} of {self.asked} combinations of the requested parameters"
+            others = f"the others are hardly known beyond bounds and priors ({', '.join(open_.names)})"
+            out.append(f"the measurements determine {found}; {others}")
         if self.at_bounds:
             out.append(f"at a bound: {', '.join(self.at_bounds)}; the true value may lie beyond")
         return out
@@ -285,7 +285,7 @@ class Estimate:
             of_each = {name: left[channel] for name, left in self.trial_rmse.items() if channel in left}
             unit = unit_of(channel, self.readings)
             parts = [f"{shown(left, unit, 3)} in {name}" for name, left in of_each.items()]
-            out.append(f"left of {channel}: {', '.join(parts)}")
+            out.append(f"residual of {channel}: {', '.join(parts)}")
         out += self.untold()
         if self.serial_correlation > SERIAL:
             out.append(

@@ -58,7 +58,7 @@ def finished(search: Method, state: State, run: Callable[[Method], State]) -> tu
     except KeyboardInterrupt:  # before there is an answer
         return search, {**state, "interrupted": True}
     if again["best_theta"] is None:
-        return search, {**state, "stopped": "with shorter steps, or measurements counted anew, nothing could be run"}
+        return search, {**state, "stopped": "with shorter steps or reweighted measurements the simulation failed"}
     search.problem = replace(search.problem, objective=problem.objective)
     state = _joined(state, again)
     if left > _SETTLED:

@@ -113,7 +113,7 @@ class Objective:
                 found, expected = "given with the paper's objective, which knows none", "the likelihood, or no noise"
                 raise InputError(found, where="noise", expected=expected)
         if loss != "linear" and noise is None:
-            problem = f"the loss {loss!r} tells outliers by the measurements' noise, which is not known here"
+            problem = f"the loss {loss!r} needs the measurements' noise to detect outliers"
             expected = 'a likelihood with noise, such as noise={"position": 2e-4}'
             raise InputError(problem, where="loss", expected=expected)
         there = np.stack([np.isfinite(values).all(axis=1) for values in data.values()], axis=1)

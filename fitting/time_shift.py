@@ -76,7 +76,7 @@ def late_channels(shifts: Mapping[str, TimeShift], source: str, limits: Limits) 
         verb, when = ("is", "late") if s.seconds > 0 else ("comes", "early")
         words = f"measured {channel} {verb} {size} {when} against the motion of the bones"
         if s.at_least:  # slow model errors can also end there: reported, not refused
-            words += ", or what the twin lacks looks so"
+            words += ", or a model error looks like it"
         elif s.beyond(limits["shift"][1]):
             raise InputError(
                 words,

@@ -136,12 +136,12 @@ class TrainedPosterior:
         held, seen = from_nominal(problem, self.substeps, self.probes.theta)
         source = problem.objective.source
         off = self._off(held, seen)
-        said = f"in this motion and set-up the posterior, trained for another, is off by {off.max():.2g} deviations"
+        said = f"in this motion and set-up the error of the trained posterior is {off.max():.2g} standard deviations"
         doubts = bounded("set_up", float(off.max()), said, source, limits)
         recording = bridged(problem, held, self.present)
         wider = np.hypot(1.0, off) * (self.widened or 1.0)
         answer = self.learned.answer(recording, DRAWS, np.random.default_rng(self.seed), wider)
-        said = f"what no simulation explains of them is {answer.level:.2g} times the noise that was learned from"
+        said = f"the part of them that no simulation explains is {answer.level:.2g} times the training noise"
         doubts += bounded("trained_noise", answer.level, said, source, limits)
         random, nuisance = np.random.default_rng([self.seed, 1]), self.set_up.nuisance
         draws = with_nuisance(problem, nuisance, held, self.learned, recording, answer.draws, self.substeps, random)

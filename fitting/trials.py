@@ -173,7 +173,7 @@ def _shared(first: Parameters, own: Parameters, number: int, varies: Mapping[str
         theirs = there[name].nominal
         if not (ours.coordinate or ours.name in varies or np.isclose(theirs, ours.nominal, rtol=_EQUAL, atol=0)):
             found = f"{ours.name} is {ours.nominal:g} in trial 1 and {theirs:g} in trial {number}"
-            remedy = f"varies={{{ours.name!r}: ...}}, by what deviation it differs; or scenes that have the same"
+            remedy = f"varies={{{ours.name!r}: ...}}, the deviation of its differences; or scenes with equal values"
             raise InputError(found, where="trials", expected="numbers that trials share", remedy=remedy)
     items = []
     for name, ours in here.items():

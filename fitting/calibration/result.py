@@ -27,7 +27,7 @@ FORMAT = "pftwin calibration 1"
 LEVELS = (0.5, 0.8, 0.9, 0.95)
 INTERVALS, BANDS = 0.95, 0.9  # nominal levels that are judged: of parameters' intervals, of predicted bands
 _SURE = 0.95  # joint confidence of the intervals of all parameters' coverage that are compared with the level
-_LEAST_TOLD = 0.5  # with fewer plants even full coverage would not exclude this coverage: too few plants
+_LEAST_TOLD = 0.5  # plants are too few if even full coverage of them does not exclude this coverage
 _MOST_RUN = 0.5  # least share of draws that must run for a prediction to count
 _NARROW, _WIDE, _NONE, _FEW = "too narrow", "wider than need be", "no plant was answered", "too few plants to tell"
 _UNSAFE, _NO_PLAN = "not as safe as they say", "no plan was found"
@@ -187,7 +187,7 @@ class Calibration:
 
     @property
     def holds(self) -> bool:
-        """Whether no kind of plants shows intervals too narrow, too few of its plants answered, or plans unsafe."""
+        """Whether on every kind enough plants are answered, no interval is too narrow, and plans are found and safe."""
         return not self._bad()
 
     def _bad(self) -> list[str]:

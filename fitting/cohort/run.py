@@ -227,7 +227,7 @@ class _CohortRun:
             known = isinstance(error, PftwinError)
             text = None if known else traceback.format_exc()
             kind = type(error).__name__
-            message = str(error) if known else f"unexpected, a mistake of pftwin's own: {kind}: {error}"
+            message = str(error) if known else f"unexpected error, a bug in pftwin: {kind}: {error}"
             outcome.failure = Failure(stage, kind, message, text)
             self.manifest.failures[outcome.patient] = outcome.failure
 

@@ -90,8 +90,8 @@ class Posterior:
         """The comparison in a sentence."""
         if not self.converged:
             return (
-                f"the chains tell little yet (R-hat {self.r_hat.max():.3f}, worth {self.effective.min():.0f} "
-                "independent draws): more draws"
+                f"the chains have not converged (R-hat {self.r_hat.max():.3f}, {self.effective.min():.0f} effective "
+                "draws): take more draws"
             )
         worst = int(np.argmax(self.disagreement))
         off, name = self.disagreement[worst], self.names[worst]
@@ -118,7 +118,7 @@ class Posterior:
         if cut.any():
             out.append(f"the bounds cut the posterior of {', '.join(np.array(self.names)[cut])}")
         if self.unsolved > _UNSOLVED * self.draws[..., 0].size:
-            out.append(f"{self.unsolved} more proposals were not found: where the motion jumps, draws may be missing")
+            out.append(f"{self.unsolved} proposals had no solution: where the motion jumps, draws may be missing")
         return out
 
     def summary(self) -> str:

@@ -83,10 +83,10 @@ def predict_motion(
         verdict = "INVALID: the estimate has no motion"
     lost = int((~good[1:]).sum())
     if verdict == "valid" and lost > MOST_FAILED * samples:
-        verdict = f"INVALID: {lost} of {samples} draws have no motion that may be spoken of"
+        verdict = f"INVALID: {lost} of {samples} draws have an INVALID motion"
     each = (f"{name} {value:.2g} {unit}" for (name, (unit, _)), value in zip(COORDINATES.items(), left, strict=True))
-    notes = [f"{samples} draws, and what the fit left: {', '.join(each)} (rms)"]
-    notes += [f"{lost} draws without a motion left out"] if lost else []
+    notes = [f"{samples} draws, and the residuals of the fit: {', '.join(each)} (rms)"]
+    notes += [f"{lost} draws without a motion omitted"] if lost else []
     notes += [f"the fitted motion: {estimate.verdict}"] if estimate.verdict.startswith(INVALID) else []
     notes += reservations(estimate, scene.synthetic or (measured is not None and measured.synthetic))
     low, high = _band(paths[1:][good[1:]], paths[0], left)
@@ -101,12 +101,12 @@ def _left_of(estimate: Estimate) -> Floats:
     rmse = estimate.rmse
     if missing := {*"XYZ", *TURNS} - rmse.keys():
         if {POSITION, ORIENTATION} <= {*estimate.channels}:
-            found, expected = f"nothing of what the fit left of {max(missing)}", "a fit by this pftwin or a later one"
+            found, expected = f"no residual of {max(missing)}", "a fit by this version of pftwin or a later one"
             raise InputError(found, where="estimate", expected=expected, remedy="fit again")
         raise InputError(
             f"a fit to {', '.join(estimate.channels)}, without {max(missing)}",
             where="estimate",
-            expected="one to positions and orientations: bands of both are told",
+            expected="a fit to positions and orientations, since bands of both are predicted",
             remedy="pftwin fit --use position,orientation",
         )
     return np.array([*(1e3 * rmse[axis] for axis in "XYZ"), *(np.degrees(rmse[n]) for n in list(COORDINATES)[3:])])

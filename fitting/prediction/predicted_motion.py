@@ -85,7 +85,7 @@ class PredictedMotion:
         angles = "".join(f", {name} {e[name]:.2g} deg rms" for name in ("rotation", "flexion", "tilt") if name in e)
         return (
             f"{self.scene_name}: {path} of {count} frames"
-            f"{angles}; bands of {100 * LEVEL:.0f} % held {100 * held:.0f} % of what was measured"
+            f"{angles}; {100 * LEVEL:.0f} % bands contain {100 * held:.0f} % of the measurements"
         )
 
     def to_dict(self) -> dict[str, Any]:

@@ -189,7 +189,7 @@ def check_draws(samples: int, estimate: Fitted | None) -> None:
     if not (isinstance(samples, int) and samples >= 0):
         raise InputError(f"found {samples!r}", where="samples", expected="a whole number, at least 0")
     if samples and estimate is None:
-        raise InputError("samples of nothing uncertain", where="samples", remedy="an estimate as well: estimate=...")
+        raise InputError("samples without an estimate", where="samples", remedy="pass an estimate: estimate=...")
 
 
 Variables = dict[str, tuple[tuple[str, ...], Any, dict[str, Any]]]
@@ -232,7 +232,7 @@ def dataset(
     for name, about in MEASURES.items():
         values, unit = _shown(gathered([m.outcomes[name] for m in found]), about.unit)
         variables[name] = _named(axes, np.where(failed, np.nan, values), about.long_name, unit)
-    variables["failed"] = _named(axes, failed, "motion that may not be spoken of: see verdict", "1")
+    variables["failed"] = _named(axes, failed, "whether the motion is INVALID: see verdict", "1")
     flags, meanings = gathered([m.flags for m in found]), [f.describe() for f in FLAGS]
     variables["status_frames"] = _named((*axes, "flag"), flags, "recorded frames with each status", "1", flags=meanings)
     for name in found[0].courses:

@@ -120,26 +120,26 @@ def test_what_is_left_over_is_named_by_size_and_by_the_stated_noise():
     said = left_over(seen, left, LIMITS, None)
     size = np.sqrt(np.mean(FORCES[:, 0] ** 2))
     assert said == [
-        "of position the fit leaves 12 mm rms",
-        f"of one the fit leaves 2 N rms of {size:.3g} N that were measured",
+        "residual of position: 12 mm rms",
+        f"residual of one: 2 N rms of {size:.3g} N measured",
     ]
     noisy = left_over(seen, 0.1 * left, LIMITS, {"position": 1.2e-3 / np.sqrt(3) / 50, "one": 0.1})
-    assert noisy == ["of position the fit leaves 1.2 mm rms, 50 times the stated noise"]
-    with pytest.raises(InputError, match="of one the fit leaves 8 N rms"):
+    assert noisy == ["residual of position: 1.2 mm rms, 50 times the stated noise"]
+    with pytest.raises(InputError, match="residual of one: 8 N rms"):
         left_over(seen, 4 * left * [0, 0, 0, 1], LIMITS, None)
 
 
 def test_steps_whose_error_is_large_or_not_known_are_named():
     left = {"position": 5e-4, "orientation": 0.02}
     errors = {"position": StepError(4e-4, True), "orientation": StepError(0.005, True)}
-    said = "the fit's time steps are off by 0.4 mm rms of position, beside 0.5 mm that it leaves"
+    said = "the fit's time steps cause an error of 0.4 mm rms of position, beside a residual of 0.5 mm"
     assert unresolved(errors, left, {}) == [said]
     assert unresolved({"position": StepError(4e-4, False)}, left, {}) == []
     assert "not known" in unresolved({}, left, {})[0]
     turned = unresolved({"orientation": StepError(np.radians(1.5), True)}, {"orientation": np.radians(2.0)}, {})
-    assert turned == ["the fit's time steps are off by 1.5 deg rms of orientation, beside 2 deg that it leaves"]
+    assert turned == ["the fit's time steps cause an error of 1.5 deg rms of orientation, beside a residual of 2 deg"]
     pulled = unresolved({"quadriceps": StepError(0.4, True)}, {"quadriceps": 0.5}, {})
-    assert pulled == ["the fit's time steps are off by 0.4 N rms of quadriceps, beside 0.5 N that it leaves"]
+    assert pulled == ["the fit's time steps cause an error of 0.4 N rms of quadriceps, beside a residual of 0.5 N"]
 
 
 def test_only_forces_or_readings_of_one_unit_are_named_together():

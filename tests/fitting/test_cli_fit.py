@@ -65,9 +65,9 @@ def test_a_fit_to_doubted_measurements_is_written_and_flagged(toy, tmp_path):
     options = ("--free", "K1,L1", "--starts", 2, "--no-figures", "--limit", "position=1e-4:1")
     result = pftwin("fit", toy, "-o", output, *options)
     assert result.exit_code == 3, result.output
-    assert result.stdout.startswith("INVALID: of position the fit leaves")
-    assert "flagged: INVALID: of position the fit leaves" in result.stderr
-    assert json.loads(output.read_text())["doubts"][0].startswith("of position the fit leaves")
+    assert result.stdout.startswith("INVALID: residual of position: ")
+    assert "flagged: INVALID: residual of position: " in result.stderr
+    assert json.loads(output.read_text())["doubts"][0].startswith("residual of position: ")
 
 
 @pytest.mark.slow

@@ -69,12 +69,12 @@ def test_remarks_say_what_weakens_the_numbers():
 
 
 def test_doubts_of_the_measurements_come_before_any_number():
-    e = correlated(doubts=["measured contact looks negated", "of position the fit leaves 12 mm rms"])
+    e = correlated(doubts=["measured contact looks negated", "residual of position: 12 mm rms"])
     assert e.invalid
     assert e.summary().splitlines()[0] == e.sentence()
     assert e.sentence() == (
-        "INVALID: measured contact looks negated; of position the fit leaves 12 mm rms. "
-        "What the data tell of K1, L1, K2 is not known"
+        "INVALID: measured contact looks negated; residual of position: 12 mm rms. "
+        "The precision of K1, L1, K2 is not known"
     )
     assert "fix" not in e.summary()
     assert list(e.to_dict())[:3] == ["format", "sentence", "doubts"]

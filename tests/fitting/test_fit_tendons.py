@@ -129,6 +129,6 @@ def test_a_fit_whose_steps_are_too_long_says_so_first(monkeypatch):
     )
     rms = np.sqrt(np.mean(np.sum((long - short) ** 2, axis=1)))
     assert found.step_error["position"] == pytest.approx(rms, rel=0.2)
-    told = f"the fit's time steps are off by {1e3 * found.step_error['position']:.2g} mm rms of position"
+    told = f"the fit's time steps cause an error of {1e3 * found.step_error['position']:.2g} mm rms of position"
     assert told in "; ".join(found.doubts)
     assert found.sentence().startswith("INVALID: ")

@@ -137,8 +137,8 @@ def test_what_no_reading_explains_is_left_over_and_named_or_refused():
     odd = truth().femoral_spring_force * np.where(np.arange(121) % 2, 0.5, 1.0)
     broken = replace(truth(), femoral_spring_force=odd)
     named = fit(broken, ("position", "quadriceps"))
-    assert named.sentence().startswith("INVALID: of quadriceps the fit leaves")
-    with pytest.raises(InputError, match=r"of quadriceps the fit leaves .* N rms .*limit 'force'"):
+    assert named.sentence().startswith("INVALID: residual of quadriceps: ")
+    with pytest.raises(InputError, match=r"residual of quadriceps: .* N rms .*limit 'force'"):
         fit(broken, ("position", "quadriceps"), limits={"force": (0.1, 0.2)})
     with pytest.raises(InputError, match=r"times the stated noise.*limit 'noise'"):
         fit(broken, ("position", "quadriceps"), noise={"position": 1e-4, "quadriceps": 1e-3})

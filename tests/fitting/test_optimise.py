@@ -128,7 +128,7 @@ def test_case_2_needs_some_4_mm():
         (lambda s: optimise_treatment(s, LIMIT, {"deepening": (0.0, 0.01)}), "no amount 'deepening'"),
         (lambda s: optimise_treatment(s, LIMIT, dict.fromkeys("abcd", (0.0, 1.0))), r"4 amounts.*at most 3"),
         (lambda s: optimise_treatment(s.without("patellar_tendon"), LIMIT), "no tendon or strands named"),
-        (lambda s: optimise_treatment(s, LIMIT, samples=5), "samples of nothing uncertain"),
+        (lambda s: optimise_treatment(s, LIMIT, samples=5), "samples without an estimate"),
         (lambda s: optimise_treatment(s, LIMIT, samples=-1), "samples: found -1"),
         (lambda s: optimise_treatment(s, LIMIT, confidence=1.5), r"confidence: found 1\.5"),
         (

@@ -76,7 +76,7 @@ def test_what_cannot_be_met_is_said(toy):
         ([*SOUND[:2], "--tto-medial", "0:20:1"], "FROM:TO, such as 0:20"),
         (
             [*SOUND, "--samples", "5"],
-            "samples of nothing uncertain",
+            "samples without an estimate",
         ),
         ([*SOUND, "--confidence", "90"], "confidence: found 90"),
         ([*SOUND, "--estimate", "no.json"], "no such file"),

@@ -143,7 +143,7 @@ def test_figure_and_files_name_what_they_hold(predicted):
     data = predicted.dataset()
     np.testing.assert_allclose(data["high"].sel(coordinate="tilt"), predicted.high[:, 5])
     assert data.attrs["verdict"] == "valid"
-    assert "bands of 90 % held 100 %" in predicted.to_dict()["sentence"]
+    assert "90 % bands contain 100 %" in predicted.to_dict()["sentence"]
 
 
 def test_a_coordinate_that_is_other_here_is_what_was_said_in_this_knee(knee):

@@ -197,7 +197,7 @@ def test_grid_has_all_combinations():
         (lambda s: predict(s, []), "nothing to predict"),
         (lambda s: predict(s, ["transfer"]), r"found 'transfer'.*expected: treatments"),
         (lambda s: predict([s, "case 2"]), r"found 'case 2'.*expected: scenes"),
-        (lambda s: predict(s, samples=5), r"samples of nothing uncertain.*estimate"),
+        (lambda s: predict(s, samples=5), r"samples without an estimate.*estimate"),
         (lambda s: predict(s, dt=0.0), r"dt: found 0\.0; expected: a positive"),
         (lambda s: predict(s, threshold=-1.0), r"threshold: found -1\.0"),
         (lambda s: predict(s, chunk=0), "chunk: found 0; expected: a whole number, at least 1"),

@@ -87,4 +87,4 @@ def test_one_that_is_later_than_is_looked_for_is_named(late):
     assert found.seconds == pytest.approx(np.copysign(0.19, late))
     (said,) = late_channels({"position": found}, "a file", LIMITS)
     when = "is at least 190 ms late" if late > 0 else "comes at least 190 ms early"
-    assert said == f"measured position {when} against the motion of the bones, or what the twin lacks looks so"
+    assert said == f"measured position {when} against the motion of the bones, or a model error looks like it"

@@ -121,7 +121,7 @@ def test_each_trial_tells_what_is_left_of_it():
     assert found.trial_rmse.keys() == {"low", "high"}
     assert "quadriceps" not in found.trial_rmse["low"]
     assert found.trial_rmse["high"]["quadriceps"] < 1e-3
-    assert any(remark.startswith("left of position: ") and " in high" in remark for remark in found.remarks())
+    assert any(remark.startswith("residual of position: ") and " in high" in remark for remark in found.remarks())
 
 
 def test_the_likelihood_of_an_estimate_is_that_of_all_trials():

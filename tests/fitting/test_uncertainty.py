@@ -150,8 +150,8 @@ def test_parameters_that_are_open_are_the_same_whatever_rounding_makes_of_them(s
 def test_an_estimate_says_how_much_is_told():
     numbers = {"K1": (150.0, 2.0), "L1": (0.14, 0.001), "K2": (620.0, 200.0)}
     assert made_estimate(numbers).undetermined == (1, ("K2",))
-    said = "the measurements tell 2 of 3 combinations of what was asked for, and of the others hardly more than bounds"
-    assert f"{said} and priors do (K2)" in made_estimate(numbers).remarks()
+    said = "the measurements determine 2 of 3 combinations of the requested parameters; the others are hardly known"
+    assert f"{said} beyond bounds and priors (K2)" in made_estimate(numbers).remarks()
     assert not any(said in remark for remark in made_estimate(numbers, doubts=["late"]).remarks())
     assert made_estimate(numbers, priors={"K1": (150.0, 2.1)}).undetermined == (2, ("K1", "K2"))
     assert made_estimate({"K1": (150.0, 2.0)}).undetermined == (0, ())

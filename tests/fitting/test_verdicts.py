@@ -66,7 +66,7 @@ def test_a_plan_without_one_sound_motion_says_so():
 def test_an_invalid_fit_says_so_first_and_older_files_are_read(tmp_path):
     made = made_estimate({"K1": (171.0, 12.5)}, verdict=WHY)
     assert made.invalid
-    assert made.sentence() == f"{WHY} (the fitted motion). What the data tell of K1 is not known"
+    assert made.sentence() == f"{WHY} (the fitted motion). The precision of K1 is not known"
     assert made.summary().startswith("INVALID")
     assert Estimate.load(made.save(tmp_path / "fit.json")).verdict == WHY
     text = (tmp_path / "fit.json").read_text().replace(f'"verdict": "{WHY}",', "")

@@ -130,7 +130,7 @@ def test_failures_are_reported_and_stop_nobody(tmp_path):
     assert "not valid TOML" in a.message
     assert "no such file" in b.message
     assert c.message == "C.trc: no sense"
-    assert d.message == "unexpected, a mistake of pftwin's own: ZeroDivisionError: oh"
+    assert d.message == "unexpected error, a bug in pftwin: ZeroDivisionError: oh"
     assert "Traceback" in d.traceback
     assert c.traceback is None
     manifest = json.loads((cohort.output / "manifest.json").read_text())

@@ -114,7 +114,7 @@ def alike(found: Iterable[Reading], units: Mapping[str, str]) -> list[Reading]:
 def readings(objective: Objective, trials: Floats) -> Iterator[Reading]:
     """The best other reading of each channel, and pairs of forces that fit better swapped."""
     for channel, at, rows in objective.columns():
-        keep = _some(objective.present[:, rows.start])
+        keep = _frames_compared(objective.present[:, rows.start])
         if not keep.size:
             continue
         data, seen = objective.measured[keep, at], trials[:, keep, at]
@@ -126,14 +126,14 @@ def readings(objective: Objective, trials: Floats) -> Iterator[Reading]:
         floor = _FLOOR.get(channel, _FORCE_FLOOR)
         if channel == POSITION:
             tried = _not_just_smaller(data, tried, seen)
-        off = {words: max(float(_off(channel, values, seen).min()) / size, floor) for words, values in tried}
+        off = {words: max(float(_distance(channel, values, seen).min()) / size, floor) for words, values in tried}
         best = min(off.values())
         words = next(w for w, value in off.items() if value <= _SIMPLER * best)  # the simplest comes first
         if words:
             yield Reading((channel,), words, off[""] / off[words])
     single = [(channel, at.start, rows.start) for channel, at, rows in objective.columns() if channel not in _FLOOR]
     for (one, i, j), (other, k, m) in itertools.combinations(single, 2):
-        keep = _some(objective.present[:, j] & objective.present[:, m])
+        keep = _frames_compared(objective.present[:, j] & objective.present[:, m])
         if not keep.size or unit_of(one, objective.readings) != unit_of(other, objective.readings):
             continue
         data, seen = objective.measured[keep][:, [i, k]], trials[:, keep][..., [i, k]]
@@ -227,7 +227,7 @@ def _rms(values: Floats) -> Floats:
     return np.sqrt(np.mean(np.sum(values**2, axis=-1), axis=-1))
 
 
-def _off(channel: str, data: Floats, seen: Floats) -> Floats:
+def _distance(channel: str, data: Floats, seen: Floats) -> Floats:
     """Distance of a channel (n, k) from each trial (N, n, k); q and -q are the same orientation."""
     if channel == ORIENTATION:
         data = data * np.where(np.sum(data * seen, axis=-1, keepdims=True) < 0, -1.0, 1.0)
@@ -242,11 +242,11 @@ def _not_just_smaller(data: Floats, tried: Iterator[tuple[str, Floats]], seen: F
     apart = data - seen
     set_off = float(_rms(apart - apart.mean(axis=1, keepdims=True)).min())
     for words, values in tried:
-        if _rms(values) > 0.5 * _rms(data) or _SIMPLER * _off(POSITION, values, seen).min() < set_off:
+        if _rms(values) > 0.5 * _rms(data) or _SIMPLER * _distance(POSITION, values, seen).min() < set_off:
             yield words, values
 
 
-def _some(present: NDArray[np.bool_]) -> NDArray[np.intp]:
+def _frames_compared(present: NDArray[np.bool_]) -> NDArray[np.intp]:
     """Up to `_FRAMES` of the measured frames, evenly spaced."""
     there = np.flatnonzero(present)
     return there[np.unique(np.linspace(0, there.size - 1, _FRAMES).round().astype(int))] if there.size else there

@@ -191,7 +191,7 @@ class Evaluator:
         are the function's derivatives with respect to the predictions."""
         theta = np.atleast_2d(np.asarray(theta, dtype=np.float64))
         program = self._program._replace(channels=self.channels)
-        width, parts = self._wide(1 if self.in_turns else self.pull_chunk), []
+        width, parts = self._call_width(1 if self.in_turns else self.pull_chunk), []
         for i in range(0, len(theta), width):
             part = slice(i, i + width)
             full, cotangents = (_filled(a[part], width) for a in (theta, pulls))
@@ -213,21 +213,21 @@ class Evaluator:
         columns = _ACCELERATED_COLUMNS if self._accelerated else _COLUMNS
         return max(1, min(_WITH_SLOPES, columns // len(self.parameters)))
 
-    def _wide(self, chunk: int) -> int:
+    def _call_width(self, chunk: int) -> int:
         """Variants in a call, rounded up to the same number on every device."""
         return -(-chunk // self._count) * self._count
 
     def _in_chunks(self, theta: Floats, substeps: int, chunk: int, *, slopes: bool) -> Prediction:
         theta = np.atleast_2d(np.asarray(theta, dtype=np.float64))
         self._cloud  # noqa: B018 (computed before the threads need it)
-        width = self._wide(chunk)
+        width = self._call_width(chunk)
 
         def one(part: Floats) -> list[Any]:
             full = _filled(part, width)
             out = self._run(full, self.guesses(full), substeps, slopes)
             return [None if a is None else a[: len(part)] for a in out[:3]]
 
-        parts = self._at_once(one, [theta[i : i + width] for i in range(0, len(theta), width)])
+        parts = self._in_threads(one, [theta[i : i + width] for i in range(0, len(theta), width)])
         values, slope, found = (None if a[0] is None else np.concatenate(a) for a in zip(*parts, strict=True))
         assert values is not None
         assert found is not None
@@ -253,26 +253,26 @@ class Evaluator:
         """Poses (N,) from which searches for equilibrium start: the nearest of the precomputed equilibria."""
         where, poses = self._cloud
         distance = np.sum((self.parameters.share(theta)[:, None] - where[None]) ** 2, axis=-1)
-        return _picked(poses, np.argmin(distance, axis=1))
+        return _selected(poses, np.argmin(distance, axis=1))
 
     @cached_property
     def _cloud(self) -> tuple[Floats, Pose]:
         """Equilibria throughout the bounds: parameters as shares of their range (m, p), poses (m,); nominal first."""
         slopes = not self._with_plain
-        width = self._wide(self.slope_chunk if slopes else self.chunk)
+        width = self._call_width(self.slope_chunk if slopes else self.chunk)
         start = jax.tree.map(lambda a: np.asarray(a)[None], self.scene.start)
         members = self.parameters.scattered(_CLOUD, np.random.default_rng(_SEED))
         members = np.concatenate([self.parameters.nominal[None], members])
         parts = [_filled(members[i : i + width], width) for i in range(0, len(members), width)]
 
         def settled(part: Floats, guess: Pose) -> tuple[NDArray[np.bool_], Pose]:
-            _, _, found, pose = self._run(part, _picked(guess, np.zeros(width, int)), 0, slopes)
+            _, _, found, pose = self._run(part, _selected(guess, np.zeros(width, int)), 0, slopes)
             return found, jax.tree.map(np.asarray, pose)
 
         first, poses = settled(parts[0], start)
         # If the nominal equilibrium was not found, the scene's start pose replaces it.
         guess = jax.tree.map(lambda a: a[:1], poses) if first[0] else start
-        others = self._at_once(lambda part: settled(part, guess), parts[1:])
+        others = self._in_threads(lambda part: settled(part, guess), parts[1:])
         where, found = [self.parameters.share(parts[0][:1])], [guess]
         for part, (there, pose) in zip(parts, [(first, poses), *others], strict=True):
             keep = np.flatnonzero(there)
@@ -280,7 +280,7 @@ class Evaluator:
             found.append(jax.tree.map(lambda a, keep=keep: a[keep], pose))
         return np.concatenate(where), jax.tree.map(lambda *a: np.concatenate(a), *found)
 
-    def _at_once(self, run: Callable[[Floats], T], pieces: Sequence[Floats]) -> list[T]:
+    def _in_threads(self, run: Callable[[Floats], T], pieces: Sequence[Floats]) -> list[T]:
         """Results for all pieces, in threads: XLA runs a loop of small operations on one core only."""
         if len(pieces) < 2 or self._threads == 1:
             return list(map(run, pieces))
@@ -293,7 +293,7 @@ def _filled(rows: Floats, width: int) -> Floats:
     return np.concatenate([rows, np.repeat(rows[:1], width - len(rows), axis=0)])
 
 
-def _picked(poses: Pose, which: NDArray[np.intp]) -> Pose:
+def _selected(poses: Pose, which: NDArray[np.intp]) -> Pose:
     return jax.tree.map(lambda a: jnp.asarray(a[which], dtype=float), poses)
 
 

@@ -14,7 +14,7 @@ from pftwin.model.measured import Measured
 from pftwin.model.scene import Scene
 
 _SAME_TIME = 0.1  # share of a frame's interval, for times rounded in a file
-_OF_FORCES = ("force", "tension")  # observables that a channel with an effect's name already stands for
+_FORCE_KEYS = ("force", "tension")  # observables that a channel with an effect's name already stands for
 
 
 def force_fields(scene: Scene, springs: Mapping[str, str]) -> dict[str, str]:
@@ -33,7 +33,7 @@ def measured_channels(
     available |= {channel: getattr(measured, name) for channel, name in force_fields(scene, springs).items()}
     for name, values in measured.readings.items():
         told = scene.reported(name)
-        if told.key in _OF_FORCES and available.get(told.effect) is not None:
+        if told.key in _FORCE_KEYS and available.get(told.effect) is not None:
             found, expected = f"{name} and the force of {told.effect}", "one of them: they are the same"
             raise InputError(found, where=measured.source, expected=expected)
         available[name] = values

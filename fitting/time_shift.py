@@ -25,7 +25,7 @@ from pftwin.base.errors import InputError
 EXPLAINED = (1 / 6, 1 / 3)  # least share of the whitened squares of a pose, and of a force, that a shift must explain
 _REACH = 0.2  # largest shift searched [s], and at most this share of the recording:
 _SHARE = 1 / 8
-_TELLING = 0.1  # reach [s] below which a minimum at its end is no evidence of a shift, but may be slow model error
+_LEAST_REACH = 0.1  # reach [s] below which a minimum at its end is no evidence of a shift, but may be slow model error
 _STEPS = 40  # most steps of the search to either side
 _ROUNDS = 3  # alternations of shift, and correlation of the residuals
 
@@ -168,6 +168,6 @@ def _shift(seen: _Fitted, columns: slice, rows: slice, reach: float) -> TimeShif
     one, other = used.residuals(plain), used.residuals(r)
     before, after = (float(np.sum(used.left(z)[:, rows] ** 2)) for z in (one, other))
     explained, enough = 1 - after / max(before, 1e-300), EXPLAINED[rows.stop - rows.start == 1]
-    if at_end and (reach < _TELLING or explained < enough):
+    if at_end and (reach < _LEAST_REACH or explained < enough):
         return None
     return TimeShift(seconds, deviation, explained, enough, used.change(other) - used.change(one), at_end)

@@ -135,7 +135,7 @@ class TrainedPosterior:
         """Posterior without nuisance, draws (N, p) with it, nuisance with the lengths they refer to, and doubts."""
         held, seen = from_nominal(problem, self.substeps, self.probes.theta)
         source = problem.objective.source
-        off = self._off(held, seen)
+        off = self._set_up_error(held, seen)
         said = f"in this motion and set-up the error of the trained posterior is {off.max():.2g} standard deviations"
         doubts = bounded("set_up", float(off.max()), said, source, limits)
         recording = bridged(problem, held, self.present)
@@ -148,7 +148,7 @@ class TrainedPosterior:
         besides, draws = at_own_lengths(problem, nuisance, draws)
         return answer, draws, besides, doubts
 
-    def _off(self, held: Objective, seen: Prediction) -> Floats:
+    def _set_up_error(self, held: Objective, seen: Prediction) -> Floats:
         """Shift of the posteriors (d,) of the probes between training and this motion and set-up, each relative to its
         own nominal knee: rms, in standard deviations of the posteriors.
         Raises InputError if most of the probes do not run."""

@@ -92,13 +92,13 @@ def calibrate(
     if trained.set_up.nuisance == EXACT:
         wider = zip(*trained.set_up._replace(nuisance=MISPLACED).parameters(scenes), strict=True)
         knees = [replace(knee, lacking=(one, own.shared)) for knee, (one, own) in zip(knees, wider, strict=True)]
-    asking = _Asking(trained, knees, parameters[0].items, lab, scenes, operation, limits)
+    calibrator = _Calibrator(trained, knees, parameters[0].items, lab, scenes, operation, limits)
     found: dict[str, Answers] = {}
     told: dict[str, dict[str, Any]] = {"predictions": {}, "plans": {}}
     for index, (kind, make) in enumerate(made.items()):
         random = np.random.default_rng([seed, index, _OWN_STREAM])
         members = [plant_in_trials(make, knees, random) for _ in range(plants)]
-        found[kind], operated = asking.answers(members, random, partial(progress, kind) if progress else None)
+        found[kind], operated = calibrator.answers(members, random, partial(progress, kind) if progress else None)
         if operation is not None:
             told["predictions"][kind] = Answers.of_predictions(operated, OUTCOMES)
         if operation is not None and operation.limits:
@@ -125,7 +125,7 @@ def with_differences(plant: Sequence[Plant], items: Sequence[Parameter], random:
     return found
 
 
-class _Asking(NamedTuple):
+class _Calibrator(NamedTuple):
     """Records plants and has them answered; lists hold one item per trial."""
 
     trained: TrainedPosterior | QuickFit

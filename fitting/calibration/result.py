@@ -80,7 +80,7 @@ class Answers(NamedTuple):
     @property
     def factors(self) -> Floats:
         """Factors (d,) by which intervals must be widened to reach their level; 1 if none is too narrow."""
-        if _NARROW not in self._words():
+        if _NARROW not in self._verdicts():
             return np.ones(self.ranks.shape[1])
         # The quantile that covers a further plant with the nominal probability (split conformal: Vovk et al. 2005).
         count = len(self.ranks)
@@ -92,7 +92,7 @@ class Answers(NamedTuple):
         """Whether intervals reach their nominal coverage, as far as the number of plants can show."""
         if not len(self.ranks):
             return _NONE
-        words = self._words()
+        words = self._verdicts()
         if _FEW in words:
             return _FEW
         listed = {
@@ -106,7 +106,7 @@ class Answers(NamedTuple):
         count = len(self.ranks)
         return bool(binomtest(count, count).proportion_ci(_SURE).low < _LEAST_TOLD)
 
-    def _words(self) -> list[str]:
+    def _verdicts(self) -> list[str]:
         """Verdict for each parameter, from a binomial interval of its coverage, corrected for their number."""
         found, sure = [], 1 - (1 - _SURE) / max(self.ranks.shape[1], 1)
         for held in self.held(self.level).T:
@@ -121,7 +121,7 @@ class Answers(NamedTuple):
         if len(self.ranks):
             held, half = self.coverage[self.level], scales * self.half_widths.mean(axis=0)
             cells = [f"{100 * share:.0f} %, {width:.2g}" for share, width in zip(held, half, strict=True)]
-            words = [word for word in (_NARROW, _WIDE, _FEW) if word in self._words()] or ["hold"]
+            words = [word for word in (_NARROW, _WIDE, _FEW) if word in self._verdicts()] or ["hold"]
         return f"{len(self.ranks)} of {of}", *cells, "; ".join(words)
 
     def to_dict(self, names: tuple[str, ...]) -> dict[str, Any]:
@@ -188,9 +188,9 @@ class Calibration:
     @property
     def holds(self) -> bool:
         """Whether on every kind enough plants are answered, no interval is too narrow, and plans are found and safe."""
-        return not self._bad()
+        return not self._failing()
 
-    def _bad(self) -> list[str]:
+    def _failing(self) -> list[str]:
         """Verdicts that fail, in words."""
         said = {f"95 % intervals on {kind}": a.verdict(self.names) for kind, a in self.kinds.items()}
         said |= {f"90 % bands on {kind}": a.verdict(OUTCOMES) for kind, a in self.predictions.items()}
@@ -202,7 +202,7 @@ class Calibration:
         what = "95 % intervals" + (" and 90 % bands" if self.predictions else "") + (" and plans" if self.plans else "")
         if self.holds:
             return f"{what} hold on all kinds of plants tried"
-        return f"{what} do NOT hold as often as they say: {'; '.join(self._bad())}"
+        return f"{what} do NOT hold as often as they say: {'; '.join(self._failing())}"
 
     def widened(self, trained: TrainedPosterior) -> TrainedPosterior:
         """The posterior with its answers widened so that their intervals would have contained the truth on every kind

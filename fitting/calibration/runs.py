@@ -19,7 +19,7 @@ from pftwin.dynamics.integrators import BDF2
 from pftwin.dynamics.observe import Observation
 from pftwin.model.scene import Scene
 
-_OF_LINES = (("stiffness",), ("slack_length",))  # parameters that the line nearest to a spring determines
+_LINE_PATHS = (("stiffness",), ("slack_length",))  # parameters that the line nearest to a spring determines
 _STEP = 5e-4  # time step of plants [s], whose integrator differs from a fit's
 
 
@@ -43,15 +43,15 @@ def run(plants: Sequence[Plant]) -> list[Seen | None]:
         [plant.scene for plant in plants],
         integrator=BDF2(),
         dt=_STEP,
-        outcome=_kept,
+        outcome=_outputs,
         trajectories=False,
         energy_budget=False,
         estimate=False,
         care=False,
     )
     failed = np.asarray(found["failed"])
-    names = [str(name) for name in found.data_vars if str(name).startswith(_OWN)]
-    kept = {name.removeprefix(_OWN): np.asarray(found[name]) for name in names}
+    names = [str(name) for name in found.data_vars if str(name).startswith(_PREFIX)]
+    kept = {name.removeprefix(_PREFIX): np.asarray(found[name]) for name in names}
 
     def of(i: int) -> Seen:
         reported: dict[str, dict[str, Floats]] = {}
@@ -64,15 +64,15 @@ def run(plants: Sequence[Plant]) -> list[Seen | None]:
     return [None if failed[i] else of(i) for i in range(len(plants))]
 
 
-_OWN = "plant "  # prefix of these variables' names, to avoid those of a batch
+_PREFIX = "plant "  # prefix of these variables' names, to avoid those of a batch
 
 
-def _kept(scene: Scene, seen: Observation) -> dict[str, Array]:
+def _outputs(scene: Scene, seen: Observation) -> dict[str, Array]:
     patella = seen.patella
     found: dict[str, Any] = {"position": patella.position.array(), "quaternion": patella.orientation.array()}
     for name, report in seen.effects.items():
         found |= {f"{name}.{key}": value for key, value in report.items() if jnp.ndim(value) == 1}
-    return {f"{_OWN}{name}": value for name, value in found.items()}
+    return {f"{_PREFIX}{name}": value for name, value in found.items()}
 
 
 def check_truth(plant: Plant, parameters: Parameters) -> None:
@@ -99,7 +99,7 @@ def truth_of(
     found = []
     for item in parameters.items[: parameters.asked]:
         owner, path = item.place.owner, item.place.path
-        if owner not in plant.curved or path not in _OF_LINES:
+        if owner not in plant.curved or path not in _LINE_PATHS:
             found.append(float(item.place.read(plant.scene)))
             continue
         mean: Any = plant.scene.effect(owner)

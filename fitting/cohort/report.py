@@ -41,7 +41,8 @@ class Pace:
     def progress(self, unit: Unit, share: float) -> CohortProgress:
         """Progress while a unit runs."""
         seconds = time.perf_counter() - self._began
-        return self._told(unit, share, seconds, max(self._usual(unit.kind) - seconds, 0.0) if self.times else 0.0)
+        more = max(self._mean_time(unit.kind) - seconds, 0.0) if self.times else 0.0
+        return self._progress(unit, share, seconds, more)
 
     def ended(self, unit: Unit, failure: Failure | None) -> CohortProgress:
         """Records the end of a unit. After a failure the patient's other units are skipped and its time not counted."""
@@ -51,13 +52,13 @@ class Pace:
         else:
             self.waiting = [u for u in self.waiting if u.patient != unit.patient]
             self.total = self.number + len(self.waiting)
-        return self._told(unit, 1.0, seconds, 0.0)._replace(ended=True, failure=failure)
+        return self._progress(unit, 1.0, seconds, 0.0)._replace(ended=True, failure=failure)
 
-    def _told(self, unit: Unit, share: float, seconds: float, more: float) -> CohortProgress:
-        left = sum(self._usual(u.kind) for u in self.waiting) + more if self.times else None
+    def _progress(self, unit: Unit, share: float, seconds: float, more: float) -> CohortProgress:
+        left = sum(self._mean_time(u.kind) for u in self.waiting) + more if self.times else None
         return CohortProgress(unit, share, False, self.number, self.total, seconds, left)
 
-    def _usual(self, kind: str) -> float:
+    def _mean_time(self, kind: str) -> float:
         known = self.times.get(kind) or [t for times in self.times.values() for t in times]
         # The first unit of a kind includes compilation: it counts only until there is another.
         steady = known[1:] or known

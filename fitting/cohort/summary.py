@@ -100,7 +100,7 @@ _NAMES = (
     *("fit_method", "fit_stopped", "at_bounds", "variant", "treatment", "verdict", "variant_failed"),
 )
 FIXED = {name: _TYPES.get(name, "string") for name in _NAMES}
-_IN_THE_STORE_ALONE = ("status", "status_frames")  # `verdict` summarises them; `status` here is the patient's
+_STORE_ONLY = ("status", "status_frames")  # `verdict` summarises them; `status` here is the patient's
 Row = dict[str, Any]
 Units = dict[str, str]
 
@@ -175,7 +175,7 @@ def _predicted(data: Dataset, units: Units) -> Iterable[Row]:
     for i, variant in enumerate(found["variants"]):
         row: Row = {"variant": i}
         for name, value in variant.items():
-            if name in _IN_THE_STORE_ALONE:
+            if name in _STORE_ONLY:
                 continue
             row["variant_failed" if name == "failed" else name] = value
             if name in found["bands_95"]:

@@ -26,11 +26,11 @@ from fitting.stiffening import working_of
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import PftwinError
 
-_TIMES = 3  # iterations, from the prior on; each simulates knees from the posterior of the one before
+_ITERATIONS = 3  # iterations, from the prior on; each simulates knees from the posterior of the one before
 _KNEES, _PER_PARAMETER = 192, 6  # knees per iteration, at least, and per parameter
 _TRIES = 100  # most attempts to draw within the bounds
-_OF_SPRINGS = ("stiffness", "slack_length", "stiffening")  # parameters of a tendon that stiffens
-_ALIKE = 1e-9  # spread of a parameter over the knees, as a share of its mean, that is rounding
+_SPRING_FIELDS = ("stiffness", "slack_length", "stiffening")  # parameters of a tendon that stiffens
+_CONSTANT = 1e-9  # spread of a parameter over the knees, as a share of its mean, that is rounding
 
 
 def with_nuisance(
@@ -52,7 +52,7 @@ def with_nuisance(
     if len(parameters) == d:
         return asked
     draws = np.concatenate([asked, parameters.scattered(len(asked), random)[:, d:]], axis=1)
-    for _ in range(_TIMES):
+    for _ in range(_ITERATIONS):
         some = draws[: max(_KNEES, _PER_PARAMETER * len(parameters))]
         seen = problem.evaluator.values(some, substeps)
         freedom = int(seen.usable.sum()) - len(parameters) - 1
@@ -61,13 +61,13 @@ def with_nuisance(
         values = seen.values[seen.usable]
         x = learned.seen(held.residuals(values).astype(np.float32))
         misread = learned.seen(held.residuals(sensed(values, nuisance, problem, random)).astype(np.float32)) - x
-        straight = _Straight.of(some[seen.usable], x, misread, learned.added.root)
-        mean, root = straight.given(learned.seen(recording[None])[0], asked, parameters)
+        fitted = _LinearModel.of(some[seen.usable], x, misread, learned.added.root)
+        mean, root = fitted.given(learned.seen(recording[None])[0], asked, parameters)
         draws = np.concatenate([asked, _within(mean, root, parameters, random)], axis=1)
     return draws
 
 
-class _Straight(NamedTuple):
+class _LinearModel(NamedTuple):
     """Whitened summaries as a linear function of all parameters."""
 
     center: Floats  # (p,)
@@ -76,10 +76,10 @@ class _Straight(NamedTuple):
     whitening: Floats  # (k, k)
 
     @staticmethod
-    def of(theta: Floats, x: Floats, misread: Floats, noise_root: Floats) -> _Straight:
+    def of(theta: Floats, x: Floats, misread: Floats, noise_root: Floats) -> _LinearModel:
         """Fits summaries (N, k) of simulated knees (N, p); `misread` (N, k) are the changes due to sensor errors."""
         center, at, spread = theta.mean(axis=0), x.mean(axis=0), theta.std(axis=0)
-        scale = np.where(spread > _ALIKE * np.abs(center), spread, np.inf)  # no slope for a parameter that is constant
+        scale = np.where(spread > _CONSTANT * np.abs(center), spread, np.inf)  # a constant parameter has no slope
         t = (theta - center) / scale
         slopes = np.linalg.lstsq(t, x - at, rcond=None)[0]
         left = x - at - t @ slopes
@@ -88,7 +88,7 @@ class _Straight(NamedTuple):
         covariance += misread.T @ misread / len(x)
         values, vectors = np.linalg.eigh(covariance)
         whitening = (vectors / np.sqrt(np.maximum(values, 1e-12 * values[-1]))).T
-        return _Straight(center, whitening @ at, whitening @ slopes.T / scale, whitening)
+        return _LinearModel(center, whitening @ at, whitening @ slopes.T / scale, whitening)
 
     def given(self, x: Floats, asked: Floats, parameters: Parameters) -> tuple[Floats, Floats]:
         """Means (N, q) of nuisance parameters given a recording's summaries (k,) and the requested ones (N, d), and the
@@ -130,7 +130,7 @@ def at_own_lengths(problem: Problem, besides: Nuisance, draws: Floats) -> tuple[
     parameters = problem.parameters
     vary = {parameters.items[at].place for at, _ in parameters.differences}
     columns = {p.place.name: i for i, p in enumerate(parameters.items) if p.place not in vary}
-    numbers = {name: [f"{name}.{number}" for number in _OF_SPRINGS] for name, _ in besides.working}
+    numbers = {name: [f"{name}.{number}" for number in _SPRING_FIELDS] for name, _ in besides.working}
     places = {name: [columns[n] for n in own] for name, own in numbers.items() if columns.keys() >= set(own)}
     if not places:
         return besides, draws

@@ -1,1 +1,1 @@
-"""What a simulation gives back, and what is computed and drawn from it."""
+"""Simulation results: the result classes, error metrics, tracking assessment, plots and the 3D viewer."""

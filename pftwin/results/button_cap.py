@@ -1,4 +1,4 @@
-"""Whether a button is a sphere where it was loaded: the angle of each contact from the apex of the fitted cap."""
+"""Check that contact stays on the spherical dome of a button: the angle of each contact point from the dome's apex."""
 
 from __future__ import annotations
 
@@ -21,30 +21,30 @@ _FACETS = ("medial", "lateral")
 
 @dataclass(frozen=True, eq=False)
 class CapUse:
-    """Where on the button each facet pressed, frame by frame; columns medial, lateral."""
+    """Location of each facet's contact on the button's dome at every frame; the columns are medial and lateral."""
 
-    angle: Floats  # (n, 2) between the cap's axis and the contact point, seen from the centre [rad]; NaN: no load
+    angle: Floats  # (n, 2) at the sphere's centre, from the dome's axis to the contact point [rad]; NaN: no load
     force: Floats  # (n, 2) normal force [N]
-    half_angle: float  # of the cap on which the button is a sphere [rad]
+    half_angle: float  # half opening angle of the spherical dome [rad]
 
     @property
     def beyond(self) -> NDArray[np.bool_]:
-        """(n, 2): a loaded contact beyond the cap."""
+        """Whether each contact is loaded and lies outside the dome (n, 2)."""
         return self.angle > self.half_angle
 
     @property
     def frames(self) -> int:
-        """Number of frames in which any contact lay beyond the cap."""
+        """Number of frames with a loaded contact outside the dome."""
         return int(self.beyond.any(axis=1).sum())
 
     @property
     def load_share(self) -> float:
-        """Share of the whole normal force, over all frames, that was carried beyond the cap."""
+        """Share of the normal force, summed over all frames, that is carried outside the dome."""
         total = float(self.force.sum())
         return float(self.force[self.beyond].sum()) / total if total > 0 else 0.0
 
     def describe(self) -> str:
-        """The finding in one sentence."""
+        """Describes in one sentence whether contact stayed on the dome."""
         limit = np.degrees(self.half_angle)
         if not np.isfinite(self.angle).any():
             return "the button touched nothing"
@@ -59,9 +59,9 @@ class CapUse:
 
 
 def cap_use(result: Result, cap: SphereFit) -> CapUse:
-    """Where the contacts of a simulation lay on the button, to which a cap was fitted in the patella's frame.
+    """Computes where the contacts of a simulation lie on the button's dome, fitted in the patella's frame.
 
-    Raises InputError for a scene without sphere contact, and for an axis that is no unit vector.
+    Raises InputError for a scene without sphere contact and for an axis that is not a unit vector.
     """
     if result.contact is None:
         raise InputError("no sphere contact", where=result.scene_name, remedy="add a SphereContact to the scene")
@@ -80,7 +80,7 @@ def cap_use(result: Result, cap: SphereFit) -> CapUse:
 
 
 def check_cap(result: Result, cap: SphereFit) -> CapUse:
-    """`cap_use`, with a PftwinWarning where a loaded contact lies beyond the cap: the true button is another there."""
+    """Returns `cap_use` and issues a PftwinWarning if a loaded contact lies outside the dome."""
     use = cap_use(result, cap)
     if use.frames:
         warnings.warn(

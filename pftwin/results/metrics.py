@@ -1,4 +1,4 @@
-"""How far a simulation is from measurements: the rows of Table 1 in Michaud et al. 2024."""
+"""Errors of a simulation against measurements: the rows of Table 1 in Michaud et al. 2024."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from pftwin.results.skin_markers import QUALITATIVE, SkinMarker
 if TYPE_CHECKING:
     from pftwin.results.result import Result
 
-_SAME_TIME = 0.1  # share of a frame's interval: the rounding of printed times
+_SAME_TIME = 0.1  # tolerance of times as a share of the frame interval, because files hold rounded times
 
 
 class ValidationRow(NamedTuple):
-    """A row of the table."""
+    """One row of the validation table."""
 
-    key: str  # the field of `Validation`
+    key: str  # field of `Validation`
     label: str
     unit: str
-    value: float | None
-    paper: float | None
+    value: float | None  # None: not measured
+    paper: float | None  # value in the paper's table
 
 
 _ROWS = (
@@ -54,15 +54,15 @@ _PAPER = {
     "P4": (3.38, 1.30, 1.96, 0.74, 1.66, 6.60, 2.71, 1.88, 2.70, 2.99, 0.63, 4.97),
     "P5": (3.33, 0.89, 2.15, 0.59, 1.38, 4.45, 1.44, 1.36, 1.70, 2.30, 0.72, 4.55),
 }
-# Michaud et al. 2024, Table 1: means over the four cases, by contact model and the fields of `Validation`.
+# Michaud et al. 2024, Table 1: means over the four cases, by contact model and field of `Validation`.
 PAPER_TABLE_1 = {model: dict(zip((key for key, _, _ in _ROWS), row, strict=True)) for model, row in _PAPER.items()}
 
 
 @dataclass(frozen=True)
 class Validation:
-    """Root mean square errors of forces [N], angles [deg] and positions [mm]; distance [mm]; times. None: not measured.
+    """Root mean square errors of forces [N], angles [deg] and positions [mm], mean distance [mm] and timing.
 
-    A simulation with frames that are not finite has errors that are NaN.
+    None: not measured. Errors are NaN if the simulation has frames that are not finite.
     """
 
     contact_force: float | None
@@ -74,18 +74,18 @@ class Validation:
     x: float | None
     y: float | None
     z: float | None
-    mean_distance: float | None  # mean distance of the sphere's centre from the measured one
+    mean_distance: float | None  # mean distance between the simulated and the measured sphere centre
     initial_configuration: float | None  # time to find the starting equilibrium [s]
     real_time_factor: float | None  # times faster than real time, without the starting equilibrium
     frames: int
-    frames_compared: int  # with a measured position
+    frames_compared: int  # frames with a measured position
     scene: str = ""
-    synthetic: bool = False  # whether the measurements are
-    readings: tuple[ValidationRow, ...] = ()  # of what else effects report
-    skin_markers: tuple[SkinMarker, ...] = ()  # of a marker on the skin; nothing is said of its place
+    synthetic: bool = False  # whether the measurements are synthetic
+    readings: tuple[ValidationRow, ...] = ()  # other observables of effects that were measured
+    skin_markers: tuple[SkinMarker, ...] = ()  # skin markers, whose absolute position is not compared
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values, for JSON."""
+        """Returns plain values that can be written as JSON."""
         skin = [{**row._asdict(), "note": QUALITATIVE} for row in self.skin_markers]
         return {
             **asdict(self),
@@ -94,10 +94,10 @@ class Validation:
         }
 
     def to_rows(self, paper: str | None = None) -> list[ValidationRow]:
-        """The table, beside the paper's column ("CM", "FM", "P2", "P4", "P5") where one is named.
+        """Returns the table's rows, with the values of a column of the paper ("CM", "FM", "P2", "P4", "P5") if named.
 
         Raises:
-            InputError: no such column.
+            InputError: the paper has no such column.
         """
         if paper is not None and paper not in PAPER_TABLE_1:
             known = f"one of: {', '.join(PAPER_TABLE_1)}"
@@ -117,14 +117,14 @@ def validate(
     """Compares a simulation with measurements of the same motion, frame by frame.
 
     Args:
-        result: of the simulation.
-        measured: at the same frames.
-        tibial: the effect whose tension is the measured tibial spring force; None leaves the row out.
-        femoral: likewise of the femoral spring.
+        result: the simulation.
+        measured: measurements at the same frames.
+        tibial: effect whose tension corresponds to the measured tibial spring force; None omits the row.
+        femoral: the same for the femoral spring.
 
     Raises:
-        InputError: other times than the simulation's (number, rate or start); no frame with a measured position, nor
-            a marker on the skin; a force or a reading was measured of an effect that the scene does not have.
+        InputError: the times differ from the simulation's (number, rate or start); no frame has a measured position
+            and there is no skin marker; a force or reading belongs to an effect that the scene does not have.
     """
     _check_times(result, measured)
     offsets = 1e3 * (result.center - measured.center)
@@ -137,9 +137,9 @@ def validate(
         contact_force=_force_error(result, result.contact, "force", measured.contact_force, measured),
         tibial_spring=_force_error(result, tibial, "tension", measured.tibial_spring_force, measured),
         femoral_spring=_force_error(result, femoral, "tension", measured.femoral_spring_force, measured),
-        internal_rotation=_turned(result, measured, "rotation"),
-        flexion=_turned(result, measured, "flexion"),
-        tilt=_turned(result, measured, "tilt"),
+        internal_rotation=_angle_error(result, measured, "rotation"),
+        flexion=_angle_error(result, measured, "flexion"),
+        tilt=_angle_error(result, measured, "tilt"),
         **{axis: _rms(offsets[:, i], present) if placed else None for i, axis in enumerate("xyz")},
         mean_distance=float(np.mean(np.linalg.norm(offsets[present], axis=1))) if placed else None,
         initial_configuration=result.timing.get("equilibrium_s"),
@@ -149,45 +149,45 @@ def validate(
         scene=result.scene_name,
         synthetic=measured.synthetic,
         readings=tuple(_reading_error(result, *of) for of in measured.readings.items() if of[0] not in skin),
-        skin_markers=tuple(_course(result, name, measured) for name in skin),
+        skin_markers=tuple(_skin_marker(result, name, measured) for name in skin),
     )
 
 
-def _course(result: Result, name: str, measured: Measured) -> SkinMarker:
-    """A coordinate of a marker on the skin against the simulated one."""
-    told = reading(result, name)
-    measures = told.scale * measured.readings[name]
-    return SkinMarker.of(name, told.words, told.unit, told.values, measures, measured.source)
+def _skin_marker(result: Result, name: str, measured: Measured) -> SkinMarker:
+    """Compares the measured and the simulated time course of a skin marker's coordinate."""
+    simulated = reading(result, name)
+    measures = simulated.scale * measured.readings[name]
+    return SkinMarker.of(name, simulated.words, simulated.unit, simulated.values, measures, measured.source)
 
 
 def _reading_error(result: Result, name: str, measured: NDArray[np.float64]) -> ValidationRow:
-    seen, there = reading(result, name), np.isfinite(measured)
-    error = _rms(seen.values - seen.scale * measured, there) if there.any() else None
-    return ValidationRow(name, f"{name} RMSE", seen.unit, error, None)
+    simulated, present = reading(result, name), np.isfinite(measured)
+    error = _rms(simulated.values - simulated.scale * measured, present) if present.any() else None
+    return ValidationRow(name, f"{name} RMSE", simulated.unit, error, None)
 
 
 class Reading(NamedTuple):
-    """What an effect reports (n,), in the unit in which people read it: that of the effect times the scale."""
+    """An observable of an effect over the frames, in a display unit."""
 
-    values: NDArray[np.float64]
-    scale: float
-    unit: str
-    words: str  # what it is
+    values: NDArray[np.float64]  # (n,) in the display unit
+    scale: float  # factor from the effect's unit to the display unit
+    unit: str  # display unit
+    words: str  # long name
 
 
 def reading(result: Result, name: str) -> Reading:
-    """By "EFFECT.OBSERVABLE"; InputError for no such effect or observable, or one of several numbers a frame."""
-    told = Reported.of(name, result.observables, result.scene_name)
-    values = np.asarray(result.effects[told.effect][told.key], dtype=np.float64)
+    """Returns the observable "EFFECT.OBSERVABLE"; InputError if it is unknown or has several numbers per frame."""
+    reported = Reported.of(name, result.observables, result.scene_name)
+    values = np.asarray(result.effects[reported.effect][reported.key], dtype=np.float64)
     if values.ndim != 1:
         expected = "one number a frame, as a measurement has"
         raise InputError(f"{name} has {values[0].size} numbers a frame", where=result.scene_name, expected=expected)
-    scale, unit = as_read(told.unit)
-    return Reading(scale * values, scale, unit, told.long_name)
+    scale, unit = as_read(reported.unit)
+    return Reading(scale * values, scale, unit, reported.long_name)
 
 
 def mean_of(validations: Sequence[Validation]) -> Validation:
-    """Means over several cases; None in a row that a case lacks. Readings are left out. InputError for no cases."""
+    """Averages validations over cases; a row that a case lacks is None, readings are omitted. InputError if empty."""
     if not validations:
         raise InputError("no validations to take the mean of", where="validations", expected="at least one")
     columns = {key: [getattr(v, key) for v in validations] for key, _, _ in _ROWS}
@@ -241,16 +241,16 @@ def _force_error(
 
 
 def summed(values: NDArray[Any]) -> NDArray[np.float64]:
-    """What a group reports (n, ...), summed over its elements (n,)."""
+    """Sums an observable (n, ...) over the elements of its group: (n,)."""
     return np.asarray(values, dtype=np.float64).reshape(len(values), -1).sum(axis=1)
 
 
 def _rms(error: NDArray[np.float64], present: NDArray[np.bool_]) -> float:
-    """Root mean square over the frames that were measured."""
+    """Root mean square error over the measured frames."""
     return float(np.sqrt(np.mean(np.square(error[present]))))
 
 
-def _turned(result: Result, measured: Measured, name: str) -> float | None:
+def _angle_error(result: Result, measured: Measured, name: str) -> float | None:
     """Root mean square error of an angle [deg]; None if no frame was measured."""
     if measured.angles is None or not np.isfinite(theirs := getattr(measured.angles, name)).any():
         return None

@@ -1,4 +1,4 @@
-"""What a simulation gives back: numpy arrays on the host, and how far to trust them."""
+"""The result of a simulation: motion, forces, energies and status flags as NumPy arrays on the host."""
 
 from __future__ import annotations
 
@@ -46,25 +46,25 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Energies:
-    """The energy budget over the frames, (n,) each [J]: `pftwin.dynamics.ledger`.
+    """The energy budget over the frames, (n,) each [J]; see `pftwin.dynamics.ledger`.
 
-    Work, heat and numerical dissipation are None where no account was kept.
+    Work, heat and numerical dissipation are None if the simulation kept no energy account.
     """
 
     kinetic: Floats
     stored: dict[str, Floats]  # by effect
-    work: Floats | None  # put in by guided bodies and known pulls since the start
-    heat: Floats | None  # taken out by damping since the start
-    numerical_dissipation: Floats | None  # taken out by the steps themselves since the start; negative: put in
+    work: Floats | None  # done by bodies with prescribed motion and by prescribed pulls since the start
+    heat: Floats | None  # dissipated by damping since the start
+    numerical_dissipation: Floats | None  # removed by the time integration since the start; negative: added
 
     @property
     def total(self) -> Floats:
-        """Kinetic and stored."""
+        """Kinetic plus stored energy (n,) [J]."""
         return self.kinetic + sum(self.stored.values(), start=np.zeros_like(self.kinetic))
 
     @property
     def budget_error(self) -> Floats | None:
-        """What is left over: the account's own error, of second order in the step."""
+        """Residual of the energy balance (n,) [J], of second order in the step; None without an energy account."""
         if self.work is None or self.heat is None or self.numerical_dissipation is None:
             return None
         return self.total - self.total[0] - self.work + self.heat + self.numerical_dissipation
@@ -72,29 +72,29 @@ class Energies:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Result:
-    """The patella's motion and forces at the recorded frames. All arrays have the frames' axis, n, in front."""
+    """The patella's motion and forces at the n recorded frames; the first axis of every array is the frame."""
 
     scene_name: str
     times: Floats  # (n,) [s]
-    center: Floats  # (n, 3) the button's sphere centre in the femur frame [m]
-    position: Floats  # (n, 3) the patella's origin in the femur frame [m]
+    center: Floats  # (n, 3) centre of the button's sphere in the femur frame [m]
+    position: Floats  # (n, 3) origin of the patella in the femur frame [m]
     quaternion: Floats  # (n, 4) patella to femur, scalar first, continuous in sign
-    motion: KneeMotion  # of femur and tibia, as it was prescribed
-    effects: dict[str, dict[str, NDArray[Any]]]  # by effect and observable
-    observables: dict[str, dict[str, Observable]]  # their units and long names
-    groups: dict[str, int]  # number of elements of the effects that are groups of like ones
+    motion: KneeMotion  # prescribed motion of femur and tibia
+    effects: dict[str, dict[str, NDArray[Any]]]  # values by effect and observable
+    observables: dict[str, dict[str, Observable]]  # units and long names by effect and observable
+    groups: dict[str, int]  # number of elements of each effect that is a group of equal elements
     energies: Energies
     flags: NDArray[np.int32]  # (n,) bits of `Status`
     equilibrium: EquilibriumReport
     contact: str | None  # name of the contact whose button is tracked
-    surface: Surface | None  # its surface
+    surface: Surface | None  # trochlear surface of that contact
     settings: dict[str, Any]
     timing: dict[str, float]  # [s]
-    dtype: str  # of the simulation
-    scene: Scene = field(repr=False)  # what was simulated; what a file keeps of it: `pftwin.results.scene_geometry`
-    constraint_drift: float | None = None  # largest, where the integrator has constraints to keep [m]
-    error: ErrorEstimate | None = None  # of the steps, by estimate; None where nothing was run to tell it from
-    impact: Impact | None = None  # the hardest approach and its rebound; None without a contact law or an account
+    dtype: str  # floating-point type of the simulation
+    scene: Scene = field(repr=False)  # the simulated scene; `pftwin.results.scene_geometry` lists what a file stores
+    constraint_drift: float | None = None  # largest constraint violation [m]; None without constraints
+    error: ErrorEstimate | None = None  # estimated time-integration error; None if no error estimate was run
+    impact: Impact | None = None  # hardest approach and its rebound; None without a contact law or energy account
 
     @classmethod
     def build(
@@ -110,13 +110,13 @@ class Result:
         error: ErrorEstimate | None = None,
         impact: Impact | None = None,
     ) -> Result:
-        """The result from what the compiled program returned for one scene.
+        """Builds the result from the output of the compiled program for one scene.
 
         Args:
-            scene, start, seen, ledger: what was simulated, from which equilibrium, and its observation and account.
-            relaxed: whether damped relaxation helped to find the starting equilibrium.
+            scene, start, seen, ledger: simulated scene, starting equilibrium, observation and energy account.
+            relaxed: whether damped relaxation was needed to find the starting equilibrium.
             settings, timing: "integrator", "dt_s", "substeps"; "equilibrium_s", "run_s", "estimate_s", "compile_s".
-            error, impact: as the fields; frames where the error is large are flagged.
+            error, impact: see the fields; frames with a large error are flagged.
         """
         seen, ledger, start = on_host((seen, ledger, start))
         first = jax.tree.map(lambda a: a[0], (seen.patella, seen.effects, seen.status))
@@ -162,27 +162,27 @@ class Result:
 
     @cached_property
     def tibia(self) -> tuple[Floats, Floats]:
-        """The tibia's frame in the femur's: position (n, 3) [m] and quaternion (n, 4), continuous in sign."""
+        """Pose of the tibia in the femur frame: position (n, 3) [m] and quaternion (n, 4), continuous in sign."""
         return tibia_position(self.motion), continuous_signs(host_array(tibia_orientation(self.motion)))
 
     @property
     def shift(self) -> Floats:
-        """Medial-lateral place of the button's centre in the femur frame, lateral positive, (n,) [m]."""
+        """Medial-lateral position of the button's centre in the femur frame, lateral positive, (n,) [m]."""
         return self.center[:, 1]
 
     @property
     def contact_force(self) -> Floats:
-        """Contact force on the patella, femur axes (n, 3) [N]; zero in a scene without a contact."""
+        """Contact force on the patella in femur axes (n, 3) [N]; zero in a scene without a contact."""
         return np.stack([self._of_contact(f"force_{axis}") for axis in "xyz"], axis=1)
 
     @property
     def contact_force_medial(self) -> Floats:
-        """Size of the normal force on the medial facet (n,) [N]; zero in a scene without a contact."""
+        """Magnitude of the normal force on the medial facet (n,) [N]; zero in a scene without a contact."""
         return self._of_contact("force_medial")
 
     @property
     def contact_force_lateral(self) -> Floats:
-        """Size of the normal force on the lateral facet (n,) [N]; zero in a scene without a contact."""
+        """Magnitude of the normal force on the lateral facet (n,) [N]; zero in a scene without a contact."""
         return self._of_contact("force_lateral")
 
     def _of_contact(self, name: str) -> Floats:
@@ -190,12 +190,12 @@ class Result:
 
     @property
     def tensions(self) -> dict[str, Floats]:
-        """Tensions of tendons, strands and muscles, by name (n,) [N]; of a group the sum."""
+        """Tensions of tendons, strands and muscles by name, (n,) [N]; summed over the elements of a group."""
         return {n: t.reshape(self.times.size, -1).sum(axis=1) for n, t in self._of_lines("tension").items()}
 
     @property
     def lengths(self) -> dict[str, Floats]:
-        """Lengths of tendons that report them, by name, (n,) or (n, lines) [m]."""
+        """Lengths by name of the lines of force that report one, (n,) or (n, lines) [m]."""
         return self._of_lines("length")
 
     def _of_lines(self, name: str) -> dict[str, Floats]:
@@ -204,7 +204,7 @@ class Result:
 
     @property
     def status(self) -> Status:
-        """All flags that any frame has."""
+        """Union of the status flags of all frames."""
         return Status(int(np.bitwise_or.reduce(self.flags, initial=0)))
 
     @cached_property
@@ -214,7 +214,7 @@ class Result:
 
     @property
     def tracking(self) -> str:
-        """What becomes of the patella, in words; "INVALID" and why where the motion may not be spoken of."""
+        """Description of the patella's tracking and dislocations; "INVALID" with the reasons if it is not valid."""
         if not self.verdict.valid:
             return self.verdict.describe()
         outcome = self.dislocations()
@@ -227,27 +227,27 @@ class Result:
 
     @property
     def real_time_factor(self) -> float:
-        """How many times faster than real time the simulation ran, the search for the equilibrium not included."""
+        """Duration of the motion over run time, without the search for the equilibrium; NaN if not timed."""
         run = self.timing.get("run_s", float("nan"))
         return self.duration / run if run > 0 else float("nan")
 
     @property
     def largest_indentation(self) -> float:
-        """The deepest penetration over all frames and contacts [m]; 0 where nothing touches, NaN without a contact."""
+        """Largest penetration over all frames and contacts [m]; 0 if nothing touches, NaN without a contact."""
         depths = [v for r in self.effects.values() for k, v in r.items() if k.startswith("indentation")]
         present = [d[np.isfinite(d)] for d in depths]
         deepest = [float(d.max()) for d in present if d.size]
-        return max([0.0, *deepest]) if deepest else float("nan")  # a gap is no indentation
+        return max([0.0, *deepest]) if deepest else float("nan")  # negative values are gaps
 
     @cached_property
     def groove(self) -> tuple[Floats, Floats] | None:
-        """Place along the groove and lateral distance from its bottom, (n,) each [m]; None without a surface."""
+        """Position along the groove and lateral distance from its bottom, (n,) each [m]; None without a surface."""
         return None if self.surface is None else groove_offset(self.surface, self.center)
 
     def dislocations(self, threshold: float = DISLOCATED) -> Tracking | None:
-        """When the button left its groove (farther than `threshold` [m] from its bottom) and came back.
+        """Finds when the button left the groove (farther than `threshold` [m] from its bottom) and re-engaged.
 
-        None in a scene without a contact surface, and of a motion that may not be spoken of (`verdict`).
+        Returns None in a scene without a contact surface and for a motion that is not valid (`verdict`).
         """
         if self.groove is None or not self.verdict.valid:
             return None
@@ -257,7 +257,7 @@ class Result:
         return f"Result({self._facts()[0]})\n  " + "\n  ".join(self._facts()[1:])
 
     def _repr_html_(self) -> str:
-        """A small table, for notebooks."""
+        """The summary as an HTML table, for notebooks."""
         head, *facts = self._facts()
         rows = (fact.partition(": ") for fact in facts)
         cells = "".join(f"<tr><td>{escape(a)}</td><td>{escape(b)}</td></tr>" for a, _, b in rows)
@@ -268,7 +268,7 @@ class Result:
         return "\n".join(self._facts())
 
     def _facts(self) -> list[str]:
-        """One fact a line; all but the first begin with their subject and a colon."""
+        """The lines of the summary; the first is the heading."""
         counts = [(f, int(np.count_nonzero(self.flags & f))) for f in FLAGS]
         said = {f: f"{n} of {self.times.size} frames: {f.describe()}" for f, n in counts if n}
         remarks = [f"remark: {words}" for f, words in said.items() if f in REMARKS]
@@ -294,19 +294,19 @@ class Result:
         return lines + remarks
 
     def to_dataset(self) -> Dataset:
-        """Everything as an xarray Dataset, with unit and long name on every variable."""
+        """Returns the result as an xarray Dataset with a unit and a long name on every variable."""
         from pftwin.results.result_dataset import dataset
 
         return dataset(self)
 
     def geometry(self) -> Dataset:
-        """What there is to draw of the scene: surfaces, lines, the button; see `pftwin.results.scene_geometry`."""
+        """Returns the scene's drawable geometry: surfaces, lines of force, button (`pftwin.results.scene_geometry`)."""
         from pftwin.results.scene_geometry import geometry
 
         return geometry(self.scene, self.effects)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Writes NetCDF, with a group `geometry`, whole or not at all. Raises OutputError where that is impossible."""
+        """Writes a NetCDF file with a group `geometry`, atomically. Raises OutputError if the path is not writable."""
         from pftwin.files.result_files import GEOMETRY, save_dataset
 
         save_dataset(self.to_dataset(), path, groups={GEOMETRY: self.geometry()})
@@ -319,7 +319,7 @@ class Result:
         return ResultPlots(self)
 
     def view(self, html: str | os.PathLike[str] | None = None) -> Plot:
-        """The knee in three dimensions: a notebook's widget, and a page that opens offline; see `pftwin.viewer.view`.
+        """Shows the knee in 3D as a notebook widget and, with `html`, as a page that opens offline.
 
         Raises:
             MissingExtraError: the extra `viewer` is not installed.
@@ -330,13 +330,13 @@ class Result:
         return view(self, html)
 
     def to_csv(self, path: str | os.PathLike[str]) -> None:
-        """Writes a table with units in its header. Raises OutputError where that is impossible."""
+        """Writes a CSV table with units in its header. Raises OutputError if the path is not writable."""
         from pftwin.files.result_files import save_csv
 
         save_csv(self.to_dataset(), path)
 
     def to_sto(self, path: str | os.PathLike[str]) -> None:
-        """Writes an OpenSim storage file, angles in degrees. Raises OutputError where that is impossible."""
+        """Writes an OpenSim storage file, angles in degrees. Raises OutputError if the path is not writable."""
         from pftwin.files.result_files import save_sto
 
         save_sto(self.to_dataset(), path)

@@ -1,4 +1,4 @@
-"""A result as an xarray Dataset: units and long names on every variable, provenance in the attributes."""
+"""Conversion of a result to an xarray Dataset with units, long names and provenance attributes."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Variables = dict[str, tuple[tuple[str, ...], Any, dict[str, Any]]]
 
 
 def dataset(result: Result) -> Dataset:
-    """The dataset of a result. Angles in degrees, everything else in SI units."""
+    """Returns the dataset of a result: angles in degrees, everything else in SI units."""
     from xarray import Dataset
 
     variables: Variables = {**_kinematics(result), **_tracking(result)}
@@ -49,7 +49,7 @@ def dataset(result: Result) -> Dataset:
 
 
 def attributes_of(result: Result) -> dict[str, Any]:
-    """Provenance and trust: what was run with what, from which equilibrium, and how it went."""
+    """Returns the dataset's attributes: software versions, settings, equilibrium, status, verdict and timing."""
     from pftwin import __version__
 
     start = result.equilibrium
@@ -112,7 +112,7 @@ def _kinematics(result: Result) -> Variables:
 
 
 def _row(values: Any, unit: str, long_name: str) -> tuple[tuple[str, ...], Any, dict[str, str]]:
-    """A variable over the frames, of numbers, vectors or quaternions; angles [rad] come out in degrees."""
+    """A per-frame variable of scalars, vectors or quaternions; converts angles from radians to degrees."""
     values = np.degrees(values) if unit == "deg" else np.asarray(values)
     last = {1: (), 3: ("axis",), 4: ("component",)}[values.shape[1] if values.ndim == 2 else 1]
     return ("time", *last), values, about(unit, long_name)
@@ -127,7 +127,7 @@ def _tracking(result: Result) -> Variables:
         "groove_offset": _row(offset, "m", "sphere centre off the groove's bottom, lateral positive"),
     }
     outcome = result.dislocations()
-    if outcome is None:  # the motion may not be spoken of
+    if outcome is None:  # the motion is not valid
         return found
     out = outcome.dislocated.astype(np.int8)
     dimensions, out, attributes = _row(out, "1", "whether the button has left the groove")
@@ -167,7 +167,7 @@ def _errors(result: Result) -> Variables:
 
 
 def _dimensions(result: Result, effect: str, values: np.ndarray) -> tuple[str, ...]:
-    """A group's elements are a dimension of their own; a last axis of three is x, y, z."""
+    """Dimension names: a group's elements have their own dimension, and a last axis of three is x, y, z."""
     rest, names = values.shape[1:], ["time"]
     if rest and rest[0] == result.groups.get(effect):
         rest, names = rest[1:], ["time", f"{effect}_element"]
@@ -178,7 +178,7 @@ def _dimensions(result: Result, effect: str, values: np.ndarray) -> tuple[str, .
 
 
 def plain_attribute(value: Any) -> int | float | str:
-    """A value of a type that NetCDF can store."""
+    """Converts a value to a type that NetCDF can store: int, float or str."""
     if isinstance(value, bool):
         return int(value)
     return value if isinstance(value, int | float | str) else str(value)

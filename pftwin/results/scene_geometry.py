@@ -1,18 +1,18 @@
-"""What there is to draw of a scene, as a small dataset: the group `geometry` of a result's file.
+"""Drawable geometry of a scene as an xarray Dataset: the group `geometry` of a result's file.
 
-| variable | frame | what it is |
+| variable | frame | content |
 |---|---|---|
-| femur_vertices, femur_triangles | femur | the contact's mesh, where it has one |
-| surface_vertices, surface_triangles | femur | else its smooth surface, over the rectangle to which it was fitted |
-| continuation_vertices, ..._triangles | femur | that surface beyond its rectangle, where it was touched |
-| button_vertices, button_triangles | patella | the button's mesh, where it has one |
-| button_center, button_radius | patella | the button's sphere, where it is one |
-| pressure | - | over the depths `pressed_depth` by which surfaces overlap, where the contact tells it [Pa] |
-| BODY_bone_vertices, BODY_bone_triangles | BODY | surface of femur, patella or tibia, where the scene has it |
-| NAME_insertion | patella | where a tendon's, ligament's or muscle's lines end on the patella |
-| NAME_origin | its attribute `body` | where they come from; with the frames' axis where that moves |
+| femur_vertices, femur_triangles | femur | the contact's femoral mesh, if it has one |
+| surface_vertices, surface_triangles | femur | otherwise its smooth surface over the fitted rectangle |
+| continuation_vertices, ..._triangles | femur | extrapolation of that surface, where it was touched |
+| button_vertices, button_triangles | patella | the button's mesh, if it has one |
+| button_center, button_radius | patella | otherwise the button's sphere |
+| pressure | - | pressure [Pa] over the overlap `pressed_depth` of the surfaces, if the contact computes it |
+| BODY_bone_vertices, BODY_bone_triangles | BODY | surface of femur, patella or tibia, if the scene has it |
+| NAME_insertion | patella | insertions of the lines of a tendon, ligament or muscle |
+| NAME_origin | its attribute `body` | origins of those lines; with a time axis if they move |
 
-Lengths in metres. Nothing is added or smoothed: what a viewer draws besides (bones) is the viewer's.
+Lengths are in metres. Nothing is added or smoothed: the viewer itself adds schematic bones.
 """
 
 from __future__ import annotations
@@ -38,32 +38,32 @@ if TYPE_CHECKING:
 
     from pftwin.model.effects.contact import Contact
 
-ALONG = 49  # samples of a fitted rectangle, either way: a chord of a trochlea is then within 0.02 mm of it
-STEP = 1.5e-3  # of a continuation, which is all but flat [m]
-MARGIN = 4e-3  # how far past the outermost contact point a surface is continued [m]
-ROUNDING = 1e-9  # vertices that are nearer are one [m]
+ALONG = 49  # samples along each side of a fitted rectangle: the triangles stay within 0.02 mm of a trochlea
+STEP = 1.5e-3  # grid spacing of an extrapolated surface, which is almost flat [m]
+MARGIN = 4e-3  # extrapolation past the outermost contact point [m]
+ROUNDING = 1e-9  # closer vertices are merged [m]
 Mesh = tuple[NDArray[np.float64], NDArray[np.int64]]  # vertices (n, 3) [m], triangles (m, 3)
 Variables = dict[str, tuple[tuple[str, ...], Any, dict[str, Any]]]
-Effects = dict[str, dict[str, NDArray[Any]]]  # what effects reported, by effect and observable
+Effects = dict[str, dict[str, NDArray[Any]]]  # values by effect and observable
 
 
 def has_rectangle(surface: Any) -> bool:
-    """Whether a smooth surface says where it ends: a surface of one's own need not."""
+    """Whether a smooth surface has a fitted rectangle; user-defined surfaces may lack one."""
     return hasattr(surface, "center") and hasattr(surface, "half_size")
 
 
 def rectangle_of(surface: Any) -> list[tuple[float, float]]:
-    """Least and largest u, and v, to which a smooth surface was fitted [m]."""
+    """Returns the minimum and maximum of u, and of v, of the rectangle to which a surface was fitted [m]."""
     return [(float(c - h), float(c + h)) for c, h in zip(surface.center, surface.half_size, strict=True)]
 
 
 def fitted_surface(surface: Surface) -> Mesh:
-    """A smooth surface over the rectangle to which it was fitted."""
+    """Returns the mesh of a smooth surface over the rectangle to which it was fitted."""
     return _grid_mesh(surface, *(np.linspace(*ends, ALONG) for ends in rectangle_of(surface)))
 
 
 def continuation(surface: Surface, points: NDArray[np.float64]) -> Mesh | None:
-    """A smooth surface beyond its rectangle, as far as contact points (k, 3) [m] need it; None where they do not."""
+    """Returns a surface's mesh outside its rectangle as far as contact points (k, 3) [m] reach; None if all inside."""
     if not points.size:
         return None
     at = surface.chart.coordinates(Vec3(*points.T))
@@ -77,7 +77,7 @@ def continuation(surface: Surface, points: NDArray[np.float64]) -> Mesh | None:
 
 
 def indexed(corners: ArrayLike) -> Mesh:
-    """Vertices and triangles from corners (places, 9): empty places of a tree, which hold copies, drop out."""
+    """Returns vertices and triangles from triangle corners (k, 9) [m]; duplicates (padding of a tree) are removed."""
     rows = np.asarray(corners, dtype=np.float64)
     keys, which = np.unique(np.round(rows.reshape(-1, 3) / ROUNDING).astype(np.int64), axis=0, return_inverse=True)
     faces = which.reshape(-1, 3)
@@ -86,7 +86,7 @@ def indexed(corners: ArrayLike) -> Mesh:
 
 
 def _grid_mesh(surface: Any, u: NDArray[np.float64], v: NDArray[np.float64], *, outside: bool = False) -> Mesh:
-    """The mesh of a grid; of its cells outside the surface's rectangle alone, if so wanted."""
+    """The mesh of a grid; with `outside`, only the cells outside the surface's rectangle."""
     from pftwin.geometry.patch.tessellate import points_and_normals
 
     points, _ = points_and_normals(surface.unstacked(), *np.meshgrid(u, v, indexing="ij"))
@@ -103,7 +103,7 @@ def _grid_mesh(surface: Any, u: NDArray[np.float64], v: NDArray[np.float64], *, 
 
 
 def geometry(scene: Scene, effects: Effects | None = None) -> Dataset:
-    """The dataset of a scene; what its effects reported says how far a fitted surface was touched, and is continued."""
+    """Returns a scene's geometry dataset; the contact points in `effects` set how far a surface is extrapolated."""
     from xarray import Dataset
 
     variables: Variables = {}
@@ -135,7 +135,7 @@ def geometry(scene: Scene, effects: Effects | None = None) -> Dataset:
 
 
 def _lines(effect: Effect, motion: KneeMotion) -> Variables:
-    """Ends of an effect's lines of force; nothing of an effect that has none."""
+    """End points of an effect's lines of force; empty for an effect without lines."""
     element = effect.line_element()
     if element is None:
         return {}
@@ -143,11 +143,11 @@ def _lines(effect: Effect, motion: KneeMotion) -> Variables:
     insertion, body = element.line_ends
     ends, line = np.atleast_2d(host_array(insertion)), f"{effect.name}_line"
     start = host_array(jax.vmap(element.origin_at)(jnp.asarray(motion.times, float)))
-    if np.ptp(start, axis=0).max() == 0:  # origins that do not move on their body
+    if np.ptp(start, axis=0).max() == 0:  # origins fixed on their body
         start = start[0]
     moves = start.ndim > np.ndim(host_array(insertion))
     start = start.reshape((len(motion.times), *ends.shape) if moves else ends.shape)
-    if body == "ground":  # seen from a femur that moves, so does what is fixed to the ground
+    if body == "ground":  # points fixed to the ground move in the frame of a moving femur
         start, body = seen_from_femur(motion, start), "femur"
     dimensions = (line, "axis") if start.ndim == 2 else ("time", line, "axis")
     return {
@@ -157,14 +157,14 @@ def _lines(effect: Effect, motion: KneeMotion) -> Variables:
 
 
 def _points(report: dict[str, NDArray[Any]]) -> NDArray[np.float64]:
-    """All contact points that were reported (k, 3)."""
+    """All finite contact points that an effect reports (k, 3) [m]."""
     found = [np.asarray(v, dtype=np.float64).reshape(-1, 3) for k, v in report.items() if k.startswith("point_")]
     points = np.concatenate([*found, np.empty((0, 3))])
     return points[np.isfinite(points).all(axis=1)]
 
 
 def _pressures(contact: Contact) -> Variables:
-    """The law of a contact that tells pressures, as a table."""
+    """Table of pressure over overlap; empty for a contact without a pressure law."""
     if contact.pressure(jnp.zeros(())) is None:
         return {}
     from pftwin.geometry.contact.depths import DEEPEST

@@ -1,4 +1,4 @@
-"""Markers on the skin over the patella: how alike a measured and a simulated course are, and nothing of their place."""
+"""Comparison of measured and simulated time courses of skin markers over the patella, without absolute position."""
 
 from __future__ import annotations
 
@@ -9,24 +9,24 @@ from numpy.typing import NDArray
 
 from pftwin.base.errors import InputError
 
-_FEWEST = 3  # frames of which a course can be told
-# Said wherever measured and simulated courses of a marker on the skin stand side by side.
+_FEWEST = 3  # measured frames that a comparison needs
+# Shown wherever measured and simulated time courses of a skin marker are compared.
 QUALITATIVE = (
     "a marker on the skin is qualitative: skin slides over the bone, so its course can be compared, not its place"
 )
 
 
 class SkinMarker(NamedTuple):
-    """A coordinate of a marker on the skin over the patella: how like its course is to the simulated one."""
+    """Agreement of the measured and the simulated time course of one coordinate of a skin marker."""
 
     key: str  # "EFFECT.x"
     unit: str
-    words: str  # what the coordinate is
-    correlation: float | None  # Pearson's; None where either does not change
-    measured_range: float  # largest less smallest, over the frames in which it was measured
+    words: str  # long name of the coordinate
+    correlation: float | None  # Pearson correlation; None if either course is constant
+    measured_range: float  # maximum minus minimum over the measured frames
     simulated_range: float
-    rms_about_mean: float  # root mean square difference, less the mean one
-    frames: int  # in which it was measured
+    rms_about_mean: float  # standard deviation of the difference: its RMS after subtraction of the mean
+    frames: int  # number of measured frames
 
     @staticmethod
     def of(
@@ -37,16 +37,16 @@ class SkinMarker(NamedTuple):
         measured: NDArray[np.float64],
         source: str,
     ) -> SkinMarker:
-        """Of both courses (n,) in this unit; the measured one is NaN in frames without a measurement.
+        """Compares two time courses (n,), both in `unit`; `measured` is NaN in frames without a measurement.
 
         Raises:
-            InputError: fewer than three frames in which it was measured.
+            InputError: fewer than three frames were measured.
         """
-        there = np.isfinite(measured)
-        count = int(np.count_nonzero(there))
+        present = np.isfinite(measured)
+        count = int(np.count_nonzero(present))
         if count < _FEWEST:
             raise InputError(f"{key} was measured in {count} frames", where=source, expected=f"{_FEWEST} or more")
-        ours, theirs = simulated[there], measured[there]
+        ours, theirs = simulated[present], measured[present]
         changing = np.ptp(ours) > 0 and np.ptp(theirs) > 0
         alike = float(np.corrcoef(ours, theirs)[0, 1]) if changing else None
         ranges = float(np.ptp(theirs)), float(np.ptp(ours))

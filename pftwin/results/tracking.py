@@ -1,8 +1,8 @@
-"""Whether the patella follows its groove: where the groove's bottom is, how far off it the button is, and when it left.
+"""Patellar tracking: the bottom line of the trochlear groove, the button's distance from it, and dislocations.
 
-A patella is dislocated when the button has climbed over the groove's wall. The button's centre moves about as far
-sideways as the groove's crest is from its bottom before it does, so the measure is the medial-lateral distance between
-the sphere's centre and the groove's bottom at the same place along the groove.
+A patella is dislocated when the button has climbed over the groove's wall. Before it does, the button's centre moves
+about as far sideways as the crest is from the bottom of the groove, so the measure is the medial-lateral distance of
+the sphere's centre from the groove's bottom at the same position along the groove.
 """
 
 from __future__ import annotations
@@ -21,30 +21,30 @@ from pftwin.base.errors import InputError
 from pftwin.base.spatial import Vec3
 from pftwin.geometry.patch.closest import Surface
 
-DISLOCATED = 0.020  # [m] off the groove's bottom: the sphere's centre is beyond a facet's ridge (15 to 20 mm wide)
-RE_ENGAGED = 0.6  # share of that distance below which the button counts as back: no flicker at the limit
+DISLOCATED = 0.020  # distance from the groove's bottom [m]: past the ridge of a facet, which is 15 to 20 mm wide
+RE_ENGAGED = 0.6  # hysteresis: share of that distance below which the button has re-engaged
 _SECTIONS, _SAMPLES = 81, 161
-_HALF_WIDTH = 0.020  # where a surface does not say how wide it is [m]
-_LARGEST_JUMP = 0.003  # of the bottom between neighbouring sections [m]
+_HALF_WIDTH = 0.020  # half width of a surface that does not state its extent [m]
+_LARGEST_JUMP = 0.003  # of the groove's bottom between neighbouring sections [m]
 
 
 class GrooveLine(NamedTuple):
-    """The groove's bottom in chart coordinates: v over u, and its depth below the lower of its two walls [m]."""
+    """The groove's bottom line in chart coordinates [m]: v over u, and its depth below the lower of its two walls."""
 
     u: Floats
     v: Floats
     depth: Floats
 
     def at(self, u: ArrayLike) -> Floats:
-        """The bottom's v at places along the groove; beyond the groove's ends, that of the end."""
+        """Interpolates v of the bottom at positions u along the groove [m]; constant beyond the groove's ends."""
         return np.interp(np.asarray(u, dtype=np.float64), self.u, self.v)
 
 
 def groove_line(surface: Surface) -> GrooveLine | None:
-    """The bottom of the groove over the surface's extent: a minimum of height across each section.
+    """Finds the bottom of the groove over the surface's extent: a minimum of height across each section.
 
-    It starts in the deepest section and is followed proximally and distally as long as it goes on without a jump. None
-    for a surface without a groove.
+    The line starts in the deepest section and continues proximally and distally until it jumps. Returns None for a
+    surface without a groove.
     """
     u0, v0 = (float(x) for x in getattr(surface, "center", (0.0, 0.0)))
     half_u, half_v = (float(x) for x in getattr(surface, "half_size", (_HALF_WIDTH, _HALF_WIDTH)))
@@ -69,11 +69,11 @@ def groove_line(surface: Surface) -> GrooveLine | None:
 
 
 def groove_offset(surface: Surface, centers: ArrayLike) -> tuple[Floats, Floats]:
-    """Where sphere centres (n, 3) [m] of the femur frame are relative to the groove of a trochlea.
+    """Computes the position of sphere centres (n, 3) [m], in the femur frame, relative to the trochlear groove.
 
     Returns:
-        Place along the groove (the chart's u), and distance from the groove's bottom, positive lateral; (n,) each, in
-        metres. On a surface without a groove the distance counts from the middle of the surface.
+        Position along the groove (the chart's u) and distance from the groove's bottom, positive lateral; (n,) each
+        [m]. On a surface without a groove, the distance is measured from the middle of the surface.
     """
     points = np.asarray(centers, dtype=np.float64)
     u, v = (np.asarray(a, dtype=np.float64) for a in _chart_coordinates(surface, Vec3(*points.T)))
@@ -94,7 +94,7 @@ def _chart_coordinates(surface: Any, centers: Vec3) -> tuple[Array, Array]:
 
 
 def _minima(v: Floats, h: Floats) -> list[tuple[float, float]]:
-    """(place, depth) of the minima inside a section, the place refined by a parabola."""
+    """(position, depth) of the minima inside a section, with the position refined by a parabola."""
     inside = np.flatnonzero((h[1:-1] < h[:-2]) & (h[1:-1] <= h[2:])) + 1
     out = []
     for i in inside:
@@ -107,16 +107,16 @@ def _minima(v: Floats, h: Floats) -> list[tuple[float, float]]:
 
 @dataclass(frozen=True)
 class Dislocation:
-    """One time that the button left the groove."""
+    """One event in which the button leaves the groove."""
 
-    time: float  # [s]
+    time: float  # at which the button leaves [s]
     knee_flexion: float | None  # at that time [rad]
     side: str  # "lateral" or "medial"
-    farthest: float  # from the groove's bottom [m]
+    farthest: float  # largest distance from the groove's bottom [m]
     re_engaged_at: float | None  # [s]; None: not within the recording
 
     def describe(self) -> str:
-        """The event in words."""
+        """Describes the event in words."""
         flexion = "" if self.knee_flexion is None else f" at {np.degrees(self.knee_flexion):.1f} deg of knee flexion"
         back = "did not re-engage within the recording"
         if self.re_engaged_at is not None:
@@ -127,7 +127,7 @@ class Dislocation:
 
 @dataclass(frozen=True, eq=False)
 class Tracking:
-    """How the button kept to its groove."""
+    """The button's distance from the groove's bottom and its dislocations."""
 
     offset: Floats  # (n,) from the groove's bottom, positive lateral [m]
     dislocated: NDArray[np.bool_]  # (n,)
@@ -139,18 +139,18 @@ class Tracking:
         return self.events[-1].re_engaged_at is not None if self.events else None
 
     def describe(self) -> str:
-        """All events in words."""
+        """Describes all events in words."""
         return "; ".join(e.describe() for e in self.events) or "normal tracking"
 
 
 def find_dislocations(
     times: ArrayLike, offset: ArrayLike, knee_flexion: ArrayLike | None = None, *, threshold: float = DISLOCATED
 ) -> Tracking:
-    """Finds dislocations in a recording (n,): times [s], offsets [m] (`groove_offset`), and for reports flexion [rad].
+    """Finds dislocations in a recording (n,): times [s], offsets [m] (`groove_offset`) and, for reports, flexion [rad].
 
-    The button has left the groove when |offset| exceeds `threshold` [m], and is back when |offset| falls below
-    `RE_ENGAGED * threshold`. A frame that is missing (NaN) keeps the state before it. Raises InputError for arrays of
-    different lengths, and for a threshold that is not positive.
+    The button leaves the groove when |offset| exceeds `threshold` [m] and re-engages when |offset| falls below
+    `RE_ENGAGED * threshold`. A missing frame (NaN) keeps the previous state. Raises InputError for arrays of
+    different lengths and for a threshold that is not positive.
     """
     t, y = np.asarray(times, dtype=np.float64), np.asarray(offset, dtype=np.float64)
     flexion = None if knee_flexion is None else np.asarray(knee_flexion, dtype=np.float64)

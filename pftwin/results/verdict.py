@@ -1,7 +1,7 @@
-"""Whether a motion may be spoken of: the one judgement behind every statement about tracking.
+"""Validity of a simulated motion.
 
-A motion may be spoken of if it starts in equilibrium, is finite, touches the trochlea where its scene has one, and no
-frame is flagged as untrustworthy. Everything that speaks of one (summaries, files, pages, fits, predictions) asks here.
+A motion is valid if it starts in equilibrium, is finite, keeps contact with the trochlea (if the scene has one) and no
+status flag occurs in more frames than `ALLOWED`. Summaries, files, pages, fits and predictions all use this verdict.
 """
 
 from __future__ import annotations
@@ -17,44 +17,44 @@ if TYPE_CHECKING:
     from xarray import Dataset
 
 INVALID = "INVALID"
-# Flags that a motion may have, and the share of its frames up to which it may have them; of any other, not one frame.
+# Largest share of the frames that may have a flag in a valid motion; any other flag may not occur at all.
 ALLOWED = {
-    Status.NO_CONTACT: 0.5,  # beyond, what is called tracking is mostly a patella in the air
-    Status.LEFT_PATCH: 1.0,  # true of the motion: the surface is continued there
-    Status.SNAPPED: 1.0,  # true of a motion without inertia
-    Status.INACCURATE: 0.1,  # an impact or a change of facets takes a few frames; beyond, the steps are too long
-    Status.FACETS_INACCURATE: 1.0,  # the sum of both facets' forces may be good; where it is not, INACCURATE says so
+    Status.NO_CONTACT: 0.5,  # with a larger share, the patella moves mostly without contact
+    Status.LEFT_PATCH: 1.0,  # harmless: the surface is extrapolated there
+    Status.SNAPPED: 1.0,  # a property of a motion without inertia
+    Status.INACCURATE: 0.1,  # an impact or a change of facets takes a few frames; with more, the steps are too long
+    Status.FACETS_INACCURATE: 1.0,  # the total force may still be accurate; INACCURATE flags it if it is not
 }
-REMARKS = Status.LEFT_PATCH  # what is said of a sound motion in one line at the end
-# In the order in which they are told: what comes first is why the others follow.
-_TOLD = (Status.START_NOT_IN_EQUILIBRIUM, Status.NOT_FINITE, Status.NO_CONTACT)
-IN_ORDER = (*_TOLD, *(flag for flag in FLAGS if flag not in _TOLD))
+REMARKS = Status.LEFT_PATCH  # reported as a remark at the end of the summary
+# Order of the reasons: these flags come first because they cause the others.
+_CAUSES = (Status.START_NOT_IN_EQUILIBRIUM, Status.NOT_FINITE, Status.NO_CONTACT)
+IN_ORDER = (*_CAUSES, *(flag for flag in FLAGS if flag not in _CAUSES))
 
 
 class Verdict(NamedTuple):
-    """Why a motion may not be spoken of; no reasons: it may."""
+    """Reasons that a motion is invalid; empty if it is valid."""
 
     reasons: tuple[str, ...] = ()
 
     @property
     def valid(self) -> bool:
-        """Whether the motion may be spoken of."""
+        """Whether the motion is valid."""
         return not self.reasons
 
     def describe(self) -> str:
-        """ "valid", or "INVALID" and why."""
+        """Returns "valid", or "INVALID" and the reasons."""
         return "valid" if self.valid else f"{INVALID}: {'; '.join(self.reasons)}"
 
 
 def most_frames(flag: Status, frames: int) -> int:
-    """How many frames of a motion of so many may have a flag."""
+    """Returns in how many of a motion's `frames` a flag may occur."""
     return int(ALLOWED.get(flag, 0.0) * frames)
 
 
 def is_invalid(counts: Any, frames: int) -> Any:
-    """Whether motions may not be spoken of, (...,), from how many frames have each of `FLAGS`, (..., flags).
+    """Whether motions are invalid, (...,), from the number of frames with each of `FLAGS`, (..., flags).
 
-    Of numpy's arrays and of JAX's, traced ones too.
+    Accepts NumPy and JAX arrays, including traced ones.
     """
     broken = counts[..., 0] > most_frames(FLAGS[0], frames)
     for i, flag in enumerate(FLAGS[1:], start=1):
@@ -63,14 +63,14 @@ def is_invalid(counts: Any, frames: int) -> Any:
 
 
 def verdict_of(flags: ArrayLike, more: tuple[str, ...] = ()) -> Verdict:
-    """The verdict on a motion from the flags of its frames, (n,) bits of `Status`, and from further reasons."""
+    """Returns the verdict on a motion from its frames' flags, (n,) bits of `Status`, and `more` reasons."""
     found = np.asarray(flags, dtype=np.int64)
     said = verdict_of_counts([np.count_nonzero(found & int(flag)) for flag in FLAGS], found.size)
     return Verdict((*said.reasons, *more))
 
 
 def verdict_of_counts(counts: ArrayLike, frames: int) -> Verdict:
-    """The verdict on a motion of so many frames, from how many have each of `FLAGS`, (flags,)."""
+    """Returns the verdict on a motion of `frames` frames from the number with each of `FLAGS`, (flags,)."""
     found = {flag: int(count) for flag, count in zip(FLAGS, np.asarray(counts), strict=True)}
     reasons = []
     for flag in IN_ORDER:
@@ -81,7 +81,7 @@ def verdict_of_counts(counts: ArrayLike, frames: int) -> Verdict:
 
 
 def verdict_of_file(data: Dataset) -> Verdict:
-    """The verdict on the motion in a result's dataset, as it was saved; of an older file from its status."""
+    """Returns the verdict saved in a result's dataset; for an older file, computes it from the status flags."""
     said = str(data.attrs.get("verdict", ""))
     if said.startswith(f"{INVALID}: "):
         return Verdict((said.removeprefix(f"{INVALID}: "),))

@@ -1,9 +1,8 @@
-"""Figures in one house style, safe for colour-blind readers: `pftwin.results.plots.style` has it, each file beside it a
-figure.
+"""Matplotlib figures of results, in one colour-blind-safe style (`pftwin.results.plots.style`).
 
     result.plot.against_flexion().savefig("tracking.pdf")  # or .svg, or .png
 
-Figures are matplotlib's, made without pyplot: nothing has to be closed, and no global setting is changed.
+Figures are made without pyplot: they need not be closed, and matplotlib's global settings do not change.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""`result.plot`: the figures of a simulation."""
+"""The accessor `result.plot`, with one method for each figure of a simulation."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class ResultPlots:
-    """Each method gives a matplotlib figure; `figure.savefig("name.pdf")` writes it, as do .svg and .png."""
+    """Figures of a result. Each method returns a matplotlib figure; `figure.savefig("name.pdf")` writes it."""
 
     def __init__(self, result: Result) -> None:
         self._result = result
@@ -32,15 +32,15 @@ class ResultPlots:
         title: str | None = None,
         axes: Any = None,
     ) -> Figure:
-        """Tilt, shift, rotation and contact force against knee flexion: mean and one standard deviation over strokes.
+        """Plots tilt, shift, rotation and contact force against knee flexion, mean and standard deviation over strokes.
 
         Args:
-            others: variants that belong to the same mean.
+            others: variants to include in the same mean.
             measured, show, strokes, title, axes: as in `pftwin.results.plots.against_flexion`, which also draws
                 several groups.
 
         Raises:
-            InputError: a knee that does not bend, and what else `pftwin.results.plots.against_flexion` refuses.
+            InputError: the knee does not bend, or as in `pftwin.results.plots.against_flexion`.
         """
         everything = [self._result, *others]
         return against_flexion(everything, measured=measured, show=show, strokes=strokes, title=title, axes=axes)
@@ -48,13 +48,13 @@ class ResultPlots:
     def trajectory(
         self, *, measured: Measured | None = None, title: str | None = None, ax: Axes | None = None
     ) -> Figure:
-        """The button's path and the contact path of each facet over the trochlea's contours.
+        """Plots the button's path and the contact path of each facet over a contour map of the trochlea.
 
         Args:
             measured, title, ax: as in `pftwin.results.plots.trajectory`.
 
         Raises:
-            InputError: a scene without contact.
+            InputError: the scene has no contact.
         """
         return trajectory(self._result, measured=measured, title=title, ax=ax)
 
@@ -68,13 +68,13 @@ class ResultPlots:
         title: str | None = None,
         axes: Any = None,
     ) -> Figure:
-        """Everything that was measured beside what was simulated, with root mean square errors.
+        """Plots each measured quantity against the simulated one, with the root mean square error.
 
         Args:
             measured, against, tibial, femoral, title, axes: as in `pftwin.results.plots.compared`, which also draws
-                several.
+                several results.
 
         Raises:
-            InputError: no measurements, or not of this motion.
+            InputError: there are no measurements, or they are not of this motion.
         """
         return compared(self._result, measured, against=against, tibial=tibial, femoral=femoral, title=title, axes=axes)

@@ -1,4 +1,4 @@
-"""Tilt, shift, rotation and contact force against knee flexion: mean and standard deviation over strokes."""
+"""Figure of tilt, shift, rotation and contact force against knee flexion: mean and standard deviation over strokes."""
 
 from __future__ import annotations
 
@@ -39,27 +39,27 @@ def against_flexion(
     title: str | None = None,
     axes: Any = None,
 ) -> Figure:
-    """Courses against knee flexion: a line is the mean over all strokes of a group's results, its band one sd wide.
+    """Plots quantities against knee flexion: mean over the strokes of a group, with a band of one standard deviation.
 
-    A stroke is a movement in one direction; a result of three cycles has three of bending and three of straightening.
-    A mean is of the strokes that come to a flexion: the line is broken where their set changes, as at the ends of a
-    recording; where there is one stroke alone there is no band. Strokes in which the patella dislocates
-    (`Result.dislocations`), be it where the knee turns, are never averaged: each is a thin line, dotted while the
-    patella is out of its groove, with a cross where it leaves.
+    A stroke is a movement in one direction: a result of three cycles has three bending and three straightening strokes.
+    At each flexion the mean includes the strokes that reach it. The line is broken where their set changes, as at the
+    ends of a recording, and a single stroke has no band. Strokes in which the patella dislocates
+    (`Result.dislocations`), even at the turning point of the knee, are never averaged: each is a thin line, dotted
+    while the patella is out of its groove, with a cross where it leaves.
 
     Args:
-        results: one result, several that are one group (variants, draws), or groups by their names in the legend.
-        measured: of the motion that was simulated: black, and labelled synthetic where they are.
-        show: a panel each: of `pftwin.results.plots.quantities.QUANTITIES`.
-        strokes: "apart" (bending solid, straightening dashed), "together", or "bending" or "straightening" alone.
-        title: in the place of the scenes' names. That a motion is synthetic is said in any case.
-        axes: as many as there are panels, to draw into; by default a new figure, two panels wide.
+        results: one result, several that form one group (variants, draws), or groups by their legend names.
+        measured: measurements of the simulated motion, drawn in black; labelled if they are synthetic.
+        show: quantities to draw, one panel each, from `pftwin.results.plots.quantities.QUANTITIES`.
+        strokes: "apart" (bending solid, straightening dashed), "together", or only "bending" or "straightening".
+        title: replaces the scenes' names. Synthetic motion is labelled in any case.
+        axes: axes to draw into, one for each panel; by default a new figure, two panels wide.
 
     Returns:
-        The figure: `figure.savefig("tracking.pdf")` writes it, as do .svg and .png.
+        The figure; `figure.savefig("tracking.pdf")` writes it, as do .svg and .png.
 
     Raises:
-        InputError: no result; a knee that does not bend; a name that is not known; measurements of other frames.
+        InputError: no result; the knee does not bend; an unknown quantity; measurements at other frames.
     """
     groups = grouped(results)
     if strokes not in WAYS:
@@ -90,7 +90,7 @@ def against_flexion(
 
 
 def grouped(results: Any) -> dict[str, list[Result]]:
-    """Groups by name; InputError for no result or an empty group."""
+    """Returns lists of results by group name; InputError for no result or an empty group."""
     named = results if isinstance(results, Mapping) else {"simulated": results}
     groups = {str(k): list(v) if isinstance(v, Sequence) else [v] for k, v in named.items()}
     if not groups or not all(groups.values()):
@@ -99,12 +99,12 @@ def grouped(results: Any) -> dict[str, list[Result]]:
 
 
 def knee_flexion(result: Result) -> Floats:
-    """Knee flexion at the frames, (n,) [deg]."""
+    """Returns knee flexion at the frames, (n,) [deg]."""
     return np.degrees(np.asarray(result.knee.flexion, dtype=np.float64))
 
 
 def _source(result: Result, measured: Measured | None) -> Callable[[PlottedQuantity], Course]:
-    """The courses of a result, or of measurements of its motion; NaN where there is no such quantity."""
+    """A function that returns a quantity's course, simulated or measured; its values are NaN if it is missing."""
     flexion, out = knee_flexion(result), _dislocated(result, measured)
 
     def course(quantity: PlottedQuantity) -> Course:
@@ -115,9 +115,9 @@ def _source(result: Result, measured: Measured | None) -> Callable[[PlottedQuant
 
 
 def _dislocated(result: Result, measured: Measured | None) -> NDArray[np.bool_]:
-    """Frames in which the patella is out of its groove (n,), simulated or measured; none without a groove.
+    """Frames in which the patella is out of its groove (n,), simulated or measured; all False without a groove.
 
-    Of a motion that is INVALID too: what is drawn apart is no statement about it.
+    Also computed for INVALID motion, because drawing a stroke separately makes no claim about it.
     """
     times, groove = result.times, result.groove
     if measured is not None and groove is not None and result.surface is not None:
@@ -126,7 +126,7 @@ def _dislocated(result: Result, measured: Measured | None) -> NDArray[np.bool_]:
 
 
 def _draw(ax: Axes, courses: list[Course], grid: Floats, way: Strokes, name: str, colour: str) -> bool:
-    """Draws the courses of one colour; whether strokes that dislocate are among them."""
+    """Draws the courses of one group; returns whether a stroke among them dislocates."""
     apart = False
     for words, (found, alone) in by_outcome(courses, grid, way).items():
         dashes = _DASHED.get(words, "-")
@@ -142,7 +142,7 @@ def _draw(ax: Axes, courses: list[Course], grid: Floats, way: Strokes, name: str
 
 
 def _draw_alone(ax: Axes, strokes: list[Course], label: str, dashes: Any, colour: str) -> None:
-    """Strokes by themselves, with gaps between them; both parts of one share the frames at which it goes over."""
+    """Draws single strokes with gaps between them; the solid and dotted parts share the frame where they meet."""
     x, y = (np.concatenate([np.append(c[k], np.nan) for c in strokes]) for k in (0, 1))
     out = np.concatenate([np.append(c.out, False) for c in strokes])
     leaves, back = (

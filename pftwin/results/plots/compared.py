@@ -1,4 +1,4 @@
-"""Measured against simulated: a case at a glance, and a panel for everything that was measured with its error."""
+"""Figures of measured against simulated quantities: an overview of a case, and a panel with RMSE for each quantity."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ _AXES = {"time": "time [s]", "flexion": "knee flexion [deg]"}
 
 
 def case_figure(results: Mapping[str, Result], measured: Measured | None, title: str) -> Figure:
-    """Trajectory of the sphere's centre in two planes of the femur, tilt and contact force over time.
+    """Plots the path of the sphere's centre in two planes of the femur, and tilt and contact force over time.
 
     Args:
-        results: by the name in the legend ("P2", "P4", "P5").
-        measured: drawn as a wide grey line; labelled synthetic where it is.
-        title: of the figure. That a motion is synthetic is said in any case.
+        results: results by legend name ("P2", "P4", "P5").
+        measured: measurements, drawn as a wide grey line; labelled if they are synthetic.
+        title: title of the figure. Synthetic motion is labelled in any case.
 
     Raises:
         InputError: neither results nor measurements.
@@ -68,7 +68,7 @@ def case_figure(results: Mapping[str, Result], measured: Measured | None, title:
 
 
 def _path(across: Axes, sagittal: Axes, center: np.ndarray, *, label: str, **look: Any) -> None:
-    """Proximal upwards in both planes; the start is marked."""
+    """Draws a path in both planes, proximal upwards, with a dot at the start."""
     x, y, z = 1e3 * center.T
     for axes, sideways in ((across, y), (sagittal, z)):
         axes.plot(sideways, x, label=label, **look)
@@ -85,21 +85,21 @@ def compared(
     title: str | None = None,
     axes: Any = None,
 ) -> Figure:
-    """A panel for each quantity that was measured, wide grey; each result's line names its RMSE, `validate`'s.
+    """Plots a panel for each measured quantity (wide grey line) with the simulated ones and their RMSE (`validate`).
 
-    Of a marker on the skin it is the RMSE less the mean offset: its place says nothing.
+    For skin markers, the RMSE is computed after subtraction of the mean offset, because their position means nothing.
 
     Args:
-        results: one, or several by their names in the legend.
-        measured: of the motion that was simulated; labelled synthetic where they are.
-        against: time, or the knee's flexion.
-        tibial: the effect whose tension is the measured tibial spring force; None leaves it out.
-        femoral: likewise of the femoral spring.
-        title: in the place of the scenes' names. That a motion is synthetic is said in any case.
-        axes: as many as there are panels, to draw into; by default a new figure, three panels wide.
+        results: one result, or several by legend name.
+        measured: measurements of the simulated motion; labelled if they are synthetic.
+        against: horizontal axis, time or knee flexion.
+        tibial: effect whose tension corresponds to the measured tibial spring force; None omits it.
+        femoral: the same for the femoral spring.
+        title: replaces the scenes' names. Synthetic motion is labelled in any case.
+        axes: axes to draw into, one for each panel; by default a new figure, three panels wide.
 
     Raises:
-        InputError: nothing measured, or what `pftwin.validate` has against the measurements.
+        InputError: no result or no measurements, or as in `pftwin.validate`.
     """
     named = dict(results) if isinstance(results, Mapping) else {"simulated": results}
     if not named:
@@ -160,7 +160,7 @@ def _panel(
         values, error = quantity.simulated(result), _error(errors[name], quantity)
         if values is None or error is None:
             continue
-        # Whose it is says the legend of all panels: names here would be wider than a panel.
+        # The figure's legend shows which line is which: names here would be wider than a panel.
         of_course = " less mean offset" if quantity.error in {m.key for m in errors[name].skin_markers} else ""
         ax.plot(across, values, label=f"RMSE {error:.3g} {quantity.unit}{of_course}", zorder=2, **style.line(i))
     ax.set(xlabel=_AXES[against], ylabel=quantity.label)

@@ -1,4 +1,4 @@
-"""What figures draw of a result and of measurements: names, units, signs, and where the values are."""
+"""Quantities that figures plot, simulated and measured: names, units, sign conventions and accessors."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ if TYPE_CHECKING:
     from pftwin.model.measured import Measured
     from pftwin.results.result import Result
 
-TIBIAL, FEMORAL = "patellar_tendon", "quadriceps"  # effects whose tensions the springs' forces are, on the rig
+TIBIAL, FEMORAL = "patellar_tendon", "quadriceps"  # effects whose tensions are the rig's spring forces
 
 
 class PlottedQuantity(NamedTuple):
-    """A course over the frames, in the unit in which people read it."""
+    """A quantity over the frames, in a display unit."""
 
-    words: str  # with the sense of its sign
+    words: str  # name, with its positive direction
     unit: str
-    simulated: Callable[[Result], Floats | None]  # (n,); None where the scene has no such thing
-    measured: Callable[[Measured], Floats | None]  # (n,); None where it was not measured
-    error: str  # the field of `pftwin.results.metrics.Validation` that is its RMSE
+    simulated: Callable[[Result], Floats | None]  # (n,); None if the scene lacks it
+    measured: Callable[[Measured], Floats | None]  # (n,); None if it was not measured
+    error: str  # field of `pftwin.results.metrics.Validation` with its RMSE
 
     @property
     def label(self) -> str:
-        """Label of an axis."""
+        """Axis label with the unit."""
         return f"{self.words} [{self.unit}]"
 
 
@@ -49,21 +49,21 @@ def _place(axis: int, words: str) -> PlottedQuantity:
 
 
 def tension(effect: str, words: str, spring: str) -> PlottedQuantity:
-    """The tension of a tendon or a group of strands, beside the measured force of a spring, "tibial_spring"."""
+    """Returns the tension of a tendon or group of strands, with the measured force of a spring ("tibial_spring")."""
     force = f"{spring}_force"
     return PlottedQuantity(words, "N", lambda r: _reported(r, effect, "tension"), lambda m: getattr(m, force), spring)
 
 
 def read(result: Result, name: str) -> PlottedQuantity:
-    """What an effect reports, "EFFECT.OBSERVABLE", beside what was measured of it."""
-    told = reading(result, name)
+    """Returns an observable of an effect, "EFFECT.OBSERVABLE", with its measured values."""
+    first = reading(result, name)
     return PlottedQuantity(
-        name, told.unit, lambda r: reading(r, name).values, lambda m: told.scale * m.readings[name], name
+        name, first.unit, lambda r: reading(r, name).values, lambda m: first.scale * m.readings[name], name
     )
 
 
 def _reported(result: Result, effect: str | None, observable: str) -> Floats | None:
-    """An observable, of a group summed over its elements; None where there is none."""
+    """An observable, summed over the elements of a group; None if the result lacks it."""
     values = result.effects.get(effect or "", {}).get(observable)
     return None if values is None else summed(values)
 
@@ -85,7 +85,7 @@ QUANTITIES: dict[str, PlottedQuantity] = {
 
 
 def quantities(names: Sequence[str]) -> dict[str, PlottedQuantity]:
-    """Some of them, by name; InputError for none or an unknown one."""
+    """Returns the named quantities; InputError for no name or an unknown one."""
     if not names:
         raise InputError("nothing to draw", where="quantities", expected="at least one name")
     if unknown := [name for name in names if name not in QUANTITIES]:
@@ -94,6 +94,6 @@ def quantities(names: Sequence[str]) -> dict[str, PlottedQuantity]:
 
 
 def provenance(*results: Result) -> str | None:
-    """What has to be said of motions that are INVALID, and of synthetic ones; None where there is nothing to say."""
+    """Returns the note on INVALID and synthetic motion; None if there is nothing to report."""
     doubted = dict.fromkeys(f"{r.scene_name}: {r.verdict.describe()}" for r in results if not r.verdict.valid)
     return "; ".join([*doubted, *([SYNTHETIC] if any(r.scene.synthetic for r in results) else [])]) or None

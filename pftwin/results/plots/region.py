@@ -1,4 +1,4 @@
-"""Figures of a mesh: the trochlear region that was found on it, and which of its axes are which."""
+"""Figures of a femoral mesh: its trochlear region, groove candidates and principal axes."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ _PANEL = 4.4  # height of a panel [in]
 
 
 def plot_region(region: TrochlearRegion, mesh: SurfaceMesh, ax: Any = None) -> Any:
-    """The figure of a region and the mesh it was found on: the front view with the groove line, and the sagittal one.
+    """Plots a trochlear region on its mesh: the front view with the groove line, and the sagittal view.
 
-    Into matplotlib's axes, where they are given, only the front view is drawn.
+    Given matplotlib axes, draws only the front view into them.
     """
     from matplotlib.figure import Figure
 
@@ -36,7 +36,7 @@ def plot_region(region: TrochlearRegion, mesh: SurfaceMesh, ax: Any = None) -> A
 
 
 def _draw_region(views: list[Any], region: TrochlearRegion, mesh: SurfaceMesh) -> None:
-    """The front view, and the sagittal one where there is room for it."""
+    """Draws the front view, and the sagittal view if there is a second panel."""
     axes, origin = np.asarray(region.cylinder.axes.array()), np.asarray(region.cylinder.origin.array())
     points, groove = 1e3 * (mesh.vertices - origin) @ axes, 1e3 * (region.groove - origin) @ axes
     names = ("proximal [mm]", "lateral of the groove (right knee) [mm]", "anterior [mm]")
@@ -55,7 +55,7 @@ def _draw_region(views: list[Any], region: TrochlearRegion, mesh: SurfaceMesh) -
 
 
 def plot_grooves(candidates: Sequence[Candidate], mesh: SurfaceMesh) -> Figure:
-    """The region and the groove line of each candidate in a front view of its own, proximal upwards."""
+    """Plots the region and groove line of each candidate in a separate front view, proximal upwards."""
     from matplotlib.figure import Figure
 
     rows = -(-len(candidates) // 2)
@@ -72,7 +72,7 @@ def plot_grooves(candidates: Sequence[Candidate], mesh: SurfaceMesh) -> Figure:
 
 
 def plot_principal(axes: Sequence[PrincipalAxis], mesh: SurfaceMesh) -> Figure:
-    """Three views, each along one principal direction, with arrows along the axes of the mesh's frame."""
+    """Plots three views, each along one principal direction, with lines along the axes of the mesh's frame."""
     from matplotlib.figure import Figure
 
     turn = np.stack([axis.direction for axis in axes], axis=1)
@@ -86,14 +86,14 @@ def plot_principal(axes: Sequence[PrincipalAxis], mesh: SurfaceMesh) -> Figure:
 
 
 def _draw_view(ax: Any, points: Any, turn: Any, view: tuple[int, int, int]) -> None:
-    """Vertices that face the viewer, the nearer the darker."""
+    """Draws the vertices that face the viewer, nearer ones darker."""
     i, j, k = view
     ax.scatter(points[:, i], points[:, j], s=1.0, c=points[:, k], cmap="Greys", rasterized=True)
     length = 0.8 * float(np.abs(points).max())
     for n, name in enumerate("xyz"):
         tip = length * turn[n, [i, j]]
         if np.linalg.norm(tip) < 0.15 * length:
-            continue  # it looks at the viewer, or away
+            continue  # the axis points almost along the view
         ax.plot(*np.stack([0 * tip, 1.1 * tip], axis=1), color=COLOURS[n], linewidth=1.8)
         box = {"facecolor": "white", "edgecolor": "none", "pad": 1.0}
         ax.text(*(1.1 * tip), f"+{name}", color=COLOURS[n], ha="center", va="center", fontweight="bold", bbox=box)

@@ -1,4 +1,4 @@
-"""Strokes, movements of the knee in one direction, and means over those in which the patella keeps to its groove."""
+"""Strokes, which are movements of the knee in one direction, and averages over those without dislocation."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 
-LEAST = 5.0  # [deg] of knee flexion: less is no stroke
-_SHARE = 0.2  # of the whole range: smaller movements back and forth belong to the stroke around them
-_GRID = 181  # flexions at which strokes are averaged
+LEAST = 5.0  # smallest range of knee flexion of a stroke [deg]
+_SHARE = 0.2  # of the whole range: smaller reversals belong to the stroke around them
+_GRID = 181  # number of flexions at which strokes are averaged
 Strokes = Literal["apart", "together", "bending", "straightening"]
 WAYS: dict[str, tuple[tuple[str, tuple[bool, ...]], ...]] = {
     "apart": ((", bending", (True,)), (", straightening", (False,))),
@@ -29,37 +29,37 @@ class Course(NamedTuple):
 
     flexion: Floats  # (n,) of the knee [deg]
     values: Floats  # (n,)
-    out: NDArray[np.bool_]  # (n,) the patella has left its groove
+    out: NDArray[np.bool_]  # (n,) whether the patella is out of its groove
     name: str
 
 
 class Stroke(NamedTuple):
-    """One movement in one direction."""
+    """One movement of the knee in one direction."""
 
-    frames: NDArray[np.int64]  # along which the flexion strictly rises or falls
+    frames: NDArray[np.int64]  # subset along which the flexion strictly rises or falls
     bending: bool
-    whole: slice  # all its frames: also those that go back, and those held at its ends, which its neighbours share
+    whole: slice  # all its frames, with small reversals and the pauses at its ends, which neighbours share
 
 
 class Band(NamedTuple):
-    """Mean and standard deviation over strokes at each flexion, (k,) each; NaN where none of them comes."""
+    """Mean and standard deviation over strokes at each flexion, (k,) each; NaN where no stroke reaches it."""
 
     flexion: Floats  # [deg]
     mean: Floats
-    sd: Floats  # of one more stroke (n - 1); NaN where there is but one
-    there: NDArray[np.bool_]  # (strokes, k) which of them come to which flexion
+    sd: Floats  # sample standard deviation (n - 1); NaN for a single stroke
+    there: NDArray[np.bool_]  # (strokes, k) which stroke reaches which flexion
 
     def with_gaps(self) -> tuple[Floats, Floats, Floats]:
-        """Flexion, mean and sd with NaN between flexions to which not the same strokes come: means of other things."""
+        """Returns flexion, mean and sd with NaN inserted where the set of averaged strokes changes."""
         change = 1 + np.flatnonzero((self.there[:, 1:] != self.there[:, :-1]).any(axis=0))
         x, mean, sd = (np.insert(a, change, np.nan) for a in (self.flexion, self.mean, self.sd))
         return x, mean, sd
 
 
 def strokes_of(flexion: Floats, where: str = "motion") -> list[Stroke]:
-    """The strokes of a motion, of the knee's flexion (n,) [deg]; every frame is in one of them, as a whole.
+    """Splits a motion into strokes from knee flexion (n,) [deg]; every frame is in the `whole` of a stroke.
 
-    Raises InputError, of the motion of that name, where the knee bends by less than `LEAST` or its flexion is unknown.
+    Raises InputError, which names the motion `where`, if the knee bends by less than `LEAST` or flexion is missing.
     """
     known = np.isfinite(flexion)
     reach = float(np.ptp(flexion[known])) if known.any() else 0.0
@@ -84,7 +84,7 @@ def strokes_of(flexion: Floats, where: str = "motion") -> list[Stroke]:
 
 
 def _turning_points(flexion: Floats, least: float) -> list[int]:
-    """Frames at which the knee turns, the first and the last extreme among them, at least `least` apart in flexion."""
+    """Frames of the flexion's extremes, first and last included, that differ by at least `least` [deg]."""
     points: list[int] = []
     rising: bool | None = None
     low = high = 0
@@ -98,9 +98,9 @@ def _turning_points(flexion: Floats, least: float) -> list[int]:
 
 
 def band(courses: Sequence[tuple[Floats, Floats]], grid: Floats) -> Band:
-    """Mean and standard deviation over strokes, each interpolated linearly in flexion, where they reach a flexion.
+    """Averages strokes at flexions `grid` (k,) [deg]; a stroke counts only at flexions that it reaches.
 
-    Of each stroke: flexion (n,), strictly rising [deg], and values (n,). The grid: flexions (k,) [deg].
+    Each of `courses` is flexion (n,), strictly rising [deg], and values (n,), interpolated linearly.
     """
     rows = [np.interp(grid, x, y, left=np.nan, right=np.nan) for x, y in courses]
     table = np.ma.masked_invalid(np.array(rows).reshape(len(rows), grid.size))
@@ -109,22 +109,22 @@ def band(courses: Sequence[tuple[Floats, Floats]], grid: Floats) -> Band:
 
 
 def common_grid(flexions: Sequence[Floats]) -> Floats:
-    """Flexions from the least to the largest of all [deg]."""
+    """Returns evenly spaced flexions from the minimum to the maximum of all recordings [deg]."""
     return np.linspace(min(f.min() for f in flexions), max(f.max() for f in flexions), _GRID)
 
 
 class Averaged(NamedTuple):
-    """The strokes of one way of moving, by outcome: a mean across a dislocation is of no knee.
+    """The strokes of one direction, averaged only over those without dislocation.
 
-    A patella that is out while the knee turns, or is held where it turns, is so in both strokes.
+    A patella that is out of its groove while the knee turns or pauses counts as dislocated in both strokes.
     """
 
-    band: Band  # of those in which the patella keeps to its groove in every frame
-    alone: list[Course]  # the others, with all their frames, in the order of time
+    band: Band  # average of the strokes in which the patella stays in its groove in every frame
+    alone: list[Course]  # the other strokes, with all their frames in order of time
 
 
 def by_outcome(courses: Sequence[Course], grid: Floats, way: Strokes = "apart") -> dict[str, Averaged]:
-    """The strokes of recordings, averaged at flexions (k,) [deg], for each way of moving, by what the legend adds."""
+    """Averages the strokes of recordings at flexions (k,) [deg], by direction; the keys are suffixes of the legend."""
     kept: dict[str, list[tuple[Floats, Floats]]] = {words: [] for words, _ in WAYS[way]}
     alone: dict[str, list[Course]] = {words: [] for words, _ in WAYS[way]}
     for flexion, values, out, name in courses:

@@ -1,6 +1,6 @@
-"""The house style: colours, dashes, markers and sizes, panels in rows, legends, and figures as files.
+"""Style of figures (colours, dashes, markers, sizes), layout of panels and legends, and export to files.
 
-It holds inside `with house_style():` alone; matplotlib's global settings stay as they are.
+The style applies only inside `with house_style():`; matplotlib's global settings do not change.
 """
 
 from __future__ import annotations
@@ -21,22 +21,22 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# No dates: the same figure gives the same file.
+# Without dates, the same figure gives the same file.
 _METADATA: dict[str, dict[str, Any]] = {"png": {}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}
-# Okabe and Ito 2008, without the yellow, which is faint on white; measurements are black.
+# Palette of Okabe and Ito 2008 without yellow, which is faint on white; measurements are black.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00")
-# Lines also differ by dashes or markers, for readers who see no colour at all, and for prints in grey.
+# Lines also differ by dashes or markers, for greyscale prints and readers who see no colour.
 DASHES: tuple[Any, ...] = (
     "-", (0, (6, 1.5)), (0, (3, 1.2)), (0, (1, 1)), (0, (6, 1.5, 1, 1.5)), (0, (3, 1, 1, 1, 1, 1)),
 )  # fmt: skip
 MARKERS = "osD^vP*X"
-TEXT, SMALL, TINY = 9.0, 8.0, 7.0  # sizes of letters [pt]: everywhere, in legends of panels, of notes inside panels
+TEXT, SMALL, TINY = 9.0, 8.0, 7.0  # font sizes [pt]: normal text, panel legends, notes and footers
 COLUMN, PAGE, WIDE = 3.5, 7.2, 11.0  # widths of figures [in]: a journal's column, its page, a screen
 DPI = 160  # of PNG files
-FAINT = "0.35"  # of footers
-_SPACING, _MARGIN = 1.25, 3.0  # of lines in a footer, as a share of the letters' size; around it [pt]
+FAINT = "0.35"  # grey of footers
+_SPACING, _MARGIN = 1.25, 3.0  # line spacing of a footer relative to its font size; margin around it [pt]
 STYLE: Any = {
-    "font.family": "DejaVu Sans",  # comes with matplotlib: figures look alike on every machine
+    "font.family": "DejaVu Sans",  # comes with matplotlib, so figures look the same on every machine
     "font.size": TEXT,
     "axes.titlesize": TEXT,
     "axes.titlelocation": "left",
@@ -48,8 +48,8 @@ STYLE: Any = {
     "lines.linewidth": 1.3,
     "legend.frameon": False,
     "figure.constrained_layout.use": True,
-    "text.parse_math": False,  # names are text: one with two "$" would be set as a formula, or end in an error
-    "svg.fonttype": "none",  # letters stay letters: searchable, and editable in a drawing program
+    "text.parse_math": False,  # otherwise a name with two "$" is typeset as a formula or fails
+    "svg.fonttype": "none",  # text stays text: searchable, and editable in a drawing program
     "svg.hashsalt": "pftwin",
     "pdf.fonttype": 42,
 }
@@ -61,16 +61,16 @@ START: dict[str, Any] = {"marker": "o", "markersize": 4, "linestyle": "none"}
 def save_figure(
     figure: Figure, stem: str | os.PathLike[str], kinds: Sequence[str] = ("png", "svg")
 ) -> tuple[Path, ...]:
-    """Writes STEM.png and STEM.svg, or other kinds, each whole or not at all.
+    """Writes STEM.png and STEM.svg, or other kinds of file, each atomically.
 
     Args:
-        figure: of this package, or any other of matplotlib's.
+        figure: any matplotlib figure.
         stem: path without a suffix.
-        kinds: of files: "png", "svg", "pdf".
+        kinds: file types: "png", "svg", "pdf".
 
     Raises:
-        InputError: another kind.
-        OutputError: the folder is missing or cannot be written to.
+        InputError: an unknown file type.
+        OutputError: the folder is missing or not writable.
     """
     base = Path(stem)
     for kind in kinds:
@@ -85,9 +85,9 @@ def save_figure(
 
 
 def panels_in_rows(count: int, columns: int, height: float) -> tuple[Figure, list[Axes]]:
-    """`count` panels in at most `columns`, a page wide, with rows of that height [in].
+    """Creates a figure one page wide with `count` panels in at most `columns` columns and rows of `height` [in].
 
-    They have one horizontal axis, named under the lowest panel of each column.
+    The panels share the horizontal axis, which is labelled under the lowest panel of each column.
     """
     from matplotlib.figure import Figure
 
@@ -105,7 +105,7 @@ def panels_in_rows(count: int, columns: int, height: float) -> tuple[Figure, lis
 
 
 def given_axes(axes: Any, count: int, what: str) -> list[Any] | None:
-    """A user's axes as a list; None where there are none. InputError for another number than there are panels."""
+    """Returns a user's axes as a list, or None if none are given; InputError if their number is not `count`."""
     if axes is None:
         return None
     found = list(np.ravel(np.asarray(axes, dtype=object)))
@@ -115,18 +115,18 @@ def given_axes(axes: Any, count: int, what: str) -> list[Any] | None:
 
 
 def figure_of(ax: Any) -> Figure:
-    """The whole figure that axes are in, be it by way of a subfigure."""
+    """Returns the top-level figure that contains the axes, also for axes in a subfigure."""
     return ax.figure.figure
 
 
 def legend_entries(panels: Sequence[Axes]) -> tuple[list[Any], list[str]]:
-    """Handles and labels of all panels' legends together; one panel may lack what others have."""
+    """Returns the combined legend handles and labels of all panels, without duplicates."""
     found = {label: handle for ax in panels for handle, label in zip(*ax.get_legend_handles_labels(), strict=True)}
     return list(found.values()), list(found)
 
 
 def house_style(**changes: Any) -> AbstractContextManager[None]:
-    """The context in which figures are made and saved; `changes` of single settings have "__" for a dot."""
+    """Returns the context in which figures are made and saved; names in `changes` have "__" in place of a dot."""
     import matplotlib as mpl
 
     settings: Any = {**STYLE, **{name.replace("__", "."): value for name, value in changes.items()}}
@@ -134,19 +134,19 @@ def house_style(**changes: Any) -> AbstractContextManager[None]:
 
 
 def line(i: int) -> dict[str, Any]:
-    """Colour and dashes of the i-th line."""
+    """Returns the colour and dashes of the i-th line."""
     return {"color": COLOURS[i % len(COLOURS)], "linestyle": DASHES[i % len(DASHES)]}
 
 
 def title(figure: Any, *lines: str | None) -> None:
-    """What it shows, in lines that fit the figure's width; None: nothing to say."""
+    """Sets the figure's title, wrapped to its width; lines that are None are skipped."""
     figure.suptitle("\n".join(_wrapped(figure, lines, TEXT)), fontsize=TEXT)
 
 
 def footer(figure: Any, *lines: str | None) -> None:
-    """What has to be said of it, small, below everything else: how to read it, and where its data come from.
+    """Adds small notes at the bottom of the figure: how to read it and where its data come from.
 
-    Before the legend, which stands on it; None: nothing to say.
+    Call it before `legend_below`, which places the legend above it. Lines that are None are skipped.
     """
     wrapped = _wrapped(figure, lines, TINY)
     if not wrapped:
@@ -159,13 +159,13 @@ def footer(figure: Any, *lines: str | None) -> None:
 
 
 def _wrapped(figure: Any, lines: Sequence[str | None], size: float) -> list[str]:
-    """In lines that fit the figure's width at a size of letters [pt]: a letter is about 0.56 of its height wide."""
+    """Wraps lines to the figure's width at a font size [pt]; a letter is about 0.56 of that size wide."""
     characters = int(figure.get_figwidth() * 72 / (0.56 * size))
     return [part for line in lines if line for part in textwrap.wrap(line, characters)]
 
 
 def legend_below(figure: Any, handles: list[Any], labels: list[str], most: int = 4) -> None:
-    """A legend under all panels, on top of the footer; in rows of at most `most`, fewer where the figure is narrow."""
+    """Adds a legend below all panels and above the footer, in at most `most` columns, fewer in a narrow figure."""
     if not labels:
         return
     above_footer = 72 * figure.get_figheight() * figure.get_layout_engine().get()["rect"][1]
@@ -180,7 +180,7 @@ def legend_below(figure: Any, handles: list[Any], labels: list[str], most: int =
 
 
 def legend_above(axes: Any, title: str | None = None, **more: Any) -> None:
-    """A legend on top of a panel, below the panel's title."""
+    """Adds a legend on top of a panel, below the panel's title."""
     axes.legend(
         loc="lower left", bbox_to_anchor=(0.0, 1.0), borderaxespad=0.2, borderpad=0.0, fontsize=SMALL,
         handlelength=1.8, title=title, title_fontsize=TEXT, alignment="left", **more,

@@ -1,4 +1,4 @@
-"""The patella's path over the trochlea as a map: contours in a chart's coordinates, the button and its contacts."""
+"""Contour map of the trochlea in chart coordinates, with the paths of the button and its contacts."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 MARGIN = 5.0  # of the map around the path [mm]
-_SAMPLES = 121  # of a smooth surface, either way
+_SAMPLES = 121  # of a smooth surface, in each direction
 _NAMES = (("distal", "proximal"), ("medial", "lateral"), ("posterior", "anterior"))
 _LEVELS = 14
 _POINTS = (
@@ -35,23 +35,23 @@ _POINTS = (
     ("point_lateral", "contact, lateral facet"),
     ("center_of_pressure", "centre of pressure"),
 )
-_SCALE, _FRAME = 0.066, (1.9, 2.0)  # of a map [in per mm], and what stands around it [in]
+_SCALE, _FRAME = 0.066, (1.9, 2.0)  # scale of a map [in per mm], and width and height of labels around it [in]
 _SMALLEST, _LARGEST = (4.4, 4.2), (7.2, 8.5)
 
 
 class Relief(NamedTuple):
-    """Heights over (u, v) [mm]: a grid (triangles None) or the corners of a mesh's triangles."""
+    """Heights over (u, v) [mm], on a grid (triangles None) or at the vertices of a triangle mesh."""
 
     chart: Any
     u: Floats
     v: Floats
     height: Floats
     triangles: NDArray[np.int64] | None
-    rectangle: tuple[float, float, float, float] | None  # u and v between which a smooth surface was fitted
+    rectangle: tuple[float, float, float, float] | None  # fitted range of a smooth surface: u, u, v, v [mm]
 
     @property
     def labels(self) -> tuple[str, str, str]:
-        """Labels of u, v and height, each with its positive direction."""
+        """Axis labels of u, v and height, with the positive directions of u and v."""
         along, across = _direction_label(self.chart.axes.ex), _direction_label(self.chart.axes.ey)
         round_axis = isinstance(self.chart, CylindricalChart)
         height = "distance from the trochlear axis" if round_axis else "height over the chart's plane"
@@ -59,7 +59,7 @@ class Relief(NamedTuple):
 
     @property
     def heights(self) -> tuple[float, float]:
-        """The least and the largest [mm]; of a fitted surface within its rectangle, beyond which it is all slope."""
+        """Minimum and maximum height [mm]; for a fitted surface only within its rectangle, as it is steep outside."""
         inside = np.ones(self.height.shape, dtype=bool)
         if self.rectangle is not None:
             u0, u1, v0, v1 = self.rectangle
@@ -67,15 +67,15 @@ class Relief(NamedTuple):
         return float(self.height[inside].min()), float(self.height[inside].max())
 
     def place(self, points: Floats) -> tuple[Floats, Floats]:
-        """(u, v) [mm] straight below points (n, 3) of the femur frame [m]; NaN where a point is."""
+        """Projects points (n, 3) [m] of the femur frame to (u, v) [mm]; NaN stays NaN."""
         return _coordinates(self.chart, points)[:2]
 
 
 def relief(result: Result, *paths: Floats) -> Relief:
-    """The map of a result's trochlea around paths (n, 3) [m] of the femur frame.
+    """Computes the height map of a result's trochlea around paths (n, 3) [m] in the femur frame.
 
     Raises:
-        InputError: a scene without contact between a button and a trochlea.
+        InputError: the scene has no contact between a button and a trochlea.
     """
     contact, surface = result.scene.contact, result.surface
     femur = None if contact is None else contact.femur_triangles()
@@ -93,7 +93,7 @@ def relief(result: Result, *paths: Floats) -> Relief:
 
 
 def _of_surface(surface: Any, window: Floats) -> Relief:
-    """A smooth surface over its rectangle, and beyond it as far as the paths go."""
+    """The map of a smooth surface over its rectangle, extended to cover the paths."""
     rectangle = None
     if has_rectangle(surface):
         (u0, u1), (v0, v1) = 1e3 * np.array(rectangle_of(surface))
@@ -106,7 +106,7 @@ def _of_surface(surface: Any, window: Floats) -> Relief:
 
 
 def _of_mesh(chart: Any, mesh: tuple[Floats, NDArray[np.int64]], window: Floats) -> Relief:
-    """The triangles that face outwards and lie in the window."""
+    """The map of a mesh: its triangles that face outwards and lie in the window."""
     u, v, height = _coordinates(chart, mesh[0])
     faces = mesh[1]
     fu, fv = u[faces], v[faces]
@@ -118,13 +118,13 @@ def _of_mesh(chart: Any, mesh: tuple[Floats, NDArray[np.int64]], window: Floats)
 
 
 def _window(chart: Any, points: Floats) -> Floats:
-    """Least and largest (u, v) of the points, with a margin, (2, 2) [mm]."""
+    """Minimum and maximum (u, v) of the points, with a margin, (2, 2) [mm]."""
     u, v, _ = _coordinates(chart, points)
     return np.array([[np.nanmin(c) - MARGIN, np.nanmax(c) + MARGIN] for c in (u, v)]).T
 
 
 def _facing_plane(result: Result, mesh: Any) -> PlaneChart:
-    """A plane across the mean contact force, for a mesh that brings no chart."""
+    """A plane perpendicular to the mean contact force, for a mesh without a chart."""
     report = result.effects[str(result.contact)]
     force = np.stack([report[f"force_{k}"] for k in "xyz"], axis=1)
     out = np.nansum(force, axis=0)
@@ -150,7 +150,7 @@ def _compiled(method: Callable[..., Any], *given: Any) -> Any:
 
 
 def _direction_label(axis: Vec3) -> str:
-    """What is at the positive end of a direction of the femur frame."""
+    """Anatomical name of the positive direction of an axis in the femur frame."""
     parts = [float(c) for c in (axis.x, axis.y, axis.z)]
     k = int(np.argmax(np.abs(parts)))
     return _NAMES[k][parts[k] > 0]
@@ -159,25 +159,25 @@ def _direction_label(axis: Vec3) -> str:
 def trajectory(
     result: Result, *, measured: Measured | None = None, title: str | None = None, ax: Axes | None = None
 ) -> Figure:
-    """The trochlea as a map, seen from outside: contours, the path of the button's centre, and the contact paths.
+    """Plots a contour map of the trochlea, seen from outside, with the paths of the button's centre and its contacts.
 
-    Places are those straight below a point in the surface's chart: along the groove, and across it. A dot is the start;
-    a contact's path is broken where its facet bears nothing. Dashed: the rectangle to which a patch was fitted.
+    Points are projected to the surface's chart, along and across the groove. A dot marks the start; a contact's path
+    is broken where its facet carries no load. Dashed: the rectangle to which a surface patch was fitted.
 
     Args:
-        result: of a scene with contact.
-        measured: the centre's measured path, wide grey; labelled synthetic where it is.
-        title: in the place of the scene's name. That a motion is synthetic is said in any case.
+        result: result of a scene with contact.
+        measured: measurements; the path of the centre is a wide grey line, labelled if it is synthetic.
+        title: replaces the scene's name. Synthetic motion is labelled in any case.
         ax: axes to draw into; by default a new figure.
 
     Raises:
-        InputError: a scene without contact.
+        InputError: the scene has no contact.
     """
     from matplotlib.figure import Figure
 
     report = result.effects.get(result.contact or "", {})
     contacts = {words: np.asarray(report[key]) for key, words in _POINTS if key in report}
-    if len(contacts) > 2:  # facets say more than the centre of both
+    if len(contacts) > 2:  # both facets are drawn, so their centre of pressure adds nothing
         contacts.pop(_POINTS[-1][1])
     paths = [result.center, *contacts.values(), *([] if measured is None else [measured.center])]
     drawn = relief(result, *paths)
@@ -201,7 +201,7 @@ def trajectory(
 
 
 def _map(ax: Axes, drawn: Relief) -> None:
-    """Light greys, so that the paths keep the colours."""
+    """Draws the contours in light grey, so that the coloured paths stand out."""
     from matplotlib.colors import ListedColormap
     from matplotlib.patches import Rectangle
     from matplotlib.ticker import MaxNLocator
@@ -234,7 +234,7 @@ def _line(ax: Axes, drawn: Relief, points: np.ndarray, words: str, look: dict[st
 
 
 def _size(drawn: Relief) -> tuple[float, float]:
-    """Width and height of the figure [in]: one scale for all maps that fit on a page."""
+    """Width and height of the figure [in], at the same scale for all maps that fit on a page."""
     wanted = (_SCALE * np.ptp(drawn.v) + _FRAME[0], _SCALE * np.ptp(drawn.u) + _FRAME[1])
     width, height = (float(np.clip(w, a, b)) for w, a, b in zip(wanted, _SMALLEST, _LARGEST, strict=True))
     return width, height

@@ -1,9 +1,9 @@
-"""The knee in three dimensions: a widget for notebooks, and a page of one file that opens offline.
+"""3D view of the knee: a notebook widget, and a single-file HTML page that opens offline.
 
     result.view()  # in a notebook
     pftwin.viewer.view({"before": before, "after": "after.nc"}, html="view.html")
 
-Drawn by k3d (extra `viewer`); docs/figures.md says what is drawn.
+Uses k3d (extra `viewer`); docs/figures.md describes what is drawn.
 """
 
 from __future__ import annotations
@@ -28,17 +28,17 @@ def view(
     *,
     side_by_side: bool = False,
 ) -> Plot:
-    """Results as a k3d plot: the widget of a notebook, with play, a time slider and views below it.
+    """Shows results as a k3d plot: a notebook widget with a play button, a time slider and camera views.
 
     Args:
-        results: a result or a file of one; several are overlaid in colours; a mapping, or pairs, give
-            them names.
-        html: also a page, of this file name, that needs nothing else.
-        side_by_side: several are beside each other instead, each with its own bones.
+        results: a result or result file, or several, which are overlaid in different colours; a mapping or
+            pairs give them names.
+        html: file name of a self-contained page to write as well.
+        side_by_side: draw several results next to each other, each with its own bones, instead of overlaid.
 
     Raises:
         MissingExtraError: the extra `viewer` is not installed.
-        InputError: no result, a file that is none, or one without anything to draw.
+        InputError: no result, a file that is not a result, or one without anything to draw.
         OutputError: the page cannot be written.
     """
     from pftwin.results.viewer.assembly import plot

@@ -1,4 +1,4 @@
-"""The whole plot: the objects of every result, shared bodies drawn once, legend, numbers and cameras."""
+"""Assembly of the 3D plot: objects of each result, shared bodies, legend, numbers and cameras."""
 
 from __future__ import annotations
 
@@ -19,28 +19,28 @@ if TYPE_CHECKING:
     from k3d.plot import Plot
 
 DISTANCE = 370.0  # of the camera [mm]
-ANGLE = 30.0  # of its view, from top to bottom [deg]
-KNEE = 110.0  # width that a knee is to have on the page, at the least [mm]
-GAP = 130.0  # from knee to knee, side by side [mm]
-# Where the camera stands from the joint, and what is up: femur axes x proximal, y lateral, z anterior.
+ANGLE = 30.0  # vertical field of view [deg]
+KNEE = 110.0  # minimum width of the view for one knee [mm]
+GAP = 130.0  # between knees side by side [mm]
+# Direction from the joint to the camera, and the up direction: femur axes x proximal, y lateral, z anterior.
 _FROM = {
     "anterior": ((0.12, 0.12, 1.0), (1, 0, 0)),
     "lateral": ((0.05, 1.0, 0.15), (1, 0, 0)),
     "medial": ((0.05, -1.0, 0.15), (1, 0, 0)),
     "skyline": ((-1.0, 0.0, 0.25), (0, 0, 1)),
 }
-LONGEST = 80.0  # of an arrow [mm], about
+LONGEST = 80.0  # approximate length of the arrow of a large force [mm]
 _ROUND = (1.0, 2.0, 5.0)
-ROOM = [-250.0, -100.0, -200.0, 300.0, 100.0, 150.0]  # that k3d's camera sees [mm]
-ALIKE = 2.0  # tibias that are never farther apart are drawn once: their origins, and what is 100 mm away [mm]
-MOST = 0.98  # share of the forces that are not longer than that
-SIDE = 68.0  # of the words "lateral" and "medial" from the middle [mm]
+ROOM = [-250.0, -100.0, -200.0, 300.0, 100.0, 150.0]  # bounding box for k3d's camera [mm]
+ALIKE = 2.0  # tibias whose origins, and points 100 mm away, differ by less are drawn once [mm]
+MOST = 0.98  # quantile of the forces that counts as large
+SIDE = 68.0  # distance of the words "lateral" and "medial" from the middle [mm]
 
 
 def views(result: Recorded, width: float = 0.0) -> dict[str, list[float]]:
-    """Cameras by name: place, target, up, nine numbers each [mm].
+    """Returns cameras by name: position, target and up direction, nine numbers each [mm].
 
-    Farther away for knees side by side over a width, and none from the sides, from where one hides the others.
+    Knees side by side over a `width` [mm] have more distant cameras and no side views, where one would hide the others.
     """
     center = MM * np.nanmean(result.data["sphere_center"].values, axis=0)
     target = np.array([center[0] + 8.0, center[1] * 0.5, center[2] - 12.0])
@@ -53,11 +53,11 @@ def views(result: Recorded, width: float = 0.0) -> dict[str, list[float]]:
 
 
 def plot(results: Sequence[Recorded], *, side_by_side: bool = False) -> tuple[Plot, dict[str, Any]]:
-    """The plot of results, and what its page's controls have to know.
+    """Returns the plot of results and the settings of its page's controls.
 
     Args:
-        results: at least one.
-        side_by_side: each knee whole in a place of its own; else they are laid over each other, see `_overlaid`.
+        results: at least one result.
+        side_by_side: draw complete knees next to each other instead of overlaid (`_overlaid`).
     """
     codes = [COLOURS[i % len(COLOURS)] for i in range(len(results))]
     newtons = per_centimetre(results)
@@ -73,7 +73,7 @@ def plot(results: Sequence[Recorded], *, side_by_side: bool = False) -> tuple[Pl
         grid_visible=False,
         camera_auto_fit=False,
         grid_auto_fit=False,
-        colorbar_object_id=0,  # none: the legend has the scale
+        colorbar_object_id=0,  # no colour bar: the legend states the scale
         grid=_room(len(results) if apart else 1),
         camera_fov=ANGLE,
         axes_helper=0.0,
@@ -108,8 +108,8 @@ def plot(results: Sequence[Recorded], *, side_by_side: bool = False) -> tuple[Pl
 def _overlaid(
     results: Sequence[Recorded], codes: Sequence[str], newtons: float
 ) -> tuple[list[Drawable], list[list[Drawable]]]:
-    """What results share, then each one's own: the femur is that of the first, and so are its component and the tibia
-    for those that have them alike; others have their own, in their colour.
+    """Shared objects and the objects of each result: femur, component and tibia of the first result are shared by all
+    results in which they are the same; other results have their own, in their colour.
     """
     first = results[0]
     alike = [r for r in results if _same_meshes(first, r, "femur", "surface")]
@@ -131,7 +131,7 @@ def _overlaid(
 def _apart(
     results: Sequence[Recorded], codes: Sequence[str], newtons: float
 ) -> tuple[list[Drawable], list[list[Drawable]]]:
-    """Nothing shared; each knee with its own bones, and with colours where the patella presses on the femur."""
+    """No shared objects; each knee has its own bones, coloured where the patella presses on the femur."""
     own = []
     pressure = tells_pressure(results)
     for k, (result, code) in enumerate(zip(results, codes, strict=True)):
@@ -143,12 +143,12 @@ def _apart(
         own.append([knee.moved(part, _place(k, len(results))) for part in parts])
     most = max((float(p.color_range[1]) for p in _coloured(own)), default=0.0)
     for part in _coloured(own):
-        part.color_range = [0.0, most]  # one scale for all
+        part.color_range = [0.0, most]  # the same scale for all
     return [], own
 
 
 def _coloured(own: list[list[Any]]) -> list[Any]:
-    """Parts that have a scale of colours."""
+    """Parts with a colour scale."""
     return [part for parts in own for part in parts if len(part.color_range)]
 
 
@@ -157,18 +157,18 @@ def _moving(result: Recorded, code: str, newtons: float) -> list[Drawable]:
 
 
 def _place(k: int, count: int) -> float:
-    """Where the k-th of several knees is, lateral of their middle [mm]: seen from before, the first is on the left."""
+    """Lateral offset of the k-th of several knees [mm]; in the anterior view the first is on the left."""
     return GAP * (0.5 * (count - 1) - k)
 
 
 def _room(count: int) -> list[float]:
-    """That k3d's camera sees [mm]."""
+    """Bounding box for k3d's camera [mm]."""
     aside = GAP * 0.5 * (count - 1)
     return [ROOM[0], ROOM[1] - aside, ROOM[2], ROOM[3], ROOM[4] + aside, ROOM[5]]
 
 
 def _sides(shown: dict[str, list[float]], count: int) -> list[Drawable]:
-    """The words beside the knees."""
+    """The labels "lateral" and "medial" beside the knees."""
     x, _, z = shown["anterior"][3:6]
     look = {"color": 0x888888, "size": 0.9, "is_html": True, "label_box": False, "reference_point": "cc"}
     words = [("lateral", _place(0, count) + SIDE), ("medial", _place(count - 1, count) - SIDE)]
@@ -176,7 +176,7 @@ def _sides(shown: dict[str, list[float]], count: int) -> list[Drawable]:
 
 
 def per_centimetre(results: Sequence[Recorded]) -> float:
-    """Newtons to 10 mm of arrow: 1, 2 or 5 times a power of ten, a large force about `LONGEST` long."""
+    """Returns the force per 10 mm of arrow [N]: 1, 2 or 5 times a power of ten, so that arrows fit `LONGEST`."""
     found = [(arrow.forces, arrow.present) for r in results for arrow in r.contact_arrows]
     sizes = [np.linalg.norm(f[here], axis=1) for f, here in found if f is not None]
     most = max((float(np.quantile(s, MOST)) for s in sizes if s.size), default=1.0)
@@ -192,7 +192,7 @@ def _text_label(name: str, text: str | dict[str, str], place: tuple[float, float
 
 
 def _same_meshes(one: Recorded, two: Recorded, *names: str) -> bool:
-    """Whether two results have the same meshes in one place, within a micrometre."""
+    """Whether two results have the same meshes at the same position, within a micrometre."""
     return all(_same_mesh(one.mesh(name), two.mesh(name)) for name in names)
 
 
@@ -203,7 +203,7 @@ def _same_mesh(a: Mesh | None, b: Mesh | None) -> bool:
 
 
 def _same_motion(one: Recorded, two: Recorded) -> bool:
-    """Whether two results' tibias move so nearly alike that one of them is enough to look at."""
+    """Whether two results' tibias move so similarly that one of them is drawn for both."""
     if one.tibia.shape != two.tibia.shape:
         return False
     turned = one.tibia[:, :3, :3] - two.tibia[:, :3, :3]

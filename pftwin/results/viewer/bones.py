@@ -1,5 +1,5 @@
-"""The solid parts of a knee as every drawing shows them: bones, component, button. Bones that a scene has no surfaces
-of are those of a normal knee, set below what touches, and called schematic: nothing of them acts."""
+"""Solid parts of a drawn knee: bones, femoral component and button. Bones without a surface in the scene are schematic
+bones of a normal knee, placed below the contact surfaces; they have no effect on the simulation."""
 
 from __future__ import annotations
 
@@ -26,36 +26,36 @@ from pftwin.results.viewer.shapes import (
 )
 
 METAL, BONE, PLASTIC = "#A9B4C0", "#E9DFC9", "#F4F1E6"
-NORMAL = Anatomy(tt_tg_mm=0.0)  # of schematic bones
-PLATEAU_AT = 0.45  # of the way from the tibia's origin down to the tuberosity
-PROUD = 2.0  # of the tuberosity, a tendon's origin [mm]
-BUMP = 26.0, 13.0  # a tuberosity's reach along and across [mm]
-MOST_FORWARD = 12.0  # that a schematic tibia is moved forwards or back towards its tendon [mm]
-COARSE = 2.5  # triangles of schematic bones [mm]
-UNDER = 3.0  # of a femoral component, the schematic bone [mm]
-FADING = 20.0, 60.0  # above and below its ends, over which the bone is not held below it any more [deg]
-RIM = 4.0  # of the patella's body beyond its tendons [mm]
-SAME = 1e-6  # vertices of files that are nearer are one [m]
+NORMAL = Anatomy(tt_tg_mm=0.0)  # anatomy of schematic bones
+PLATEAU_AT = 0.45  # height of the plateau as a share of the way from the tibia's origin down to the tuberosity
+PROUD = 2.0  # height of a tendon's origin above the tuberosity [mm]
+BUMP = 26.0, 13.0  # length scales of the tuberosity along and across the tibia [mm]
+MOST_FORWARD = 12.0  # largest anterior or posterior shift of a schematic tibia towards its tendon [mm]
+COARSE = 2.5  # triangle size of schematic bones [mm]
+UNDER = 3.0  # depth of the schematic femur below its component [mm]
+FADING = 20.0, 60.0  # angles past the component's upper and lower ends over which that depth fades out [deg]
+RIM = 4.0  # margin of the patella's body around its tendons [mm]
+SAME = 1e-6  # vertices of files that are closer are equal [m]
 
 
 class Solid(NamedTuple):
-    """A part, and how it is drawn where nothing else is said."""
+    """A solid part with its default look."""
 
     name: str
-    frame: str  # that carries it: "femur", "tibia" or "patella"
+    frame: str  # body that carries it: "femur", "tibia" or "patella"
     shape: Shape  # in that frame [mm]
     colour: str
     opacity: float = 1.0
 
 
 def bone(result: Recorded, body: str, most: int = MOST_TRIANGLES) -> Solid | None:
-    """A bone's own surface, thinned to `most` triangles; None where the scene has none."""
+    """Returns a bone's surface from the scene, reduced to `most` triangles; None if the scene has none."""
     mesh = result.mesh(f"{body}_bone")
     return None if mesh is None else Solid(body, body, surface(mesh, most), BONE)
 
 
 def femur(result: Recorded, most: int = MOST_TRIANGLES) -> Solid:
-    """The bone, or a normal knee's, schematic, under the femoral component."""
+    """Returns the scene's femur, or else a schematic one below the femoral component."""
     if (own := bone(result, "femur", most)) is not None:
         return own
     component = result.mesh("femur") or result.mesh("surface")
@@ -69,15 +69,15 @@ def femur(result: Recorded, most: int = MOST_TRIANGLES) -> Solid:
 
 
 def _below(vertices: Floats, component: Floats) -> Floats:
-    """A femur's vertices (n, 3), brought under a component's (m, 3) along rays from the trochlear axis, y."""
+    """Moves a femur's vertices (n, 3) below a component's (m, 3) along rays from the trochlear axis, y [mm]."""
     from scipy.interpolate import NearestNDInterpolator
 
-    def seen(points: Floats) -> tuple[Floats, Floats, Floats]:
+    def cylindrical(points: Floats) -> tuple[Floats, Floats, Floats]:
         return np.degrees(np.arctan2(points[:, 0], points[:, 2])), np.hypot(points[:, 0], points[:, 2]), points[:, 1]
 
-    around, out, across = seen(component)
+    around, out, across = cylindrical(component)
     low, high = around.min(), around.max()
-    angle, radius, y = seen(vertices)
+    angle, radius, y = cylindrical(vertices)
     within = np.clip(angle, low, high)
     limit = NearestNDInterpolator(np.stack([0.4 * around, across], axis=1), out)(0.4 * within, y) - UNDER
     share = 1 - smooth_step(np.abs(angle - within) / np.where(angle > high, *FADING))
@@ -86,8 +86,8 @@ def _below(vertices: Floats, component: Floats) -> Floats:
 
 
 def femoral_component(result: Recorded, most: int = MOST_TRIANGLES) -> list[Solid]:
-    """Its mesh, thinned to `most` triangles, or its smooth surface with a continuation where it was touched beyond.
-    Nothing where it is part of the bone's surface.
+    """Returns the component's mesh, reduced to `most` triangles, or its smooth surface and the extrapolated part that
+    was touched. Empty if the mesh is part of the bone's surface.
     """
     mesh, fitted, beyond = (result.mesh(name) for name in ("femur", "surface", "continuation"))
     found = []
@@ -101,7 +101,7 @@ def femoral_component(result: Recorded, most: int = MOST_TRIANGLES) -> list[Soli
 
 
 def tibia(result: Recorded, most: int = MOST_TRIANGLES) -> Solid:
-    """The bone, or a normal knee's, schematic, whose tuberosity is behind the patellar tendon's origin."""
+    """Returns the scene's tibia, or else a schematic one with its tuberosity behind the patellar tendon's origin."""
     if (own := bone(result, "tibia", most)) is not None:
         return own
     ends = [MM * lines.origin.reshape(-1, 3) for lines in result.lines.values() if lines.body == "tibia"]
@@ -119,7 +119,7 @@ def tibia(result: Recorded, most: int = MOST_TRIANGLES) -> Solid:
 
 
 def patella_parts(result: Recorded, most: int = MOST_TRIANGLES) -> list[Solid]:
-    """The patella, schematic where the scene has no surface of it, and its button where there is one besides."""
+    """Returns the patella, schematic if the scene has no surface of it, and its button if it is a separate part."""
     schematic = Solid("patella (schematic)", "patella", _patella_body(result), BONE)
     body = bone(result, "patella", most) or schematic
     mesh = result.mesh("button")
@@ -135,14 +135,14 @@ def patella_parts(result: Recorded, most: int = MOST_TRIANGLES) -> list[Solid]:
 
 
 def _part_of(mesh: Mesh, whole: Mesh | None) -> bool:
-    """Whether a mesh's vertices are vertices of a bone, as those of its cartilage may be."""
+    """Whether all vertices of a mesh are vertices of a bone's surface, as may be the case for its cartilage."""
     from scipy.spatial import KDTree
 
     return whole is not None and bool(np.max(KDTree(whole[0]).query(mesh[0])[0]) < SAME)
 
 
 def _patella_body(result: Recorded) -> Shape:
-    """One that holds all insertions, flat where a button is on it."""
+    """A schematic patella that covers all insertions, with a flat back if it carries a button."""
     vertices, triangles = _normal("patella")
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     ends = [MM * lines.insertion for lines in result.lines.values()]
@@ -159,7 +159,7 @@ def _patella_body(result: Recorded) -> Shape:
 
 
 def _back_of_bone(result: Recorded) -> float | None:
-    """Where a button's sphere meets the bone, in the patella's frame [mm]; None of other patellae."""
+    """Depth z, in the patella's frame, at which the button's sphere meets the bone [mm]; None without a sphere."""
     if "button_radius" not in result.geometry:
         return None
     radius = MM * float(result.geometry["button_radius"])
@@ -167,6 +167,6 @@ def _back_of_bone(result: Recorded) -> float | None:
 
 
 def _normal(body: str) -> tuple[Floats, NDArray[np.uint32]]:
-    """A normal knee's bone in its frame: vertices [mm] and triangles."""
+    """A bone of a normal knee in its own frame: vertices [mm] and triangles."""
     mesh = getattr(bones(NORMAL, COARSE), body)
     return MM * mesh.vertices, mesh.faces.astype(np.uint32)

@@ -1,8 +1,8 @@
-"""Where the patella presses on the femur, as colours on the femur's surface: how deep the two surfaces overlap, or,
-where the contact tells it (elastic layers), the pressure at that depth.
+"""Contact colours on the femur's surface: the overlap depth of the two surfaces or, for contact of elastic layers, the
+pressure at that depth.
 
-Depths are those of the drawing: of the femur's vertices below the patella's, by the plane of the nearest vertex, or
-below the button's sphere. They show where contact is and how it moves; forces and pressures are the simulation's.
+Depths are computed from the drawn meshes: depth of a femoral vertex below the tangent plane at the nearest patellar
+vertex, or below the button's sphere. They show the location of contact; forces come from the simulation.
 """
 
 from __future__ import annotations
@@ -15,15 +15,15 @@ from pftwin.base.arrays import Floats
 from pftwin.results.viewer.recorded import Recorded
 from pftwin.results.viewer.shapes import MM
 
-FARTHEST = 6.0  # nearest vertices that are farther are of another part [mm]
-SMALLEST = 0.02  # depths below it are not coloured at all [mm]
-HOT = ((0.25, "#F2C14E"), (0.6, "#E4572E"), (1.0, "#7A0C2E"))  # share of the largest depth, colour
+FARTHEST = 6.0  # femoral vertices farther than this from the patella's vertices have depth zero [mm]
+SMALLEST = 0.02  # smaller depths are not coloured [mm]
+HOT = ((0.25, "#F2C14E"), (0.6, "#E4572E"), (1.0, "#7A0C2E"))  # share of the largest value, colour
 
 
 def depths_on_femur(result: Recorded, vertices: Floats) -> Floats | None:
-    """Depths of vertices (v, 3) [mm] of the femur below the patella's surface, at the frames shown (n, v) [mm].
+    """Returns depths of femoral vertices (v, 3) [mm] below the patella's surface at the shown frames, (n, v) [mm].
 
-    None where the patella has no surface, or is nowhere below it.
+    None if the patella has no surface or the surfaces never overlap.
     """
     turn, place = (result.patella[:, :3, k].astype(np.float64) for k in (slice(0, 3), 3))
     local = np.einsum("nji,nvj->nvi", turn, vertices - place[:, None])  # in the patella's frame
@@ -40,18 +40,18 @@ def depths_on_femur(result: Recorded, vertices: Floats) -> Floats | None:
 
 
 def tells_pressure(results: Sequence[Recorded]) -> bool:
-    """Whether the contacts of all results tell pressures, which their colours then show."""
+    """Whether all results have a pressure law, so that the colours show pressure."""
     return all("pressure" in r.geometry for r in results)
 
 
 def pressures(result: Recorded, depths: Floats) -> Floats:
-    """Pressures at rest [MPa] at depths [mm] of any shape."""
+    """Returns quasi-static pressures [MPa] at depths [mm] of any shape."""
     table = result.geometry["pressure"]
     return np.interp(1e-3 * depths, table["pressed_depth"].values, 1e-6 * table.values)
 
 
 def _below_mesh(points: Floats, vertices: Floats, triangles: np.ndarray) -> Floats:
-    """Depths of points (n, v, 3) below a mesh, zero far from it."""
+    """Depths of points (n, v, 3) below a mesh [mm]; zero far from it."""
     from scipy.spatial import KDTree
     from trimesh import Trimesh
 

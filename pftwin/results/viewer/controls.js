@@ -1,5 +1,5 @@
-// Runs where k3d has loaded, in a page or below a notebook's cell, with its instance `K3DInstance`. Plain HTML; k3d's
-// public functions alone.
+// Control bar of the viewer. Runs after k3d has loaded, in a page or below a notebook cell, with its instance
+// `K3DInstance`. Uses plain HTML and only k3d's public functions.
 (function (k3d, control) {
     const HEIGHT = 88; // [px]
     const target = k3d.getWorld().targetDOMNode;
@@ -76,14 +76,14 @@
     }
     play.addEventListener('click', toggle);
     slider.addEventListener('input', () => show(parseFloat(slider.value)));
-    if (ownPage) { // elsewhere the keys belong to others
+    if (ownPage) { // in a notebook, the keyboard belongs to the notebook
         document.addEventListener('keydown', (event) => {
             if (event.code === 'Space' && event.target === document.body) { event.preventDefault(); toggle(); }
         });
     }
     upper.append(play, slider, clock, speed);
 
-    function look(name) { // from farther away where the page is too narrow for what there is to see
+    function look(name) { // moves the camera back if the page is too narrow for the scene
         const camera = control.views[name].slice(), aside = [0, 1, 2].map((i) => camera[i] - camera[i + 3]);
         const seen = 2 * Math.hypot(...aside) * Math.tan(control.angle * Math.PI / 360);
         const shape = target.clientWidth > 0 ? target.clientHeight / target.clientWidth : 0; // not laid out yet: 0
@@ -104,7 +104,7 @@
             const label = make('label', {}, '');
             label.append(box, make('span', { style: `color:${result.colour};font-weight:600` }, result.name));
             box.addEventListener('change', () => {
-                result.ids.forEach((id) => { // an object that is not visible is taken out of the scene
+                result.ids.forEach((id) => { // k3d removes invisible objects from the scene
                     if (!box.checked) { before[id] = objects[id].visible; }
                     objects[id].visible = box.checked ? before[id] : false;
                     k3d.reload(objects[id], { visible: objects[id].visible });

@@ -1,4 +1,4 @@
-"""A film of the moving knee, GIF or MP4: a browser without a window draws the page, frame by frame."""
+"""Export of a film of the knee, GIF or MP4: a headless browser renders the viewer's page frame by frame."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 SUFFIXES = (".gif", ".mp4")
-RATE = 20  # pictures a second: the fastest that divides a GIF's hundredths of a second and looks smooth
-COLOURS = 256  # of a GIF, the most
-MOST = 2000  # pictures
-QUALITY = 7  # of an .mp4, 0 to 10: small without visible loss
+RATE = 20  # frames per second: the frame time is a whole number of a GIF's hundredths of a second
+COLOURS = 256  # largest palette of a GIF
+MOST = 2000  # largest number of frames
+QUALITY = 7  # of an .mp4, 0 to 10: small files without visible loss
 _BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
 _FLAGS = ("--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader")  # WebGL without a graphics card
 _VIEWER = "document.querySelector('.pftwin').viewer"
 _DRAWN = "() => new Promise(done => requestAnimationFrame(() => requestAnimationFrame(done)))"
-_PATIENCE = 120_000  # [ms] for a page to load and for a picture
+_PATIENCE = 120_000  # timeout for loading the page and for a frame [ms]
 
 
 def write_film(
@@ -46,21 +46,21 @@ def write_film(
     size: tuple[int, int] = (720, 600),
     progress: Callable[[int, int], None] = lambda done, whole: None,
 ) -> None:
-    """Writes a film of a plot that has its controls.
+    """Writes a film of a plot made by `pftwin.viewer.view`.
 
     Args:
-        plot: what `pftwin.viewer.view` gives.
-        path: .gif, which any browser and slide shows, or .mp4, which is smaller.
+        plot: plot with controls, as returned by `pftwin.viewer.view`.
+        path: output file: .gif, which all browsers and slides show, or .mp4, which is smaller.
         camera: "anterior", "lateral", "medial" or "skyline".
-        speed: of the knee in the film; 0.5 takes twice as long.
-        see_through: the patella is, so that contact behind it is seen.
+        speed: playback speed; 0.5 plays at half speed.
+        see_through: make the patella transparent to show the contact behind it.
         size: width and height [px], even numbers.
-        progress: called with the pictures taken and their number.
+        progress: called with the number of frames done and the total.
 
     Raises:
         MissingExtraError: the extra `film` is not installed.
-        InputError: another suffix, a camera that there is not, a film too long or without end, no browser.
-        OutputError: the place cannot be written to.
+        InputError: unsupported suffix, unknown camera, invalid speed, too many frames, or no working browser.
+        OutputError: the path is not writable.
     """
     from pftwin.results.viewer.page import page
 
@@ -77,7 +77,7 @@ def write_film(
 
 
 def check_film(path: str | os.PathLike[str], speed: float) -> Path:
-    """Refuses what cannot become a film, before anything is drawn; errors as of `write_film`."""
+    """Checks path, speed and installed packages before anything is drawn; raises as `write_film` does."""
     target = check_place(path)
     if target.suffix.lower() not in SUFFIXES:
         raise InputError(f"found {target.suffix!r}", where=str(path), expected=" or ".join(SUFFIXES))
@@ -108,7 +108,7 @@ def _pictures(
 
 
 def _times(begin: float, end: float, speed: float) -> Floats:
-    """Of the pictures [s]."""
+    """Simulation times of the frames [s]."""
     count = 1 + int((end - begin) / speed * RATE)
     if count > MOST:
         raise InputError(
@@ -122,7 +122,7 @@ def _times(begin: float, end: float, speed: float) -> Floats:
 
 @contextmanager
 def _page(html: Path, size: tuple[int, int]) -> Iterator[Any]:
-    """The page in a browser, its bar of controls below what is filmed."""
+    """Opens the page in a headless browser, with the control bar below the captured area."""
     from playwright.sync_api import Error, sync_playwright
 
     own = next((found for name in _BROWSERS if (found := shutil.which(name))), None)
@@ -160,7 +160,7 @@ def _write_gif(pictures: Iterator[Image], path: Path, size: tuple[int, int]) -> 
 
 
 def _with_scale(picture: Image) -> Image:
-    """A picture with the colours of contact below it, which later pictures may show."""
+    """Appends the contact colours to the first frame, so that the palette also suits later frames."""
     from PIL import Image, ImageColor
 
     codes = np.array([ImageColor.getrgb(code) for code in (BONE, *(code for _, code in HOT))], dtype=float)

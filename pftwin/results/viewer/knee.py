@@ -1,4 +1,4 @@
-"""A result as objects of k3d: bones, button, tendons, contact points, forces and their path. Femur frame, mm."""
+"""k3d objects of a result: bones, button, tendons, contact points, forces and contact paths; femur frame, mm."""
 
 from __future__ import annotations
 
@@ -29,15 +29,15 @@ from pftwin.results.viewer.shapes import (
 if TYPE_CHECKING:
     from k3d.objects import Drawable
 
-REST = 0.4  # points of a path that are nearer to the last are passed over: at rest it has no direction [mm]
-AHEAD = 0.6  # how much paler the part of a contact's path is that is still to come
+REST = 0.4  # minimum spacing of a path's points; without it, a path at rest has no direction [mm]
+AHEAD = 0.6  # share of white in the colour of a contact's whole path
 
 
 def k3d() -> Any:
-    """The package.
+    """Imports and returns the package k3d.
 
     Raises:
-        MissingExtraError: it is not installed.
+        MissingExtraError: k3d is not installed.
     """
     try:
         import k3d as package
@@ -47,17 +47,17 @@ def k3d() -> Any:
 
 
 def colour(code: str) -> int:
-    """ "#0072B2" as k3d has it."""
+    """Converts a colour such as "#0072B2" to k3d's integer."""
     return int(code.lstrip("#"), 16)
 
 
 def paler(code: str, share: float) -> str:
-    """A colour mixed with so much white."""
+    """Mixes a colour with a share of white."""
     return _mixed(code, 255, share)
 
 
 def darker(code: str, share: float) -> str:
-    """A colour mixed with so much black."""
+    """Mixes a colour with a share of black."""
     return _mixed(code, 0, share)
 
 
@@ -67,14 +67,14 @@ def _mixed(code: str, level: int, share: float) -> str:
 
 
 def time_series(times: Floats, values: Iterable[Any]) -> dict[str, Any]:
-    """Values by time, as k3d has time series; one that never changes is no series."""
+    """Returns values as a k3d time series: a dict with the time as a string for its key."""
     return {f"{t:.4f}": v for t, v in zip(times, values, strict=True)}
 
 
 def body(shape: Shape, code: str, *, name: str, group: str, opacity: float = 1.0) -> Any:
-    """A shape that stands still in the femur, until it is given model matrices.
+    """Returns a shape as a k3d mesh, fixed in the femur frame until it gets model matrices.
 
-    What comes back takes time series wherever it takes values, which its types do not say.
+    Its attributes accept time series in place of values, which k3d's types do not declare.
     """
     return k3d().mesh(
         shape.vertices,
@@ -91,28 +91,28 @@ def body(shape: Shape, code: str, *, name: str, group: str, opacity: float = 1.0
 
 
 def moving_shape(shape: Shape, code: str, times: Floats, matrices: Matrices, **options: Any) -> Any:
-    """A shape that moves with a body."""
+    """Returns a shape that moves with a body's matrices (n, 4, 4) [mm]."""
     drawn = body(shape, code, **options)
     drawn.model_matrix = time_series(times, matrices)
     return drawn
 
 
 def where_present(drawn: Any, times: Floats, present: NDArray[np.bool_]) -> Any:
-    """The object, hidden in frames in which there is nothing."""
+    """Hides an object in the frames where `present` (n,) is False."""
     if not present.all():
         drawn.visible = time_series(times, present.tolist())
     return drawn
 
 
 def gaps_filled(values: NDArray[Any], present: NDArray[np.bool_]) -> NDArray[Any]:
-    """Rows with gaps filled by the nearest row before (else after), so that nothing hidden jumps into view."""
+    """Fills gaps with the last row before them (else the first after), so that hidden objects do not jump."""
     places = np.where(present, np.arange(present.size), -1)
     last = np.maximum.accumulate(places)
     return values[np.where(last < 0, np.argmax(present), last)]
 
 
 def solid(result: Recorded, part: bones.Solid, code: str | None = None, group: str = "bones") -> Drawable:
-    """A solid part, carried by its frame; in its own colour unless another is given."""
+    """Draws a solid part that moves with its frame, in its own colour unless another is given."""
     look: dict[str, Any] = {"name": part.name, "group": group, "opacity": part.opacity}
     if part.frame == "femur":
         return body(part.shape, code or part.colour, **look)
@@ -121,22 +121,22 @@ def solid(result: Recorded, part: bones.Solid, code: str | None = None, group: s
 
 
 def femur(result: Recorded, *, pressure: bool) -> list[Any]:
-    """Bone and component; what the patella presses on, the bone where there is no component, has colours there: by
-    pressure [MPa], else by depth [mm]."""
+    """Draws bone and component; the articulating part (the bone without a component) is coloured by pressure [MPa] or
+    overlap depth [mm]."""
     parts = [bones.femur(result), *bones.femoral_component(result)]
     drawn: list[Any] = [solid(result, part) for part in parts]
-    for part, seen in zip(parts[1:] or parts, drawn[1:] or drawn, strict=True):
+    for part, mesh in zip(parts[1:] or parts, drawn[1:] or drawn, strict=True):
         depths = depths_on_femur(result, part.shape.vertices.astype(np.float64))
         if depths is not None:
             values = pressures(result, depths) if pressure else depths
-            seen.attribute = time_series(result.times, values.astype(np.float32))
-            seen.color_map = [0.0, *_rgb(part.colour), *(v for at, code in HOT for v in (at, *_rgb(code)))]
-            seen.color_range = [0.0, float(values.max())]
+            mesh.attribute = time_series(result.times, values.astype(np.float32))
+            mesh.color_map = [0.0, *_rgb(part.colour), *(v for at, code in HOT for v in (at, *_rgb(code)))]
+            mesh.color_range = [0.0, float(values.max())]
     return drawn
 
 
 def moved(drawn: Any, aside: float) -> Any:
-    """An object, whether it moves or not, set aside in the lateral direction [mm]."""
+    """Shifts a fixed or moving object by `aside` in the lateral direction [mm]."""
     way = np.eye(4, dtype=np.float32)
     way[1, 3] = aside
     matrix = drawn.model_matrix
@@ -145,25 +145,25 @@ def moved(drawn: Any, aside: float) -> Any:
 
 
 def _rgb(code: str) -> list[float]:
-    """A colour as k3d's scales have it: they are shown darker than plain colours are, by this power."""
+    """A colour for k3d's colour maps, gamma-corrected because k3d shows them darker than plain colours."""
     return [(int(code[i : i + 2], 16) / 255) ** (1 / 2.2) for i in (1, 3, 5)]
 
 
 def component(result: Recorded, code: str = bones.METAL, group: str = "bones") -> list[Drawable]:
-    """The femoral component; a surface's continuation is paler."""
+    """Draws the femoral component; the extrapolated part of a surface is paler."""
     found = bones.femoral_component(result)
     return [solid(result, part, code if part.opacity == 1 else paler(code, 0.5), group) for part in found]
 
 
 def patella(result: Recorded, code: str) -> list[Drawable]:
-    """The patella's body, paler where it is opaque, and the button."""
+    """Draws the patella's body, paler if it is opaque, and the button."""
     body, *button = bones.patella_parts(result)
     shade = code if body.opacity < 1 else paler(code, 0.5)
     return [solid(result, body, shade, result.name), *(solid(result, b, group=result.name) for b in button)]
 
 
 def tendons(result: Recorded, code: str) -> list[Drawable]:
-    """Tendons, ligaments and muscles, and where a tendon begins on a schematic tibia."""
+    """Draws tendons, ligaments and muscles, and a tendon's origin on a schematic tibia."""
     drawn = []
     for name, lines in result.lines.items():
         vertices, triangles = line_shape(lines)
@@ -178,12 +178,12 @@ def tendons(result: Recorded, code: str) -> list[Drawable]:
 
 
 def contacts(result: Recorded, code: str, newtons: float) -> list[Drawable]:
-    """Contact points, the forces on the patella, and their path, coloured as far as it has been gone.
+    """Draws contact points, forces on the patella and contact paths; the travelled part of a path is highlighted.
 
     Args:
-        result: whose.
+        result: the result to draw.
         code: colour.
-        newtons: drawn as 10 mm of an arrow.
+        newtons: force per 10 mm of arrow [N].
     """
     return [
         part
@@ -209,7 +209,7 @@ def _contact(result: Recorded, arrow: ContactArrow, code: str, newtons: float) -
 
 
 def _path(result: Recorded, arrow: ContactArrow, code: str) -> list[Drawable]:
-    """The whole way, pale, and on it what has been gone of it, which grows."""
+    """Draws the whole path in a pale colour, and on it the travelled part, which grows with time."""
     points = MM * np.where(arrow.present[:, None], arrow.points, np.nan)
     taken = spaced_points(points, REST)
     times, points = result.times[taken], points[taken | ~arrow.present]

@@ -1,4 +1,4 @@
-"""Tendons, ligaments and muscles as shapes that move: a ribbon through lines side by side, tubes for others."""
+"""Moving shapes of tendons, ligaments and muscles: a ribbon through adjacent parallel lines, tubes otherwise."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from pftwin.results.viewer.recorded import FEW, Lines
 from pftwin.results.viewer.shapes import MM, ring_triangles, tubes
 
 Moving = tuple[NDArray[np.float32], NDArray[np.uint32]]  # vertices (n, v, 3) [mm] at n frames, triangles (m, 3)
-CLOSE = 12.0  # neighbours of a ribbon are nowhere farther apart [mm]
+CLOSE = 12.0  # largest distance between neighbouring lines of a ribbon [mm]
 THICKNESS = 2.0  # of a ribbon [mm]
 
 
 def line_shape(lines: Lines) -> Moving:
-    """The lines of one effect at the frames shown, in the femur's frame."""
+    """Returns the shape of one effect's lines at the shown frames, in the femur frame."""
     ends = MM * np.concatenate(lines.ends, axis=1)
     order = _side_by_side(ends[0])
     if order is not None:
@@ -24,11 +24,11 @@ def line_shape(lines: Lines) -> Moving:
 
 
 def ribbon(ends: Floats, thickness: float) -> Moving:
-    """A sheet through k straight lines whose ends move.
+    """Returns a sheet through k straight lines whose ends move.
 
     Args:
         ends: the lines' first ends, in order across the ribbon, then their second ends, at n frames (n, 2 k, 3) [mm].
-        thickness: [mm].
+        thickness: thickness of the sheet [mm].
     """
     first, second = np.split(ends, 2, axis=1)
     across = np.asarray(np.gradient(first + second, axis=1))
@@ -42,7 +42,7 @@ def ribbon(ends: Floats, thickness: float) -> Moving:
 
 
 def _side_by_side(ends: Floats) -> NDArray[np.int64] | None:
-    """The order across (2, k) of lines whose ends (2 k, 3) are close to their neighbours'; None of other lines."""
+    """Order across the ribbon (2, k) of lines with neighbouring ends (2 k, 3) [mm] close together; otherwise None."""
     first, second = np.split(ends, 2)
     if len(first) < 3:
         return None

@@ -1,4 +1,4 @@
-"""The page: k3d's standalone snapshot with a bar of controls; its legend and numbers, HTML with every name escaped."""
+"""HTML page of the viewer: k3d's standalone snapshot with a control bar, legend and numbers; all names are escaped."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ _BOX = "font:min(13px,3vw)/1.45 system-ui,'Segoe UI',Helvetica,Arial,sans-serif;
 CONTINUED = "Pale: the fitted surface continued beyond its edge."
 _RIGHT = "text-align:right;padding-right:8px;white-space:nowrap"
 _TITLE = re.compile(r"<title>.*?</title>", re.DOTALL)
-_CONTROL = "/*CONTROL*/null"  # in controls.js, where what the bar has to know goes
+_CONTROL = "/*CONTROL*/null"  # placeholder in controls.js for the settings of the control bar
 
 
 def title(results: Sequence[Recorded]) -> str:
-    """Title of the page; it begins with "INVALID" where a motion may not be spoken of."""
+    """Returns the page's title; it begins with "INVALID" if a motion is not valid."""
     names = " and ".join(r.name for r in results)
     return names if all(r.verdict.valid for r in results) else f"{INVALID}: {names}"
 
 
 def notes(results: Sequence[Recorded], newtons: float, most: float | None = None) -> list[str]:
-    """Why a motion may not be spoken of, notes on the data, then on the drawing, whose colours go up to so much."""
+    """Returns the legend's notes; `newtons` is the force per 10 mm of arrow, `most` the largest coloured value."""
     said = [f"{r.verdict.describe()} ({r.name})." for r in results if not r.verdict.valid]
     said += list(dict.fromkeys(f"{r.note[0].upper()}{r.note[1:]}." for r in results if r.note))
     missing = [body for body in ("femur", "tibia", "patella") if any(r.mesh(f"{body}_bone") is None for r in results)]
@@ -52,12 +52,12 @@ def notes(results: Sequence[Recorded], newtons: float, most: float | None = None
 
 
 def side(name: str) -> str:
-    """A word beside the knee, in the page's letters instead of those for formulas."""
+    """Returns a label beside the knee as HTML in the page's font instead of the formula font."""
     return f"<span style=\"font-family:system-ui,'Segoe UI',Helvetica,Arial,sans-serif\">{escape(name)}</span>"
 
 
 def legend(results: Sequence[Recorded], codes: Sequence[str], said: Sequence[str]) -> str:
-    """Names in their colours, and the notes."""
+    """Returns the legend as HTML: names with their colours, and the notes."""
     rows = [
         f"<div><span style='display:inline-block;width:11px;height:11px;margin-right:6px;background:{code}'></span>"
         f"<b>{escape(r.name)}</b></div>"
@@ -68,7 +68,7 @@ def legend(results: Sequence[Recorded], codes: Sequence[str], said: Sequence[str
 
 
 def readout(results: Sequence[Recorded], codes: Sequence[str], time: float) -> str:
-    """Numbers of every result at its shown frame nearest to a time."""
+    """Returns the HTML table of numbers of each result at its frame nearest to `time` [s]."""
     out = [r.series("dislocated") for r in results]
     wide = "min-width:66px" if any(o is not None and (o > 0).any() for o in out) else ""
     rows = []
@@ -94,36 +94,36 @@ def _cell(value: float, unit: str, digits: int) -> str:
 
 
 def _at(result: Recorded, name: str, k: int) -> float:
-    """A variable at a frame; NaN where the result has none of that name."""
+    """A variable at a frame; NaN if the result lacks it."""
     values = result.series(name)
     return float("nan") if values is None else float(values[k])
 
 
 def _contact_force(result: Recorded, k: int) -> float:
-    """What the result's contacts report as their force, summed [N]; NaN where there is none."""
+    """Sum of the forces of the result's contacts [N]; NaN without a contact."""
     names = {arrow.contact for arrow in result.contact_arrows}
     return sum(_at(result, f"{name}_force", k) for name in names) if names else float("nan")
 
 
 def add_controls(plot: Plot, control: dict[str, Any]) -> None:
-    """Gives the pages made of a plot their bar: play, time slider, speed, views, and a switch for each result."""
+    """Adds the control bar to a plot: play, time slider, speed, views, and a switch for each result."""
     script = (files("pftwin.results.viewer") / "controls.js").read_text(encoding="utf-8")
-    # Inside a script element "</" must not occur, whatever a result is called.
-    told = json.dumps(control).replace("<", "\\u003c")
-    plot.additional_js_code = script.replace(_CONTROL, told)
+    # "</" in a result's name would end the script element.
+    settings = json.dumps(control).replace("<", "\\u003c")
+    plot.additional_js_code = script.replace(_CONTROL, settings)
 
 
 def page(plot: Plot) -> str:
-    """The HTML, with everything it needs inside."""
+    """Returns the self-contained HTML page of a plot."""
     text = plot.get_snapshot(compression_level=9)
     title = f"<title>{escape(plot.name or 'pftwin')}</title>"
     return _TITLE.sub(lambda _: title, text, count=1)
 
 
 def write_page(plot: Plot, path: str | os.PathLike[str]) -> None:
-    """Writes the page, whole or not at all.
+    """Writes the page atomically.
 
     Raises:
-        OutputError: the folder is missing, the path is a folder, or the place cannot be written to.
+        OutputError: the folder is missing, the path is a folder, or it is not writable.
     """
     write_text(check_place(path), page(plot))

@@ -1,4 +1,4 @@
-"""What is drawn of one result, from memory or from its file: arrays at the frames shown, contacts as arrows."""
+"""Data of one result for the viewer, from memory or from its file: arrays at the shown frames, and contact arrows."""
 
 from __future__ import annotations
 
@@ -21,24 +21,24 @@ if TYPE_CHECKING:
     from xarray import Dataset
 
 FACETS = ("medial", "lateral")
-FEW = 4  # lines of an effect that are drawn as thick as a tendon
-MOST_FRAMES = 241  # shown of a result; between them a drawing interpolates
+FEW = 4  # an effect with at most this many lines is drawn with thick lines
+MOST_FRAMES = 241  # largest number of frames shown; the viewer interpolates between them
 Mesh = tuple[Floats, NDArray[np.int64]]  # vertices [m], triangles
 
 
 @dataclass(frozen=True, eq=False)
 class ContactArrow:
-    """A contact, or the sum of several, at the frames shown (n)."""
+    """A contact, or the sum of several, at the n shown frames."""
 
-    contact: str  # the effect
+    contact: str  # name of the effect
     name: str  # "contact, medial"
-    points: Floats  # (n, 3) where it acts [m]; NaN where it bears nothing
-    forces: Floats | None  # (n, 3) on the patella [N]; None where only the point is known
-    touches: bool = True  # whether the points are such where surfaces touch, and not a middle of several
+    points: Floats  # (n, 3) point of application [m]; NaN without load
+    forces: Floats | None  # (n, 3) on the patella [N]; None if only the point is known
+    touches: bool = True  # whether the surfaces touch at the points; False for a mean of several points
 
     @property
     def present(self) -> NDArray[np.bool_]:
-        """Frames in which it bears a load (n,)."""
+        """Frames in which it carries load (n,)."""
         there = np.isfinite(self.points).all(axis=1)
         if self.forces is not None:
             there &= self.forces.any(axis=1)
@@ -46,10 +46,10 @@ class ContactArrow:
 
 
 def contact_arrows(result: Recorded) -> list[ContactArrow]:
-    """The contacts of a result.
+    """Returns the contact arrows of a result.
 
-    A sphere is pushed towards its centre, so the (normal) force on each facet has a direction. Of other contacts the
-    file holds the facets' sizes alone: their force is the sum, at the points' middle weighted by the sizes.
+    The normal force on a sphere points towards its centre, so each facet has an arrow. For other contacts the file has
+    only the magnitudes per facet: their arrow is the total force, at the mean point weighted by those magnitudes.
     """
     contacts = [str(n).removesuffix("_force_medial") for n in result.data.data_vars if str(n).endswith("_force_medial")]
     return [push for name in contacts for push in _of(result, name)]
@@ -79,13 +79,13 @@ def _of(result: Recorded, contact: str) -> list[ContactArrow]:
 
 
 def _forces_toward(center: Floats, points: Floats, sizes: Floats) -> Floats:
-    """Forces (n, 3) of sizes (n,) from points towards the centre (n, 3)."""
+    """Forces (n, 3) with magnitudes `sizes` (n,) that point from the points towards the centre (n, 3)."""
     away = center - points
     return (sizes / np.linalg.norm(away, axis=1))[:, None] * away
 
 
 def _weighted_mean(facets: list[tuple[Floats, Floats]]) -> Floats:
-    """Mean of the points weighted by sizes (n, 3); NaN where all sizes are zero."""
+    """Mean of the points weighted by force magnitudes (n, 3); NaN where all are zero."""
     weights = np.stack([s for _, s in facets], axis=1)
     whole = weights.sum(axis=1, keepdims=True)
     shares = np.divide(weights, whole, out=np.full_like(weights, np.nan), where=whole > 0)
@@ -95,10 +95,10 @@ def _weighted_mean(facets: list[tuple[Floats, Floats]]) -> Floats:
 
 @dataclass(frozen=True, eq=False)
 class Recorded:
-    """A result's numbers at the frames that are shown (n), and what there is to draw."""
+    """A result at the n shown frames, and its drawable geometry."""
 
     name: str
-    data: Dataset  # of the frames shown
+    data: Dataset  # at the shown frames
     geometry: Dataset
     verdict: Verdict  # on the whole motion
 
@@ -106,16 +106,16 @@ class Recorded:
     def of(
         cls, source: Any, name: str | None = None, *, frames: int = MOST_FRAMES, geometry: Dataset | None = None
     ) -> Recorded:
-        """From a `Result`, or from the file of one.
+        """Loads a `Result` or a result file.
 
         Args:
-            source: the result, or a path.
-            name: in the legend; None: the scene's, or the file's.
-            frames: most that are shown.
-            geometry: of a result, where that is known already.
+            source: the result, or the path of its file.
+            name: name in the legend; by default that of the scene or file.
+            frames: largest number of frames to show.
+            geometry: the result's geometry, if already computed.
 
         Raises:
-            InputError: no such file, not a result, a file without anything to draw, or no frame that is finite.
+            InputError: no such file, not a result, a file without geometry, or fewer than two finite frames.
         """
         from pftwin.files.result_files import GEOMETRY, load_dataset, motion_dataset
 
@@ -130,21 +130,21 @@ class Recorded:
 
     @property
     def times(self) -> Floats:
-        """Times of the frames shown (n,) [s]."""
+        """Times of the shown frames (n,) [s]."""
         return self.data["time"].values
 
     @cached_property
     def patella(self) -> Matrices:
-        """The patella in the femur (n, 4, 4) [mm]."""
+        """Poses of the patella in the femur frame (n, 4, 4) [mm]."""
         return of_poses(self.data["patella_position"].values, self.data["patella_quaternion"].values)
 
     @cached_property
     def tibia(self) -> Matrices:
-        """The tibia in the femur (n, 4, 4) [mm]."""
+        """Poses of the tibia in the femur frame (n, 4, 4) [mm]."""
         return of_poses(self.data["tibia_position"].values, self.data["tibia_quaternion"].values)
 
     def placed(self, body: str, points: Floats) -> Floats:
-        """Points (k, 3), or (n, k, 3) that move, of a body's frame in the femur's, (n, k, 3) [m]."""
+        """Transforms points of a body, (k, 3) or moving (n, k, 3) [m], to the femur frame, (n, k, 3) [m]."""
         from scipy.spatial.transform import Rotation
 
         turn = Rotation.from_quat(self.data[f"{body}_quaternion"].values, scalar_first=True).as_matrix()
@@ -153,11 +153,11 @@ class Recorded:
 
     @property
     def note(self) -> str:
-        """Says that the data are synthetic; empty where they are not."""
+        """States that the data are synthetic; empty if they are not."""
         return str(self.data.attrs.get("note", ""))
 
     def mesh(self, name: str) -> Mesh | None:
-        """A mesh of the scene's geometry; None where it has none of that name."""
+        """Returns a mesh of the scene's geometry by name; None if there is none."""
         if f"{name}_vertices" not in self.geometry:
             return None
         vertices, triangles = (self.geometry[f"{name}_{part}"].values for part in ("vertices", "triangles"))
@@ -175,25 +175,25 @@ class Recorded:
         return contact_arrows(self)
 
     def series(self, name: str) -> Floats | None:
-        """A variable at the frames shown; None where the result has none of that name."""
+        """Returns a variable at the shown frames; None if the result lacks it."""
         return np.asarray(self.data[name].values, dtype=np.float64) if name in self.data else None
 
     @cached_property
     def frames(self) -> NDArray[np.int64]:
-        """Places of the frames shown among all frames (n,)."""
+        """Indices of the shown frames among all frames (n,)."""
         return self.data["frame"].values
 
 
 @dataclass(frozen=True, eq=False)
 class Lines:
-    """The lines of one tendon, ligament or muscle (k)."""
+    """The k lines of one tendon, ligament or muscle."""
 
     result: Recorded
     name: str
 
     @property
     def insertion(self) -> Floats:
-        """Insertions on the patella, in its frame (k, 3) [m]."""
+        """Insertions on the patella, in the patella's frame (k, 3) [m]."""
         return self.result.geometry[f"{self.name}_insertion"].values
 
     @property
@@ -203,25 +203,25 @@ class Lines:
 
     @property
     def origin(self) -> Floats:
-        """Origins on that body, in its frame (k, 3), or (n, k, 3) at the frames shown where it moves [m]."""
+        """Origins in the frame of that body (k, 3) [m], or (n, k, 3) at the shown frames if they move."""
         values = self.result.geometry[f"{self.name}_origin"]
         return values.values[self.result.frames] if "time" in values.dims else values.values
 
     @property
     def ends(self) -> tuple[Floats, Floats]:
-        """Insertions and origins in the femur's frame (n, k, 3) each [m]."""
+        """Insertions and origins in the femur frame (n, k, 3) each [m]."""
         insertion = self.result.placed("patella", self.insertion)
         origin = self.result.placed("tibia", self.origin) if self.body == "tibia" else self.origin
         return insertion, np.broadcast_to(origin, insertion.shape)
 
     @property
     def radius(self) -> float:
-        """Radius of a drawn line [m]: one of many strands is thin."""
+        """Radius of a drawn line [m]; thinner if there are many strands."""
         return 1.7e-3 if len(self.insertion) <= FEW else 0.55e-3
 
 
 def _shown(data: Dataset, where: object, most: int) -> NDArray[np.int64]:
-    """Frames evenly spread over those with finite poses; notes their places in the dataset as `frame`."""
+    """Selects evenly spaced frames with finite poses; stores all frame indices in the dataset as `frame`."""
     from pftwin.files.result_files import finite_frames
 
     finite = finite_frames(data)
@@ -233,10 +233,10 @@ def _shown(data: Dataset, where: object, most: int) -> NDArray[np.int64]:
 
 
 def recorded(results: Any) -> list[Recorded]:
-    """The numbers of one source, of several, or of several by name (a mapping, or pairs); names are made different.
+    """Loads one source, several, or several by name (a mapping or pairs); equal names get a number.
 
     Raises:
-        InputError: no result, or what `Recorded.of` refuses.
+        InputError: no result, or as in `Recorded.of`.
     """
     if isinstance(results, Mapping):
         given: list[Any] = list(results.items())

@@ -1,4 +1,4 @@
-"""Shapes to draw with, vertices [mm] and triangles, and the 4 x 4 model matrices that carry them: metres in, mm out."""
+"""Meshes to draw and the 4 x 4 model matrices that move them: input in metres, vertices and matrices in mm."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from numpy.typing import ArrayLike, NDArray
 
 MM = 1e3  # per metre
 Matrices = NDArray[np.float32]  # (n, 4, 4), row by row, lengths in mm
-ROUND = 48  # sides of what is round
-MOST_TRIANGLES = 30_000  # of a mesh that is drawn: a page then stays far below 8 MB
-CAP = np.radians(58.0)  # half the opening of a button's cap
-SHELL = 5.0  # thickness of a femoral component that is known by its surface alone [mm]
-_TO = {"x": np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]]), "z": np.eye(3)}  # what turns z to an axis
+ROUND = 48  # sides of a round shape
+MOST_TRIANGLES = 30_000  # of a drawn mesh, which keeps a page far below 8 MB
+CAP = np.radians(58.0)  # half opening angle of a button's dome
+SHELL = 5.0  # drawn thickness of a femoral component of which only the surface is known [mm]
+_TO = {"x": np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]]), "z": np.eye(3)}  # rotations of z to an axis
 
 
 def of_poses(position: ArrayLike, quaternion: ArrayLike) -> Matrices:
-    """Matrices from positions (n, 3) [m] and unit quaternions (n, 4), scalar first."""
+    """Returns matrices from positions (n, 3) [m] and unit quaternions (n, 4), scalar first."""
     from scipy.spatial.transform import Rotation
 
     turn = Rotation.from_quat(np.asarray(quaternion, dtype=np.float64), scalar_first=True)
@@ -26,17 +26,17 @@ def of_poses(position: ArrayLike, quaternion: ArrayLike) -> Matrices:
 
 
 def at_points(points: ArrayLike) -> Matrices:
-    """Matrices from positions (n, 3) [m] of something that does not turn."""
+    """Returns matrices from positions (n, 3) [m], without rotation."""
     points = np.asarray(points, dtype=np.float64)
     return _assembled(np.broadcast_to(np.eye(3), (len(points), 3, 3)), MM * points)
 
 
 def of_arrows(tails: ArrayLike, arrows: ArrayLike) -> Matrices:
-    """Matrices from tails (n, 3) [m] and arrows (n, 3) [mm]: they scale and turn the unit arrow along z to each."""
+    """Returns matrices that scale and rotate the unit arrow along z to arrows (n, 3) [mm] at tails (n, 3) [m]."""
     arrows = np.asarray(arrows, dtype=np.float64)
     length = np.linalg.norm(arrows, axis=1)
     z = arrows / length[:, None]
-    least = np.eye(3)[np.argmin(np.abs(z), axis=1)]  # the axis that is least along the arrow
+    least = np.eye(3)[np.argmin(np.abs(z), axis=1)]  # the axis with the largest angle to the arrow
     x = np.cross(least, z)
     x /= np.linalg.norm(x, axis=1)[:, None]
     turn = np.stack([x, np.cross(z, x), z], axis=2)
@@ -50,19 +50,19 @@ def _assembled(turn: NDArray[np.float64], place: NDArray[np.float64]) -> Matrice
 
 
 class Shape(NamedTuple):
-    """A mesh to draw."""
+    """A mesh to draw, in mm."""
 
     vertices: NDArray[np.float32]  # (n, 3) [mm]
     triangles: NDArray[np.uint32]  # (m, 3)
 
 
 def as_shape(mesh: Any) -> Shape:
-    """A trimesh in mm as a shape."""
+    """Converts a trimesh in mm to a shape."""
     return Shape(np.asarray(mesh.vertices, dtype=np.float32), np.asarray(mesh.faces, dtype=np.uint32))
 
 
 def surface(mesh: tuple[NDArray[Any], NDArray[Any]], most: int = MOST_TRIANGLES) -> Shape:
-    """A mesh in metres, thinned to `most` triangles where it has more."""
+    """Converts a mesh in metres to a shape with at most `most` triangles."""
     from trimesh import Trimesh
 
     drawn = Trimesh(MM * mesh[0], mesh[1], process=False)
@@ -72,7 +72,7 @@ def surface(mesh: tuple[NDArray[Any], NDArray[Any]], most: int = MOST_TRIANGLES)
 
 
 def shell(mesh: tuple[NDArray[Any], NDArray[Any]], thickness: float = SHELL) -> Shape:
-    """An open surface in metres with a body below it, so that it is seen from all sides."""
+    """Extrudes an open surface in metres by `thickness` [mm], against its normals, into a closed shell."""
     from trimesh import Trimesh
     from trimesh.grouping import group_rows
 
@@ -87,7 +87,7 @@ def shell(mesh: tuple[NDArray[Any], NDArray[Any]], thickness: float = SHELL) -> 
 
 
 def ellipsoid(center: ArrayLike, half: ArrayLike) -> Shape:
-    """An ellipsoid with half axes along x, y, z [mm]."""
+    """Returns an ellipsoid with half axes along x, y, z [mm]."""
     from trimesh.creation import icosphere
 
     ball = icosphere(subdivisions=3)
@@ -99,13 +99,13 @@ def ellipsoid(center: ArrayLike, half: ArrayLike) -> Shape:
 def solid_of_revolution(
     profile: ArrayLike, center: ArrayLike, axis: Literal["x", "z"] = "z", flatten: float = 1.0
 ) -> Shape:
-    """The solid that a closed profile makes when it is turned about an axis through a point [mm].
+    """Returns the solid of revolution of a closed profile about an axis through a point.
 
     Args:
-        profile: radius and height (k, 2), from the lower end of the axis to the upper.
-        center: where height is zero.
-        axis: that it is turned about.
-        flatten: factor of the body's depth from front to back.
+        profile: radius and height (k, 2) [mm], from the lower end of the axis to the upper.
+        center: point of zero height on the axis (3,) [mm].
+        axis: axis of revolution.
+        flatten: scale factor of the solid in the anterior-posterior direction, z.
     """
     from trimesh.creation import revolve
 
@@ -117,14 +117,14 @@ def solid_of_revolution(
 
 
 def button_cap(center: ArrayLike, radius: float) -> Shape:
-    """The part of a button's sphere that faces the femur [m]: backwards, against the patella's z."""
+    """Returns the part of a button's sphere (centre and radius in m) that faces the femur, along the patella's -z."""
     angle = np.linspace(0.0, CAP, 25)
     arc = MM * radius * np.stack([np.sin(angle), -np.cos(angle)], axis=1)
     return solid_of_revolution(np.concatenate([arc, [[0.0, arc[-1, 1]]]]), MM * np.asarray(center, dtype=np.float64))
 
 
 def behind_plane(shape: Shape, z: float) -> Shape:
-    """What of a button's mesh lies behind the patella's middle [mm], all where nothing does: a ball would hide it."""
+    """Returns the part of a button behind the plane z [mm], or all if that is empty: a whole ball hides the patella."""
     behind = shape.vertices[shape.triangles].mean(axis=1)[:, 2] <= z
     if not behind.any():
         return shape
@@ -133,21 +133,21 @@ def behind_plane(shape: Shape, z: float) -> Shape:
 
 
 def arrow_shape() -> Shape:
-    """An arrow of length 1 along z."""
+    """Returns an arrow of length 1 along z."""
     head, shaft, width = 0.24, 0.025, 0.075
     return solid_of_revolution([[0, 0], [shaft, 0], [shaft, 1 - head], [width, 1 - head], [0, 1]], np.zeros(3))
 
 
 def tubes(ends: NDArray[np.float64], radius: float, sides: int) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
-    """Straight tubes whose ends move.
+    """Returns straight tubes whose ends move.
 
     Args:
         ends: the k tubes' first ends, then their second ends, at n frames (n, 2 k, 3) [mm].
-        radius: [mm].
-        sides: of each tube.
+        radius: radius of the tubes [mm].
+        sides: number of sides of each tube.
 
     Returns:
-        Vertices (n, 2 k sides, 3) [mm] and triangles (2 k sides, 3), the same at every frame.
+        Vertices (n, 2 k sides, 3) [mm] and triangles (2 k sides, 3), which are the same at every frame.
     """
     k = ends.shape[1] // 2
     ring = _rings(ends[:, k:] - ends[:, :k], radius, sides)
@@ -158,7 +158,7 @@ def tubes(ends: NDArray[np.float64], radius: float, sides: int) -> tuple[NDArray
 
 
 def path(points: NDArray[np.float64], radius: float, sides: int = 6) -> Shape:
-    """A tube along points (n, 3) [mm], a ring of vertices for each; gaps (NaN) stay open."""
+    """Returns a tube along points (n, 3) [mm] with a ring of vertices at each; NaN points leave gaps."""
     there = np.isfinite(points).all(axis=1)
     p = points[there]
     along = np.asarray(np.gradient(p, axis=0)) if len(p) > 1 else np.ones_like(p)
@@ -170,20 +170,20 @@ def path(points: NDArray[np.float64], radius: float, sides: int = 6) -> Shape:
 
 
 def spaced_points(points: NDArray[np.float64], least: float) -> NDArray[np.bool_]:
-    """Which points (n, 3) are there and farther than `least` from the last one that was taken, (n,)."""
+    """Selects finite points (n, 3) at least `least` from the last selected one; returns a mask (n,)."""
     taken, last = np.zeros(len(points), dtype=bool), (math.inf, math.inf, math.inf)
     there = np.flatnonzero(np.isfinite(points).all(axis=1))
-    for i, point in zip(there.tolist(), points[there].tolist(), strict=True):  # plain numbers: a tenth of arrays' time
+    for i, point in zip(there.tolist(), points[there].tolist(), strict=True):  # ten times faster than with arrays
         if math.dist(point, last) >= least:
             taken[i], last = True, point
     return taken
 
 
 def _rings(along: NDArray[np.float64], radius: float, sides: int) -> NDArray[np.float64]:
-    """Circles about directions (n, k, 3): (n, k, sides, 3) [mm]; they turn smoothly from frame to frame."""
+    """Circles perpendicular to directions (n, k, 3), (n, k, sides, 3) [mm], continuous from frame to frame."""
     length = np.linalg.norm(along, axis=-1, keepdims=True)
     z = np.divide(along, length, out=np.zeros_like(along), where=length > 0)
-    reference = np.eye(3)[np.argmin(np.abs(z[:1]), axis=-1)]  # that of the first frame, throughout
+    reference = np.eye(3)[np.argmin(np.abs(z[:1]), axis=-1)]  # chosen at the first frame and used for all
     x = np.cross(z, np.broadcast_to(reference, z.shape))
     size = np.linalg.norm(x, axis=-1, keepdims=True)
     x = np.divide(x, size, out=np.zeros_like(x), where=size > 0)
@@ -193,6 +193,6 @@ def _rings(along: NDArray[np.float64], radius: float, sides: int) -> NDArray[np.
 
 
 def ring_triangles(a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Triangles (k, sides, 2, 3) that join rings of vertices (k, sides)."""
+    """Returns triangles (k, sides, 2, 3) that join rings of vertices (k, sides)."""
     c, d = np.roll(b, -1, axis=1), np.roll(a, -1, axis=1)
     return np.stack([np.stack([a, b, c], axis=2), np.stack([a, c, d], axis=2)], axis=2)

@@ -1,8 +1,8 @@
-"""Knees in the box: a virtual test rig, the embedded default, with synthetic measurements; and a natural knee.
+"""Built-in knees: a virtual test rig with synthetic measurements (the default) and a natural knee.
 
-The rig reproduces that of Michaud et al. 2024 as far as it is published. Its measurements are synthetic: produced by a
-plant that differs from the twin and shares none of its code (`pftwin.rig.plant`), written as a laboratory's files, read
-back like a user's. The natural knee (`knee`) is made of anatomical numbers; its motions and loads are made up.
+The rig reproduces that of Michaud et al. 2024 as far as it is published. Its measurements are synthetic: a plant that
+differs from the twin and has its own code (`pftwin.rig.plant`) produces them, and they are written and read as
+laboratory files. The natural knee (`knee`) is built from anatomical parameters; its motions and loads are invented.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The rig's four cases as scenes, from the recordings in `data/`."""
+"""Scenes and measurements of the rig's four cases, from the recordings in `data/`."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def _case_number(n: int) -> int:
 
 
 def springs(case: rig.RigCase) -> tuple[Tendon, Tendon]:
-    """Quadriceps and patellar tendon of a case."""
+    """Returns quadriceps and patellar tendon of a case."""
 
     def spring(name: str, body: str, along: int, stiffness: float, length: float, place: tuple, side: str) -> Tendon:
         insertion = vector((along * rig.INSERTION[0], 0.0, rig.INSERTION[2]))
@@ -49,7 +49,7 @@ def springs(case: rig.RigCase) -> tuple[Tendon, Tendon]:
 
 
 def effects(case: rig.RigCase, contact: Effect) -> tuple[Effect, ...]:
-    """The effects that act on the patella."""
+    """Returns the effects that act on the patella."""
     return (
         Gravity(number(rig.MASS), vector(rig.GRAVITY)),
         *springs(case),
@@ -59,12 +59,12 @@ def effects(case: rig.RigCase, contact: Effect) -> tuple[Effect, ...]:
 
 
 def patella_body() -> PatellaBody:
-    """The patella with its button."""
+    """Returns the patella with its button."""
     return PatellaBody(number(rig.MASS), vector(rig.INERTIA), vector(rig.CENTER_OF_MASS))
 
 
 def recording(n: int) -> Recording:
-    """What the rig's laboratory recorded of a case (synthetic), read and filtered like a user's files."""
+    """Returns the virtual laboratory's recording of a case (synthetic), read and filtered like user files."""
     return _recorded(_case_number(n), canonicalize_dtype(float) == np.float64)[0]
 
 
@@ -79,16 +79,16 @@ def _read(n: int, float64: bool) -> tuple[Recording, KneeMotion]:
 
 
 def case(n: int, contact: str = "P5", *, chart: Literal["plane", "cylinder"] = "plane") -> Scene:
-    """One of the rig's four cases.
+    """Returns the scene of one of the rig's four cases.
 
     Args:
-        n: 1 to 4. Cases 1 and 4 track, 2 and 3 dislocate in full extension.
-        contact: a name in `pftwin.rig.contacts`: a polynomial "P2", "P4", "P5" or of any other degree, "spline", the
+        n: 1 to 4. In cases 1 and 4 the patella tracks normally; in 2 and 3 it dislocates in full extension.
+        contact: a name from `pftwin.rig.contacts`: a polynomial "P2", "P4", "P5" or of any other degree, "spline", the
             paper's meshes "CM" and "FM", or "volume".
-        chart: of a patch: "plane", as in the paper, or "cylinder".
+        chart: chart of the surface patch: "plane", as in the paper, or "cylinder".
 
     Raises:
-        InputError: no such case, contact or chart.
+        InputError: unknown case, contact or chart.
     """
     touches = contact_effect(contact, chart=chart)
     n = _case_number(n)
@@ -97,7 +97,7 @@ def case(n: int, contact: str = "P5", *, chart: Literal["plane", "cylinder"] = "
 
 
 def scene_of(n: int, recorded: Recording, motion: KneeMotion, touches: Effect, name: str) -> Scene:
-    """The twin of a case, with its nominal springs, moved as it was recorded."""
+    """Returns the twin of a case, with nominal springs and the recorded motion."""
     first = recorded.patella
     start = Pose(vector(tuple(first.positions[0])), Quaternion(*(number(v) for v in np.asarray(first.quaternions[0]))))
     acting = effects(rig.CASES[n], touches)
@@ -105,19 +105,19 @@ def scene_of(n: int, recorded: Recording, motion: KneeMotion, touches: Effect, n
 
 
 def measured(n: int) -> Measured:
-    """The virtual laboratory's measurements of a case. Synthetic.
+    """Returns the virtual laboratory's measurements of a case, which are synthetic.
 
     Raises:
-        InputError: no such case.
+        InputError: unknown case.
     """
     return recording(n).measured
 
 
 def write_files(n: int, folder: Path) -> list[Path]:
-    """Writes the laboratory's files of a case to a folder: markers, forces, and the implant's mesh.
+    """Writes a case's laboratory files to a folder: markers, forces and the implant's mesh. Returns their paths.
 
     Raises:
-        InputError: no such case.
+        InputError: unknown case.
         OutputError: a file cannot be written.
     """
     written = []

@@ -1,11 +1,11 @@
-"""The contact between the rig's button and femoral component, by name.
+"""Contact models between the rig's button and femoral component, selected by name.
 
-| name | geometry | law's indentation |
+| name | geometry | indentation |
 |---|---|---|
-| P2, P4, P5, ... | the button's sphere on a polynomial patch | at each facet's closest point |
-| spline | the same on a bicubic spline | the same |
-| CM, FM | two meshes, coarse or fine, as in the paper | the largest inside each contour of contact |
-| volume | the sphere on the fine mesh | from the volume of their overlap: smooth |
+| P2, P4, P5, ... | the button's sphere on a polynomial patch | at the closest point of each facet |
+| spline | the sphere on a bicubic spline | at the closest point of each facet |
+| CM, FM | two meshes, coarse or fine, as in the paper | largest depth inside each contact contour |
+| volume | the sphere on the fine mesh | from the overlap volume, which is smooth |
 """
 
 from __future__ import annotations
@@ -36,14 +36,14 @@ MESHES = ("CM", "FM")
 VOLUME = "volume"
 ON_MESHES = (*MESHES, VOLUME)
 _CENTER = (0.0, 0.0, 0.0)  # of the button's sphere, patella frame
-_WIDE = 0.050  # half the meshes' width [m]: a dislocated button touches 39 mm out; the component proper ends at 32 mm
+_WIDE = 0.050  # half width of the meshes [m]: a dislocated button touches at 39 mm; the real component ends at 32 mm
 
 
 def parse_contact(name: str | int) -> str:
-    """The name of a contact, whatever its letters' case.
+    """Returns the canonical name of a contact; letter case is ignored.
 
     Raises:
-        InputError: no such contact.
+        InputError: unknown contact.
     """
     for known in ON_MESHES:
         if isinstance(name, str) and name.strip().lower() == known.lower():
@@ -60,15 +60,15 @@ def parse_contact(name: str | int) -> str:
 
 @lru_cache(maxsize=1)
 def implant_mesh() -> SurfaceMesh:
-    """The rig's femoral component as its laboratory has it: a fine mesh in an STL file."""
+    """Returns the fine mesh of the rig's femoral component from the laboratory's STL file."""
     return load_mesh(data_folder() / IMPLANT_FILE, units="m")
 
 
 def contact_fit(contact: str = "P5", *, chart: Literal["plane", "cylinder"] = "plane") -> PatchFit:
-    """The patch of that name, a polynomial or "spline", fitted to the rig's femoral component.
+    """Returns the named patch, a polynomial or "spline", fitted to the rig's femoral component.
 
     Raises:
-        InputError: no such patch or chart.
+        InputError: unknown patch or chart.
     """
     if chart not in ("plane", "cylinder"):
         raise InputError(f"no chart {chart!r}", where="chart", expected='"plane" or "cylinder"')
@@ -76,10 +76,10 @@ def contact_fit(contact: str = "P5", *, chart: Literal["plane", "cylinder"] = "p
 
 
 def contact_effect(name: str, *, chart: Literal["plane", "cylinder"] = "plane") -> Effect:
-    """The contact of that name, with the rig's law: Flores et al. 2011.
+    """Returns the named contact with the rig's contact law (Flores et al. 2011).
 
     Raises:
-        InputError: no such contact or chart.
+        InputError: unknown contact or chart.
     """
     name = parse_contact(name)
     law = rig_law()
@@ -92,7 +92,7 @@ def contact_effect(name: str, *, chart: Literal["plane", "cylinder"] = "plane") 
 
 
 def rig_law() -> Flores:
-    """The law of all of the rig's contacts."""
+    """Returns the contact law of all the rig's contacts."""
     return Flores(number(rig.CONTACT_STIFFNESS), number(rig.RESTITUTION))
 
 
@@ -136,7 +136,7 @@ def _by_volume(law: ContactLaw) -> Effect:
 
 @lru_cache(maxsize=2)
 def _femur(name: str) -> tuple[SurfaceMesh, NDArray[np.bool_]]:
-    """The parametric implant meshed to the paper's resolution, and which triangles are lateral of its groove."""
+    """The implant's mesh at the paper's resolution, and a mask of the triangles lateral of the groove."""
     vertices, faces, lateral = cached(_meshed, name, files=())
     return SurfaceMesh(vertices, faces, f"the rig's implant, {name}"), lateral
 
@@ -151,7 +151,7 @@ def _meshed(name: str) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[
 
 
 def gap_radius() -> float:
-    """The effective radius beside the groove [m]: see `MeshVolumeContact`."""
+    """Returns the effective radius beside the groove [m]; see `MeshVolumeContact`."""
     return cached(_measured_gap_radius, files=())
 
 

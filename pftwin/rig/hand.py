@@ -1,7 +1,7 @@
-"""The hand that moves the virtual rig's femur and tibia: the truth of which the rig's markers are noisy samples.
+"""Synthetic hand-guided motion of the virtual rig's femur and tibia, of which the rig's markers are noisy samples.
 
-From 45 deg of flexion, two flexions and two extensions, unsteady and a little different in each case. In cases 2 and 3
-the leg is extended only in part the first time, as in the paper (section 2.1). Synthetic.
+It starts at 45 deg of flexion and makes two flexions and two extensions, unsteady and slightly different in each case.
+In cases 2 and 3 the first extension is only partial, as in the paper (Michaud et al. 2024, section 2.1).
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _SMOOTHING = 0.08  # [s]
 
 
 def hand_motion(case: int) -> tuple[PoseSeries, PoseSeries]:
-    """Femur and tibia in the world, of a case, at the rig's frames."""
+    """Returns the poses of femur and tibia in the world at the rig's frames."""
     from scipy.spatial.transform import Rotation
 
     from pftwin.files.mocap.poses import PoseSeries
@@ -67,13 +67,13 @@ def _flexion(times: NDArray, case: int, random: np.random.Generator) -> NDArray:
 
 
 def _active(times: NDArray) -> NDArray:
-    """0 while the leg is held still at first, then 1, smoothly."""
+    """Smooth step from 0, while the leg is held still at the start, to 1."""
     s = np.clip((times - 0.35) / 0.6, 0, 1)
     return s**3 * (10 - 15 * s + 6 * s * s)
 
 
 def _wobble(times: NDArray, random: np.random.Generator, size: float) -> NDArray:
-    """An unsteady hand: a few sinusoids between 0.3 and 2 Hz, faster ones smaller [deg]."""
+    """Unsteadiness of the hand: four sinusoids between 0.3 and 2 Hz, smaller at higher frequency [deg]."""
     total = np.zeros_like(times)
     for frequency in random.uniform(0.3, 2.0, 4):
         total += np.sin(2 * np.pi * (frequency * times + random.uniform())) / (1 + frequency**2)

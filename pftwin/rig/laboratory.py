@@ -1,6 +1,6 @@
-"""The virtual laboratory: turns the plant's truth into the files that a real laboratory would have.
+"""The virtual laboratory: converts the plant's simulated motion to the files that a real laboratory records.
 
-`python -m pftwin.rig.laboratory [FOLDER]` regenerates the files in `data/` (some minutes). Everything is synthetic.
+`python -m pftwin.rig.laboratory [FOLDER]` regenerates the files in `data/` (some minutes). All data are synthetic.
 """
 
 from __future__ import annotations
@@ -24,21 +24,21 @@ from pftwin.rig.hand import hand_motion
 from pftwin.rig.plant import run_plant
 from pftwin.rig.recording import FORCES, IMPLANT_FILE, data_folder
 
-FINE = 6e-6  # chordal deviation of the implant's mesh: the paper's FM [m]
-MARKER_NOISE = 0.2e-3  # white, each coordinate [m]
-FORCE_NOISE = 0.15  # white, each load cell [N]
+FINE = 6e-6  # chordal deviation of the implant's mesh, as in the paper's FM [m]
+MARKER_NOISE = 0.2e-3  # standard deviation of white noise on each coordinate [m]
+FORCE_NOISE = 0.15  # standard deviation of white noise on each load cell [N]
 FORCE_BIAS = 0.05  # standard deviation of a load cell's offset [N]
 
 
 def record(case: int, folder: Path) -> int:
-    """Simulates the plant of a case and writes its markers and forces; returns how often it evaluated its forces."""
+    """Simulates a case's plant and writes its markers and forces; returns the number of force evaluations."""
     truth, evaluations = run_plant(case)
     write_recording(case, truth, np.random.default_rng(1000 + case), folder)
     return evaluations
 
 
 def write_recording(case: int, truth: dict[str, NDArray], random: np.random.Generator, folder: Path) -> None:
-    """Writes markers and forces of what a plant did in a case (`Plant.seen`), with the laboratory's noise."""
+    """Writes marker and force files of a plant's motion (`Plant.seen`), with the laboratory's noise."""
     femur, tibia = hand_motion(case)
     seen = PoseSeries(femur.times, truth["position"], truth["quaternion"], source=f"plant, case {case}")
     names, tracks = [], []
@@ -57,7 +57,7 @@ def write_recording(case: int, truth: dict[str, NDArray], random: np.random.Gene
 
 
 def _in_world(femur: PoseSeries, seen: PoseSeries) -> PoseSeries:
-    """Poses in the world from poses in the femur."""
+    """Transforms poses from the femur frame to the world."""
     turn = femur.matrices()
     return PoseSeries.from_matrices(
         femur.times, femur.positions + np.einsum("nij,nj->ni", turn, seen.positions), turn @ seen.matrices()

@@ -1,9 +1,9 @@
-"""The plant: what the virtual laboratory measures. Its mechanics are its own: NumPy and SciPy, none of the twin's code.
+"""The plant that the virtual laboratory measures: a separate mechanical model in NumPy and SciPy, without twin code.
 
-With the twin it shares the numbers of the rig (`pftwin.rig.geometry`) and of the implant's shape, and what both assume:
-one rigid patella, straight springs, a sphere pressed into a surface by a law of indentation, guided bones. On purpose
-it differs: the true smooth implant instead of a polynomial, a memoryless contact law, a little friction, springs that
-stiffen, attachments a millimetre off, other drag, and another integrator. SI units and radians.
+It shares with the twin the parameters of the rig (`pftwin.rig.geometry`) and of the implant's shape, and the common
+assumptions: one rigid patella, straight springs, a sphere with an indentation law, bones with prescribed motion. It
+differs on purpose: the true smooth implant instead of a polynomial, a memoryless contact law, a little friction,
+stiffening springs, attachments displaced by about a millimetre, other drag and another integrator. SI units, radians.
 """
 
 from __future__ import annotations
@@ -23,31 +23,31 @@ from pftwin.rig.plant_contact import ImplantContact
 from pftwin.rig.plant_parts import Frame, GuidedBones, Spring, cross, matrix, product
 
 FRICTION = 0.02  # coefficient of the lubricated contact
-STICTION_SPEED = 2e-3  # below it friction fades [m/s]
+STICTION_SPEED = 2e-3  # slip speed below which friction fades to zero [m/s]
 DISSIPATION = 1.0  # alpha of the contact law [s/m]
-STIFFENING = 0.05  # share by which a spring is stiffer when stretched by a quarter of its length
-MISPLACED = 0.6e-3  # standard deviation of an attachment's coordinates: about 1 mm in all [m]
+STIFFENING = 0.05  # relative increase of a spring's stiffness at a stretch of a quarter of its length
+MISPLACED = 0.6e-3  # standard deviation of the error in each coordinate of an attachment: about 1 mm in total [m]
 DRAG = 1.1 * rig.DRAG[0], 0.9 * rig.DRAG[1]  # [N s/m, N m s/rad]
 TOLERANCE = 1e-8  # of the integrator, relative and absolute
-BUTTON = -np.array(rig.CENTER_OF_MASS)  # middle of its sphere, from the centre of mass [m]
-START = np.array([5e-3, 0.0, 49.3e-3])  # of the button's middle in the femur, about where it rests at first [m]
+BUTTON = -np.array(rig.CENTER_OF_MASS)  # centre of the button's sphere relative to the centre of mass [m]
+START = np.array([5e-3, 0.0, 49.3e-3])  # approximate starting position of that centre in the femur frame [m]
 
 
 class Forces(NamedTuple):
-    """What acts on the patella at an instant."""
+    """Forces on the patella at one time."""
 
-    force: NDArray  # world axes [N]
-    moment: NDArray  # about the centre of mass, world axes [N m]
-    pulls: list[float]  # of the springs [N]
+    force: NDArray  # total force, world axes [N]
+    moment: NDArray  # total moment about the centre of mass, world axes [N m]
+    pulls: list[float]  # tensions of the springs [N]
     contact: float  # sum of the normal forces [N]
 
 
 @dataclass
 class Plant:
-    """The patella on a spring from the femur and one from the tibia, its button on the femur's implant.
+    """A patella on one spring from the femur and one from the tibia, with its button on the femoral implant.
 
-    Its state (13,) is the position of the centre of mass and the quaternion from patella to world, the velocity in
-    world axes, and the angular velocity in patella axes.
+    The state (13,) is the position of the centre of mass, the quaternion from patella to world, the velocity in world
+    axes and the angular velocity in patella axes.
     """
 
     bones: GuidedBones
@@ -58,7 +58,7 @@ class Plant:
     dissipation: float = DISSIPATION
 
     def forces(self, patella: Frame, femur: Frame, tibia: Frame) -> Forces:
-        """Weight, drag against the femur, springs, contact and its friction."""
+        """Sums weight, drag relative to the femur, springs, contact and friction."""
         force = rig.MASS * np.array(rig.GRAVITY)
         force = force - self.drag[0] * (patella.velocity - femur.velocity_at(patella.origin))
         moment = -self.drag[1] * (patella.spin - femur.spin)
@@ -82,11 +82,11 @@ class Plant:
         return Forces(force, moment, pulls, total)
 
     def normal_force(self, indentation: float, rate: float) -> float:
-        """k d^1.5 (1 + 3/2 alpha dd/dt), never negative (Hunt & Crossley 1975) [N]."""
+        """Returns k d^1.5 (1 + 3/2 alpha dd/dt), not negative (Hunt & Crossley 1975) [N]."""
         return rig.CONTACT_STIFFNESS * max(indentation, 0.0) ** 1.5 * max(1 + 1.5 * self.dissipation * rate, 0.0)
 
     def energy(self, time: float, y: NDArray) -> float:
-        """Kinetic energy, and what weight, springs and contact store [J]."""
+        """Returns kinetic energy plus the potential energy of weight, springs and contact [J]."""
         patella, (femur, tibia) = _patella(y), self.bones.at(time)
         total = 0.5 * (rig.MASS * y[7:10] @ y[7:10] + y[10:] ** 2 @ rig.INERTIA) - rig.MASS * np.dot(rig.GRAVITY, y[:3])
         for spring, bone in zip(self.springs, (femur, tibia), strict=True):
@@ -97,14 +97,14 @@ class Plant:
         return float(total)
 
     def change(self, time: float, y: NDArray) -> NDArray:
-        """dy/dt: Newton's and Euler's equations."""
+        """Returns dy/dt from the Newton-Euler equations."""
         patella, spin, inertia = _patella(y), y[10:], np.array(rig.INERTIA)
         acting = self.forces(patella, *self.bones.at(time))
         moment = patella.turn.T @ acting.moment - cross(spin, inertia * spin)
         return np.concatenate([y[7:10], _turning(y[3:7], spin), acting.force / rig.MASS, moment / inertia])
 
     def motion(self, times: NDArray, start: NDArray | None = None) -> tuple[NDArray, int]:
-        """States (n, 13) at times, from rest unless a start is given; and how often the forces were evaluated."""
+        """Integrates from `start` (default: static equilibrium); returns states (n, 13) and number of evaluations."""
         start = self.resting(times[0]) if start is None else start
         ends = times[0], times[-1]
         solved = solve_ivp(self.change, ends, start, "LSODA", t_eval=times, rtol=TOLERANCE, atol=TOLERANCE)
@@ -113,7 +113,7 @@ class Plant:
         return solved.y.T, solved.nfev
 
     def seen(self, times: NDArray, states: NDArray) -> dict[str, NDArray]:
-        """What is measured of states (n, 13): the patella frame's origin and quaternion in the femur, and forces."""
+        """Returns the measured quantities of states (n, 13): the patella's pose in the femur frame, and forces."""
         rows = []
         for time, y in zip(times, states, strict=True):
             patella, (femur, tibia) = _patella(y), self.bones.at(time)
@@ -126,11 +126,11 @@ class Plant:
         return {"position": seen[:, :3], "quaternion": quaternions, **forces}
 
     def resting(self, time: float) -> NDArray:
-        """The state in static equilibrium at a time, bones held still: slid there from `START`, then solved for."""
+        """Returns the static equilibrium with fixed bones at a time: slides from `START`, then finds the root."""
         femur, tibia = (b._replace(velocity=np.zeros(3), spin=np.zeros(3)) for b in self.bones.at(time))
 
         def unbalanced(y: NDArray) -> NDArray:
-            """Force, world axes [N], and moment, patella axes, over the insertions' 2 cm [N]."""
+            """Force in world axes [N], and moment in patella axes divided by a lever arm of 2 cm [N]."""
             patella = _patella(y)
             acting = self.forces(patella, femur, tibia)
             return np.concatenate([acting.force, 50 * (patella.turn.T @ acting.moment)])
@@ -152,7 +152,7 @@ class Plant:
 
 
 def plant_of(case: int) -> tuple[Plant, NDArray]:
-    """The plant behind a case's measurements, and the times of the rig's frames [s]."""
+    """Returns the plant that produces a case's measurements, and the times of the rig's frames [s]."""
     from pftwin.geometry.patch.implant import rig_implant
     from pftwin.rig.hand import hand_motion
 
@@ -166,7 +166,7 @@ def plant_of(case: int) -> tuple[Plant, NDArray]:
 def built_springs(
     case: rig.RigCase, misplaced: float = MISPLACED, stiffening: float = STIFFENING
 ) -> tuple[Spring, ...]:
-    """Quadriceps and patellar tendon as built: one rig, so the attachments are misplaced alike in all cases."""
+    """Returns quadriceps and patellar tendon with the attachment errors of the plant, the same in all cases."""
     random = np.random.default_rng(7)
 
     def spring(stiffness: float, length: float, along: int, support: tuple[float, float], side: str) -> Spring:
@@ -181,7 +181,7 @@ def built_springs(
 
 
 def run_plant(case: int) -> tuple[dict[str, NDArray], int]:
-    """The truth of a case at the rig's frames, see `Plant.seen`, and how often the forces were evaluated."""
+    """Simulates a case; returns its true quantities at the rig's frames (`Plant.seen`) and number of evaluations."""
     plant, times = plant_of(case)
     states, evaluations = plant.motion(times)
     return plant.seen(times, states), evaluations
@@ -193,5 +193,5 @@ def _patella(y: NDArray) -> Frame:
 
 
 def _turning(q: NDArray, spin: NDArray) -> NDArray:
-    """dq/dt under an angular velocity in the body's own axes."""
+    """dq/dt of a quaternion for an angular velocity in body axes."""
     return 0.5 * product(q, np.concatenate([[0.0], spin]))

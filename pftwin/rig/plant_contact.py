@@ -1,13 +1,13 @@
-"""The plant's contact: a sphere on the true implant, searched for anew at every instant. NumPy alone.
+"""The plant's contact: a sphere on the true implant, by a search for closest points at every evaluation (NumPy).
 
-Where the implant's surface S(u, v) is nearest to the sphere's centre c, and where it is farthest between two such
-places, phi = |S - c|^2 / 2 is stationary. For each v across the groove the u of least phi is found first; what is left
-is a function of v alone, whose slope is sampled over the sphere's width. Every change of its sign is a minimum, a
-contact, or a maximum, the ridge between two contacts; Newton's method on phi then places it to rounding.
+The squared distance phi = |S - c|^2 / 2 from the sphere's centre c to the implant's surface S(u, v) is stationary at
+the closest points and at the ridges between two of them. The search first minimises phi over u for each v across the
+groove. The slope of the remaining function of v is sampled over the sphere's width. Each change of its sign is a
+minimum, which is a contact, or a maximum, the ridge between two; Newton's method on phi refines it to rounding error.
 
-The stored energy is the sum over the minima of V(indentation) less that over the ridges: of two contacts that grow
-into one, what they share counts once, and no force jumps where they meet. The force is the slope of that energy: a
-ridge is a contact that counts -1, along its own normal.
+The stored energy is the sum of V(indentation) over the minima minus that over the ridges: when two contacts merge,
+their shared part counts once, and no force jumps. The force is the gradient of that energy: a ridge is a contact with
+the weight -1 along its own normal.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 SAMPLES = np.linspace(-0.9, 0.9, 46)  # across the groove, in radii from the sphere's centre
-FINER = 8  # parts of a sample's spacing, by cubic interpolation, in which two changes of sign are told apart
-NEAR = 1e-4  # farther than this from touching, a stationary point is left out [m]
-ALONG = 1e-5  # how well u is found before its slope is corrected [m]
-EXACT = 1e-7  # the last step of Newton's method, after which it is ten thousand times as near [m]
-LONGEST = 2e-3  # its longest step [m]
-IMAGINARY, APART = 1e-30, 1e-6  # steps of the derivatives [m]
+FINER = 8  # subdivisions of a sample interval, by cubic interpolation, that separate changes of sign
+NEAR = 1e-4  # stationary points with a larger gap are ignored [m]
+ALONG = 1e-5  # tolerance of u before the slope is corrected [m]
+EXACT = 1e-7  # step at which Newton's method stops; the remaining error is ten thousand times smaller [m]
+LONGEST = 2e-3  # longest step of Newton's method [m]
+IMAGINARY, APART = 1e-30, 1e-6  # complex step and finite-difference step of the derivatives [m]
 _U = np.array([IMAGINARY * 1j, 0, APART + IMAGINARY * 1j, APART, 0])[:, None]
 _V = np.array([0, IMAGINARY * 1j, 0, IMAGINARY * 1j, APART + IMAGINARY * 1j])[:, None]
 _T = (np.arange(FINER) / FINER)[:, None]
@@ -32,22 +32,22 @@ _HERMITE = np.hstack([(1 + 2 * _T) * (1 - _T) ** 2, _T * (1 - _T) ** 2, _T**2 * 
 
 
 class Stationary(NamedTuple):
-    """A place of the surface where the distance to the sphere's centre is stationary."""
+    """A point of the surface where the distance to the sphere's centre is stationary."""
 
-    sign: float  # +1 a contact, -1 the ridge between two
+    sign: float  # +1: contact; -1: ridge between two contacts
     distance: float  # [m]
-    normal: NDArray  # from the surface to the centre, femur axes
+    normal: NDArray  # (3,) unit vector from the surface to the centre, femur axes
 
 
 class ImplantContact:
-    """A sphere of a radius [m] against the implant that fields of `FemoralComponent` describe."""
+    """Contact of a sphere of given radius [m] with an implant; `shape` has the fields of `FemoralComponent`."""
 
     def __init__(self, shape: SimpleNamespace, radius: float) -> None:
         self.shape, self.radius = shape, radius
-        self._lean = np.zeros(SAMPLES.size)  # where the last search found u; it speeds up the next
+        self._lean = np.zeros(SAMPLES.size)  # u of the last search, as a warm start
 
     def height(self, u: NDArray, v: NDArray) -> NDArray:
-        """Distance of the surface from the trochlear axis [m]; analytic, so u and v may be complex."""
+        """Returns the distance of the surface from the trochlear axis [m]; u and v [m] may be complex."""
         m = self.shape
         angle = u / m.trochlear_radius
         proximal = _rise((angle - m.sulcus_transition) / m.sulcus_blend)
@@ -69,13 +69,13 @@ class ImplantContact:
         return groove + across - notch * np.exp(-((v / m.notch_half_width) ** 2))
 
     def half_square(self, c: NDArray, u: NDArray, v: NDArray) -> NDArray:
-        """phi = |S - c|^2 / 2 for a point c of the femur [m^2]."""
+        """Returns phi = |S - c|^2 / 2 [m^2] for a point c in the femur frame [m]."""
         height, angle = self.height(u, v), u / self.shape.trochlear_radius
         x, z = height * np.sin(angle) - c[0], height * np.cos(angle) - c[2]
         return 0.5 * (x * x + (v - c[1]) ** 2 + z * z)
 
     def _derivatives(self, c: NDArray, u: NDArray, v: NDArray) -> tuple[NDArray, ...]:
-        """phi, its gradient (exact, by complex steps) and its Hessian uu, uv, vv (by differences of that)."""
+        """phi, its gradient (exact, from complex steps) and its Hessian uu, uv, vv (finite differences of that)."""
         phi = self.half_square(c, u + _U, v + _V)
         of_u, of_v, of_u_on, of_v_on, of_v_across = np.imag(phi) / IMAGINARY
         return (
@@ -88,7 +88,7 @@ class ImplantContact:
         )
 
     def stationary(self, c: NDArray) -> list[Stationary]:
-        """The contacts of a sphere with its centre at c (femur frame) [m], and the ridges between them."""
+        """Returns the contacts of a sphere with its centre at c [m] (femur frame), and the ridges between them."""
         v = c[1] + self.radius * SAMPLES
         phi, slope, curvature, u, step = self._section(c, v)
         for _ in range(50):
@@ -103,7 +103,7 @@ class ImplantContact:
         return self._placed(c, np.interp(at, v, u)[near], at[near], np.sign(-fine[changes])[near])
 
     def _section(self, c: NDArray, v: NDArray) -> tuple[NDArray, NDArray, NDArray, NDArray, float]:
-        """phi along v, its slope and curvature, each at the u of least phi; that u; the longest step taken to it."""
+        """phi, slope and curvature along v, each at the minimising u; that u; and the longest step taken in u."""
         foot = self.shape.trochlear_radius * np.arctan2(c[0], c[2])
         phi, of_u, of_v, uu, uv, vv = self._derivatives(c, foot + self._lean, v)
         step = _limited(-of_u / np.maximum(uu, 0.1))
@@ -111,7 +111,7 @@ class ImplantContact:
         return phi, of_v - uv * of_u / uu, vv - uv * uv / uu, foot + self._lean, float(np.abs(step).max())
 
     def _placed(self, c: NDArray, u: NDArray, v: NDArray, signs: NDArray) -> list[Stationary]:
-        """Stationary points by Newton's method."""
+        """Refines stationary points with Newton's method."""
         if not u.size:
             return []
         for _ in range(12):
@@ -130,21 +130,21 @@ class ImplantContact:
 
 
 def _limited(step: NDArray) -> NDArray:
-    """A step held within the longest one."""
+    """Limits a step to plus or minus `LONGEST`."""
     return np.minimum(np.maximum(step, -LONGEST), LONGEST)
 
 
 def _rise(x: NDArray) -> NDArray:
-    """From 0 to 1, smoothly."""
+    """Logistic function: a smooth step from 0 to 1."""
     return 1 / (1 + np.exp(-x))
 
 
 def _ramp(x: NDArray) -> NDArray:
-    """0, then x, smoothly: the integral of `_rise`."""
+    """Softplus function: a smooth max(0, x), the integral of `_rise`."""
     return np.log1p(np.exp(x))
 
 
 def _arc(turn: NDArray, inner: float, radius: float) -> NDArray:
-    """Polar distance of a circle of `radius`, `turn` past where it touches the circle of radius `inner` at the pole."""
+    """Polar radius of a circle of `radius` at angle `turn` from where it touches the circle `inner` about the pole."""
     offset = inner - radius
     return offset * np.cos(turn) + np.sqrt(radius * radius - (offset * np.sin(turn)) ** 2)

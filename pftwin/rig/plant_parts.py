@@ -1,4 +1,4 @@
-"""Parts of the plant (`pftwin.rig.plant`): its springs, moving frames, and the bones that the hand guides."""
+"""Parts of the plant (`pftwin.rig.plant`): springs, moving frames, and bones with prescribed motion."""
 
 from __future__ import annotations
 
@@ -10,29 +10,29 @@ from scipy.interpolate import CubicSpline
 
 
 class Spring(NamedTuple):
-    """F = K s (1 + e s / (L0 / 4)) + c dL/dt over the stretch s = L - L0. It stiffens, hangs slack, never pushes."""
+    """A stiffening spring: F = K s (1 + e s / (L0 / 4)) + c dL/dt for the stretch s = L - L0 > 0, never negative."""
 
     stiffness: float  # K [N/m]
     slack_length: float  # L0 [m]
     damping: float  # c [N s/m]
-    insertion: NDArray  # on the patella, from its centre of mass [m]
-    origin: NDArray  # on the femur or the tibia [m]
-    stiffening: float  # e, by how much it is stiffer when stretched by a quarter of its length
+    insertion: NDArray  # (3,) on the patella, relative to its centre of mass [m]
+    origin: NDArray  # (3,) on the femur or the tibia [m]
+    stiffening: float  # e, relative increase of stiffness at a stretch of a quarter of its length
 
     def force(self, length: float, lengthening: float) -> float:
-        """The pull [N]."""
+        """Returns the tension [N] for a length [m] and its rate [m/s]."""
         s = length - self.slack_length
         elastic = self.stiffness * s * (1 + self.stiffening * s / (0.25 * self.slack_length))
         return max(elastic + self.damping * lengthening, 0.0) if s > 0 else 0.0
 
     def energy(self, length: float) -> float:
-        """What is stored [J]."""
+        """Returns the stored elastic energy [J] for a length [m]."""
         s = max(length - self.slack_length, 0.0)
         return self.stiffness * s * s * (0.5 + self.stiffening * s / (0.75 * self.slack_length))
 
 
 class Frame(NamedTuple):
-    """A body's frame and its motion, in world axes."""
+    """Pose and velocity of a body in world axes (SI units)."""
 
     origin: NDArray
     turn: NDArray  # (3, 3), body to world
@@ -40,27 +40,27 @@ class Frame(NamedTuple):
     spin: NDArray  # angular velocity
 
     def point(self, p: NDArray) -> tuple[NDArray, NDArray]:
-        """Where a point of the body is, and its velocity."""
+        """Returns the world position and velocity of a point p in the body's frame."""
         return self.origin + (arm := self.turn @ p), self.velocity + cross(self.spin, arm)
 
     def velocity_at(self, p: NDArray) -> NDArray:
-        """Of the body's point that is now at the world's point p."""
+        """Returns the velocity of the body's material point at the world position p."""
         return self.velocity + cross(self.spin, p - self.origin)
 
 
 class GuidedBones:
-    """Femur and tibia between the frames: cubic splines (not-a-knot) through origins and quaternions.
+    """Prescribed motion of femur and tibia: cubic splines (not-a-knot) through origins and quaternions.
 
-    The orientation is the splines' quaternion u made a unit one, the angular velocity 2 Im(du/dt u*) / |u|^2.
+    The orientation is the interpolated quaternion u, normalised; the angular velocity is 2 Im(du/dt u*) / |u|^2.
     """
 
     def __init__(self, times: NDArray, *poses: tuple[NDArray, NDArray]) -> None:
-        """Times (n,), and for each bone origins (n, 3) and quaternions (n, 4), scalar first, without leaps of sign."""
+        """Takes times (n,) and, for each bone, origins (n, 3) and sign-continuous quaternions (n, 4), scalar first."""
         self.spline = CubicSpline(times, np.concatenate([a for pose in poses for a in pose], axis=1))
         self.slope = self.spline.derivative()
 
     def at(self, time: float) -> list[Frame]:
-        """The bones' frames."""
+        """Returns the frames of the bones at a time [s]."""
         here, change = self.spline(time).reshape(-1, 7), self.slope(time).reshape(-1, 7)
         return [
             Frame(x[:3], matrix(x[3:]), dx[:3], 2 / (x[3:] @ x[3:]) * product(dx[3:], conjugate(x[3:]))[1:])
@@ -69,13 +69,13 @@ class GuidedBones:
 
 
 def cross(a: NDArray, b: NDArray) -> NDArray:
-    """a x b of two vectors, many times as fast as NumPy's."""
+    """Returns a x b of two vectors, much faster than NumPy."""
     (ax, ay, az), (bx, by, bz) = a.tolist(), b.tolist()
     return np.array([ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx])
 
 
 def matrix(q: NDArray) -> NDArray:
-    """The turn (3, 3) of a quaternion of any length, scalar first."""
+    """Returns the rotation matrix (3, 3) of a quaternion of any norm, scalar first."""
     w, x, y, z = q.tolist()
     s = 2 / (w * w + x * x + y * y + z * z)
     return np.array(
@@ -88,10 +88,10 @@ def matrix(q: NDArray) -> NDArray:
 
 
 def product(p: NDArray, q: NDArray) -> NDArray:
-    """Of two quaternions."""
+    """Returns the product of two quaternions."""
     return np.concatenate([[p[0] * q[0] - p[1:] @ q[1:]], p[0] * q[1:] + q[0] * p[1:] + cross(p[1:], q[1:])])
 
 
 def conjugate(q: NDArray) -> NDArray:
-    """The quaternion of the turn back."""
+    """Returns the conjugate quaternion."""
     return q * (1, -1, -1, -1)

@@ -1,4 +1,4 @@
-"""From the laboratory's files of the rig to segment motion and measurements, read as a user's files are."""
+"""Segment motion and measurements from the virtual laboratory's files, read in the same way as user files."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from pftwin.files.mocap import (
 from pftwin.model.measured import Measured
 from pftwin.rig import geometry as rig
 
-CUTOFF = 12.0  # second-order Butterworth low-pass of the markers [Hz], as in the paper
-WINDOW = 30  # singular spectrum analysis of the forces, as in the paper
+CUTOFF = 12.0  # of the second-order Butterworth low-pass filter of the markers [Hz], as in the paper
+WINDOW = 30  # of the singular spectrum analysis of the forces [frames], as in the paper
 LABEL = "virtual rig (synthetic measurements)"
 IMPLANT_FILE = "femoral_component.stl"
 FORCES = ("contact", "tibial_spring", "femoral_spring")
@@ -30,7 +30,7 @@ FORCES = ("contact", "tibial_spring", "femoral_spring")
 
 @dataclass(frozen=True)
 class Recording:
-    """One case: guided bodies and patella in the world, and the measurements to compare with."""
+    """The recording of one case: poses of femur, tibia and patella in the world, and the measurements."""
 
     femur: PoseSeries
     tibia: PoseSeries
@@ -39,23 +39,23 @@ class Recording:
 
 
 def data_folder() -> Path:
-    """Where the rig's files are."""
+    """Returns the folder of the rig's files."""
     return Path(str(resources.files("pftwin.rig") / "data"))
 
 
 def recording_files(case: int, folder: Path | None = None) -> tuple[Path, Path]:
-    """Markers and forces of one case, of the package or in a folder."""
+    """Returns the paths of a case's marker and force files, in the package or in `folder`."""
     where = folder or data_folder()
     return where / f"case{case}_markers.trc", where / f"case{case}_forces.csv"
 
 
 def source_of(case: int) -> str:
-    """Where a case's measurements come from, in words."""
+    """Returns the label of a case's measurements."""
     return f"{LABEL}, case {case}"
 
 
 def read_recording(case: int, folder: Path | None = None) -> Recording:
-    """Reads, fills, filters and fits the files of one case, of the package or in a folder."""
+    """Reads a case's files from the package or `folder`, fills gaps, filters, and fits segment poses."""
     markers_file, forces_file = recording_files(case, folder)
     raw, _ = fill_gaps(read_trc(markers_file))
     markers = raw.with_positions(butterworth_lowpass(raw.positions, raw.rate, CUTOFF))
@@ -81,7 +81,7 @@ def read_recording(case: int, folder: Path | None = None) -> Recording:
 
 
 def _with_hip(markers: MarkerTrajectories) -> MarkerTrajectories:
-    """With the hip's centre as one more marker: a known joint location, as Vaughan's method allows."""
+    """Adds the hip's centre as a marker: a known joint location, as Vaughan's method allows."""
     hip = np.broadcast_to(np.array(rig.HIP), (markers.times.size, 1, 3))
     return MarkerTrajectories(
         markers.times, (*markers.names, "HIP"), np.concatenate([markers.positions, hip], axis=1), markers.source

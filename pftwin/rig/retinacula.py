@@ -1,14 +1,14 @@
-"""The medial and the lateral patellofemoral ligament for the virtual rig, which has none of its own.
+"""Medial and lateral patellofemoral ligaments (MPFL, LPFL) for the virtual rig, which has none by default.
 
 Published: the stiffness of the MPFL with its attachments, 42.5 N/mm (Criscenti et al. 2016, J Mech Behav Biomed Mater
 54:141, PubMed 26454357, mean of 24 knees), and of the LPFL, 16 N/mm (Merican et al. 2009, J Biomech 42:2323, mean of
 8); that the MPFL is some 55 mm long, runs from the medial epicondyle to the patella's medial border, is tightest in
-full extension and slackens as the knee bends (Amis et al. 2003, Knee 10:215). The attachments are choices by these
-descriptions and by the rig's size, spread as a fan. So are five strands each, the toe strain, the damping, and the
-reference pose, where the strands are as long as when slack unless told otherwise: the patella of case 1 in full
-extension, within 0.4 mm and 1.1 deg of where the component's true surface holds it.
+full extension and slackens as the knee bends (Amis et al. 2003, Knee 10:215). The attachments, spread as a fan, are
+chosen from these descriptions and the rig's size. The five strands of each ligament, the toe strain, the damping and
+the reference pose, in which the strands have their slack length by default, are choices too: the patella of case 1 in
+full extension, within 0.4 mm and 1.1 deg of its equilibrium on the component's true surface.
 
-Metres, newtons, seconds; frames of the rig (`pftwin.rig.geometry`).
+Units: metres, newtons, seconds; frames of the rig (`pftwin.rig.geometry`).
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ REFERENCE_QUATERNION = (0.9954, 0.0892, 0.0113, 0.0337)  # of the patella in the
 
 
 class Ligament(NamedTuple):
-    """A fan of strands between two lines of attachments, given by their ends."""
+    """A fan of strands between two lines of attachment points, each given by its ends."""
 
     stiffness: float  # of all strands together in their linear region [N/m]
     patella: tuple[tuple[float, float, float], tuple[float, float, float]]  # distal and proximal end, patella frame [m]
-    femur: tuple[tuple[float, float, float], tuple[float, float, float]]  # likewise, femur frame [m]
+    femur: tuple[tuple[float, float, float], tuple[float, float, float]]  # the same on the femur, femur frame [m]
 
 
 LIGAMENTS = {
@@ -54,14 +54,14 @@ LIGAMENTS = {
 
 
 def ligament(name: str, *, reference_strain: float = 0.0) -> StrandGroup:
-    """One of the rig's ligaments.
+    """Returns one of the rig's ligaments.
 
     Args:
         name: "mpfl" or "lpfl".
-        reference_strain: of its strands in the reference pose, above -1; negative where they are lax there.
+        reference_strain: strain of the strands in the reference pose, above -1; negative: slack.
 
     Raises:
-        InputError: no such ligament, or no such strain.
+        InputError: unknown ligament or invalid strain.
     """
     from scipy.spatial.transform import Rotation
 
@@ -81,7 +81,7 @@ def ligament(name: str, *, reference_strain: float = 0.0) -> StrandGroup:
 def strand_group(
     name: str, body: str, stiffness: Floats, slack: Floats, toe_strain: float, patella: Floats, origin: Floats
 ) -> StrandGroup:
-    """Strands with this module's damping: stiffness [N per unit strain] and slack lengths (n,), ends (n, 3) [m]."""
+    """Makes n strands with this module's damping; stiffness [N per unit strain], slack lengths and end points [m]."""
     toe, damping = (number(np.full_like(slack, x)) for x in (toe_strain, DAMPING_TIME))
     return StrandGroup(number(stiffness), number(slack), toe, damping, vector(patella), vector(origin), body, name=name)
 
@@ -89,15 +89,15 @@ def strand_group(
 def with_retinacula(
     scene: Scene, ligaments: Sequence[str] = ("mpfl", "lpfl"), *, reference_strain: float = 0.0
 ) -> Scene:
-    """One of the rig's cases with ligaments; one that is there already is replaced.
+    """Adds ligaments to one of the rig's cases; replaces those that it has already.
 
     Args:
-        scene: `pftwin.rig.case`, whatever its contact.
-        ligaments: which of "mpfl" and "lpfl".
+        scene: a scene of `pftwin.rig.case`, with any contact.
+        ligaments: any of "mpfl" and "lpfl".
         reference_strain: see `ligament`.
 
     Raises:
-        InputError: no such ligament, or no such strain.
+        InputError: unknown ligament or invalid strain.
     """
     for name in [ligaments] if isinstance(ligaments, str) else ligaments:
         scene = scene.with_effect(ligament(name, reference_strain=reference_strain))

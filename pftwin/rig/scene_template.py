@@ -1,4 +1,4 @@
-"""The example that `pftwin init` writes: a commented scene file beside the files of the virtual rig's laboratory."""
+"""The example that `pftwin init` writes: a commented scene file with the virtual rig's recordings and mesh."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ if TYPE_CHECKING:
 
 
 def write_example(folder: Path, case: int = 1) -> list[Path]:
-    """Write scene.toml and its files; the folder is made if it is not there.
+    """Writes scene.toml and its files to a folder, which is created if necessary, and returns their paths.
 
     Raises:
-        OutputError: a file of the same name is there already (nothing is written), or the folder cannot be written to.
+        OutputError: a file of the same name exists (nothing is written), or the folder is not writable.
     """
     from pftwin import rig
 
@@ -50,9 +50,9 @@ def write_example(folder: Path, case: int = 1) -> list[Path]:
 
 
 def scene_text(case: int) -> str:
-    """The scene file of one of the rig's cases, with comments, beside the files that `rig.write_files` writes.
+    """Returns the commented scene file of one of the rig's cases; it refers to the files of `rig.write_files`.
 
-    It is named after the case, not as the case: an edited copy is none.
+    The scene's name says "after rig case", because users edit the copy.
     """
     import jax
 
@@ -63,7 +63,7 @@ def scene_text(case: int) -> str:
 
     markers, forces = recording.recording_files(case)
     hip = {"HIP": geometry.HIP}
-    with jax.enable_x64(True):  # the same text whatever the process computes in
+    with jax.enable_x64(True):  # the text must not depend on the floating-point type in use
         tendons, law = springs(geometry.CASES[case]), rig_law()
     return render_toml(
         "pftwin.rig",
@@ -96,5 +96,5 @@ def _part(part: WeightedPart) -> str:
 
 
 def _cluster(places: Mapping[str, Sequence[float]]) -> str:
-    """Markers and their places in the frame of their segment, from metres to millimetres."""
+    """A marker cluster as a TOML table: positions in the segment's frame, converted from m to mm."""
     return "{ " + ", ".join(f"{n} = {toml_list(p, 1e3)}" for n, p in places.items()) + " }"

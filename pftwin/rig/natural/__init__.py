@@ -1,1 +1,1 @@
-"""A parametric natural knee: anatomy by name, closed surfaces made from it, and a scene that squats or extends."""
+"""A parametric natural knee: attachments, motion, and a scene of a squat or a knee extension."""

@@ -1,10 +1,10 @@
-"""What a natural knee does: flexion over time, the tibia's rotation with it, the femur's place, and the muscles' pull.
+"""Prescribed activities of a natural knee: flexion, tibial rotation, pose of the femur, and quadriceps force over time.
 
-In a squat femur and tibia are inclined alike. The knee is before the line from hip to ankle by as much as the sine of
-half its flexion, and so the moment that the quadriceps holds rises with it. In an extension against a weight at the
-ankle the thigh is horizontal, and the weight's lever goes with the cosine of the flexion. The tibia turns about the
-condyles' axis, and inward over the first 30 deg of flexion (screw-home: 17 deg in gait, Kim et al. 2015,
-Clin Orthop Surg 7:303; 8 is a choice).
+In a squat, femur and tibia are equally inclined. The distance of the knee from the line between hip and ankle is
+proportional to the sine of half the flexion, and so is the moment that the quadriceps balances. In an extension against
+a weight at the ankle the thigh is horizontal, and the weight's lever arm is proportional to the cosine of the flexion.
+The tibia flexes about the condylar axis and rotates internally over the first 30 deg of flexion (screw-home motion:
+17 deg in gait, Kim et al. 2015, Clin Orthop Surg 7:303; the value of 8 deg is a choice).
 """
 
 from __future__ import annotations
@@ -23,28 +23,28 @@ from pftwin.geometry.bones.femur import FLEXION_AXIS
 from pftwin.geometry.bones.implicit import smooth_step
 from pftwin.model.motion import KneeMotion
 
-STRAIGHT, BENT = 15.0, 90.0  # flexion between which it goes [deg]
-SCREW_HOME, SCREWED = 8.0, 30.0  # inward turn of the tibia, and the flexion at which it is complete [deg]
-AT_REST = 0.05  # share of the largest pull that is left in an extension where the shank hangs down: a choice
-RATE = 60.0  # frames in a second
+STRAIGHT, BENT = 15.0, 90.0  # range of flexion [deg]
+SCREW_HOME, SCREWED = 8.0, 30.0  # internal rotation of the tibia, and the flexion at which it is complete [deg]
+AT_REST = 0.05  # share of the largest force that remains in an extension when the shank hangs down: a choice
+RATE = 60.0  # frames per second
 GRAVITY = (-9.81, 0.0, 0.0)  # in the world, whose x points up [m/s^2]
 
 
 class Activity(NamedTuple):
-    """What is prescribed, at each frame."""
+    """Prescribed motion and quadriceps force at n frames."""
 
     name: str
     motion: KneeMotion
     flexion: Floats  # (n,) of the knee [deg]
-    inclined: Floats  # (n,) the femur backward from its place in full extension [deg]
-    pull: Floats  # (n,) of all the quadriceps, as a share of its largest
+    inclined: Floats  # (n,) backward inclination of the femur from its orientation in full extension [deg]
+    pull: Floats  # (n,) total quadriceps force as a share of its maximum
 
 
 def squat(duration: float) -> Activity:
-    """Down and up again, in so many seconds, to the next even number of frames: one of them is at the deepest.
+    """Returns a squat, down and up, with a duration [s] rounded so that one frame is at the deepest flexion.
 
     Raises:
-        InputError: a duration that is no time for it.
+        InputError: the duration is out of range.
     """
     times, there = _there_and_back(duration)
     flexion = STRAIGHT + (BENT - STRAIGHT) * there
@@ -54,10 +54,10 @@ def squat(duration: float) -> Activity:
 
 
 def extension(duration: float) -> Activity:
-    """Seated, against a weight at the ankle: out and back, as `squat`; one frame is at the straightest.
+    """Returns a seated knee extension against a weight at the ankle, out and back, with a duration [s] as in `squat`.
 
     Raises:
-        InputError: a duration that is no time for it.
+        InputError: the duration is out of range.
     """
     times, there = _there_and_back(duration)
     flexion = BENT - (BENT - STRAIGHT) * there
@@ -71,7 +71,7 @@ ACTIVITIES = {"squat": squat, "extension": extension}
 
 
 def _there_and_back(duration: float) -> tuple[Floats, Floats]:
-    """Times of the frames [s], and how far it is from 0 at both ends to 1 in the middle."""
+    """Times of the frames [s], and the progress of the motion: 0 at both ends, 1 in the middle."""
     if not 0.2 <= duration <= 60:
         raise InputError(f"found {duration!r}", where="duration", expected="0.2 to 60 s")
     times = np.arange(2 * round(0.5 * duration * RATE) + 1) / RATE
@@ -79,7 +79,7 @@ def _there_and_back(duration: float) -> tuple[Floats, Floats]:
 
 
 def tibia_turn(flexion: Floats) -> Rotation:
-    """Of the tibia in the femur [deg]: it turns inward as it bends, from none in full extension."""
+    """Returns the tibia's rotation in the femur frame for flexions [deg], with internal rotation from screw-home."""
     inward = SCREW_HOME * smooth_step(flexion / SCREWED)
     q = tibiofemoral_orientation(*(np.radians(a) for a in (flexion, 0 * flexion, inward)))
     return Rotation.from_quat(np.stack([q.w, q.x, q.y, q.z], axis=-1), scalar_first=True)

@@ -1,6 +1,6 @@
-"""Where muscles, tendon and retinacula of a natural knee are attached, and where its patella lies at first.
+"""Attachments of muscles, tendon and retinacula of a natural knee, and the initial pose of its patella.
 
-Millimetres and degrees; frames of femur, patella and tibia.
+Millimetres and degrees, in the frames of femur, patella and tibia.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from pftwin.geometry.bones.tibia import TibiaShape
 from pftwin.rig.natural.motion import tibia_turn
 
 STRANDS = {"patellar_tendon": 5, "mpfl": 3, "lpfl": 3}
-TENDON_WIDTH = 24.0  # of the patellar tendon at the patella; at the tuberosity two thirds of it
-REACH = 200.0  # from a muscle's insertion to where its line ends on the femur
-# Of the quadriceps: share of the pull by cross-sections, and the angle to the femur's shaft, lateral positive [deg].
-# Farahmand, Senavongse & Amis 1998, J Orthop Res 16:136: long and oblique heads are taken together, and the 35 % of
-# the two in the middle are split by choice.
+TENDON_WIDTH = 24.0  # width of the patellar tendon at the patella [mm]; two thirds of it at the tuberosity
+REACH = 200.0  # length of a muscle's line from its insertion to its end on the femur [mm]
+# Quadriceps: share of the force by cross-section, and angle to the femoral shaft, lateral positive [deg], from
+# Farahmand, Senavongse & Amis 1998, J Orthop Res 16:136. Long and oblique heads are combined; the division of the 35 %
+# of the two central muscles is a choice.
 QUADRICEPS = {
     "vastus_medialis": (0.25, -27.0),
     "vastus_lateralis": (0.40, 18.5),
@@ -34,14 +34,14 @@ QUADRICEPS = {
 
 
 class Ends(NamedTuple):
-    """Of lines of force, (n, 3) each."""
+    """End points of n lines of force, (n, 3) each [mm]."""
 
-    patella: Floats
-    body: Floats
+    patella: Floats  # in the patella frame
+    body: Floats  # in the frame of the other body
 
 
 def muscles(anatomy: Anatomy) -> Ends:
-    """The four parts of the quadriceps, in the order of `QUADRICEPS`, as they lie in full extension."""
+    """Returns the end points of the four quadriceps muscles, in the order of `QUADRICEPS`, in full extension."""
     shape = PatellaShape(anatomy)
     front = 0.6 * anatomy.patella_thickness_mm
     patella = np.array(
@@ -59,17 +59,17 @@ def muscles(anatomy: Anatomy) -> Ends:
 
 
 def patellar_tendon(anatomy: Anatomy) -> Ends:
-    """Its strands, from the apex to the tuberosity."""
+    """Returns the end points of the patellar tendon's strands, from the patella's apex to the tuberosity."""
     shape = PatellaShape(anatomy)
     across = np.linspace(-0.5, 0.5, STRANDS["patellar_tendon"])
     aside = np.stack([0 * across, TENDON_WIDTH * across, 0 * across], axis=1)
     apex = np.array([shape.bottom, shape.middle, 0.5 * anatomy.patella_thickness_mm])
-    apex = apex + np.outer(4 * (2 * across) ** 2, [1.0, 0.0, 0.0])  # the border rises beside it
+    apex = apex + np.outer(4 * (2 * across) ** 2, [1.0, 0.0, 0.0])  # the patella's border rises beside its apex
     return Ends(apex + aside, np.array(TibiaShape(anatomy).tuberosity) + 2 / 3 * aside)
 
 
 def retinaculum(anatomy: Anatomy, name: str) -> Ends:
-    """The strands of "mpfl" or "lpfl": a fan from the patella's border to beside the epicondyle."""
+    """Returns the end points of the "mpfl" or "lpfl": a fan from the patella's border to beside the epicondyle."""
     shape = PatellaShape(anatomy)
     side, border = (-1, shape.medial) if name == "mpfl" else (1, shape.lateral)
     up = np.linspace(0.0, 0.7, STRANDS[name])
@@ -82,10 +82,10 @@ def retinaculum(anatomy: Anatomy, name: str) -> Ends:
 
 
 def rest_pose(anatomy: Anatomy, flexion: float) -> tuple[Floats, Rotation]:
-    """Of the patella in the femur: its ridge in the groove, the tendon's middle strand as long as the anatomy says.
+    """Returns the patella's pose in the femur [mm] at a flexion [deg]: ridge in the groove, tendon of given length.
 
     Raises:
-        InputError: a tendon so long or so short that the patella cannot lie on the trochlea.
+        InputError: the tendon is too long or too short for the patella to lie on the trochlea.
     """
     body, ends = FemurShape(anatomy), patellar_tendon(anatomy)
     apex, insertion = (points[STRANDS["patellar_tendon"] // 2] for points in ends)
@@ -106,7 +106,7 @@ def rest_pose(anatomy: Anatomy, flexion: float) -> tuple[Floats, Rotation]:
         place, turn = at(angle)
         return float(np.linalg.norm(place + turn.apply(apex) - tuberosity))
 
-    low, high, length = -np.radians(flexion), 1.6, anatomy.tendon_length_mm  # at the least its apex points at the tibia
+    low, high, length = -np.radians(flexion), 1.6, anatomy.tendon_length_mm  # at `low` the apex points at the tibia
     if not excess(low) < length < excess(high):
         least, most = 100 * np.array([excess(low), excess(high)]) / anatomy.patella_height_mm
         raise InputError(

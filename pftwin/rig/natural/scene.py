@@ -1,4 +1,4 @@
-"""The natural knee as a scene: cartilage on cartilage, the quadriceps in four parts, tendon and retinacula."""
+"""Scene of a natural knee: cartilage contact, four quadriceps muscles, patellar tendon and retinacula."""
 
 from __future__ import annotations
 
@@ -31,22 +31,22 @@ from pftwin.rig.natural import placing
 from pftwin.rig.natural.motion import ACTIVITIES, GRAVITY, RATE, Activity
 from pftwin.rig.retinacula import LIGAMENTS, TOE_STRAIN, strand_group
 
-MODULUS, POISSON = 5e6, 0.45  # of cartilage [Pa], [-]: the model of Lenhart et al. 2015, Ann Biomed Eng 43:2675
+MODULUS, POISSON = 5e6, 0.45  # of cartilage [Pa], [-], from the model of Lenhart et al. 2015, Ann Biomed Eng 43:2675
 LAYER_DAMPING = 2e-3  # of cartilage [s]
 DENSITY = 1300.0  # of the patella [kg/m^3]
-DRAG = 5.0, 5e-3  # [N s/m], [N m s/rad]
+DRAG = 5.0, 5e-3  # translational and rotational viscous drag [N s/m], [N m s/rad]
 # Stiffness of the patellar tendon [N per unit strain]: 660 MPa (Johnson et al. 1994, J Orthop Res 12:796) on 100 mm^2.
 TENDON_STIFFNESS = 66e3
 TENDON_TOE_STRAIN = 0.03
-TOGETHER = 4  # triangles of the patella that are taken for one
-GROOVE_ANGLES, GROOVE_HALF_WIDTH = (-75.0, 45.0), 22e-3  # of the smooth stand-in [deg], [m]
-GROOVE_TOLERANCE = 0.05e-3  # [m]
-# What a trochleoplasty changes. The groove's floor is where the radius says: depth alone raises the ridges.
+TOGETHER = 4  # triangles of the patella that are merged into one
+GROOVE_ANGLES, GROOVE_HALF_WIDTH = (-75.0, 45.0), 22e-3  # extent of the spline fitted to the trochlea [deg], [m]
+GROOVE_TOLERANCE = 0.05e-3  # of that fit [m]
+# Parameters that a trochleoplasty changes. The radius sets the groove's floor: depth only raises the ridges.
 TROCHLEA = (
     *("sulcus_angle_deg", "lateral_inclination_deg", "facet_ratio"),
     *("trochlear_depth_mm", "trochlear_radius_mm", "prominence_mm"),
 )
-TABLE = 1e-3  # cubes of the femur's table of depths [m]
+TABLE = 1e-3  # cell size of the femur's distance grid [m]
 
 
 def knee(
@@ -58,20 +58,20 @@ def knee(
     resolution_mm: float = 1.5,
     trochleoplasty: Mapping[str, float] | None = None,
 ) -> Scene:
-    """A natural knee in motion between 15 and 90 deg of flexion. Motion and loads are made up: `synthetic`.
+    """Returns a natural knee that moves between 15 and 90 deg of flexion. Motion and loads are invented: `synthetic`.
 
     Args:
-        anatomy: the knee's numbers; by default a normal knee's.
-        activity: "squat", down and up again, or "extension", seated and against a weight at the ankle, out and back.
-        quadriceps: largest pull of its four parts together, 20 to 5000 N.
-        duration: of the motion [s].
-        resolution_mm: size of the triangles, 0.5 to 2 mm; the patella's are half as large.
-        trochleoplasty: numbers of the trochlea that an operation changes, by their names in `Anatomy`. Tendon,
-            ligaments and the muscles' ends stay where they are without it.
+        anatomy: anatomical parameters; by default those of a normal knee.
+        activity: "squat", down and up, or "extension", seated against a weight at the ankle, out and back.
+        quadriceps: largest total force of the four quadriceps muscles, 20 to 5000 N.
+        duration: duration of the motion [s].
+        resolution_mm: triangle size, 0.5 to 2 mm; the patella's triangles are half as large.
+        trochleoplasty: new values of trochlear parameters after surgery, by their names in `Anatomy`. The attachments
+            of tendon, ligaments and muscles stay as they are without surgery.
 
     Raises:
-        InputError: no such activity, a number out of range, a patella that lies nowhere on the trochlea, a resolution
-            too coarse.
+        InputError: unknown activity, value out of range, anatomy with no patellar position on the trochlea, or a
+            resolution that is too coarse.
     """
     limits = {"quadriceps": (quadriceps, 20.0, 5000.0), "resolution_mm": (resolution_mm, 0.5, 2.0)}
     for name, (value, low, high) in limits.items():
@@ -103,7 +103,7 @@ def _operated(anatomy: Anatomy, trochlea: Mapping[str, float]) -> Anatomy:
 
 
 def _start(anatomy: Anatomy, done: Activity) -> Pose:
-    """In the world, at the first frame."""
+    """Pose of the patella in the world at the first frame."""
     place, turn = placing.rest_pose(anatomy, done.flexion[0])
     femur = Rotation.from_euler("Y", done.inclined[0], degrees=True)
     quaternion = (femur * turn).as_quat(scalar_first=True)
@@ -111,7 +111,7 @@ def _start(anatomy: Anatomy, done: Activity) -> Pose:
 
 
 def _patella_body(mesh: SurfaceMesh) -> PatellaBody:
-    """Of the density throughout; its principal axes are taken for the patella's."""
+    """Mass properties for uniform density, with the principal axes assumed parallel to the patella's axes."""
     import trimesh
 
     solid = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False)
@@ -131,7 +131,7 @@ def _cartilage(anatomy: Anatomy, femur: SurfaceMesh, patella: SurfaceMesh) -> Ef
 
 
 def _groove(anatomy: Anatomy, femur: SurfaceMesh) -> Surface:
-    """A spline through the trochlea, by which results tell how far the patella is from its groove."""
+    """A spline fitted to the trochlea, from which results compute the patella's distance from the groove."""
     x, y, z = femur.vertices.T
     angle = np.degrees(np.arctan2(x, z))
     region = (angle > GROOVE_ANGLES[0]) & (angle < GROOVE_ANGLES[1]) & (np.abs(y) < GROOVE_HALF_WIDTH)
@@ -156,7 +156,7 @@ def _quadriceps(anatomy: Anatomy, largest: float, done: Activity) -> Effect:
 
 
 def _strands(anatomy: Anatomy, name: str) -> Effect:
-    """The patellar tendon or a retinaculum; each strand is just slack in full extension, in `rest_pose`."""
+    """The patellar tendon or a retinaculum; each strand is at its slack length in `rest_pose` in full extension."""
     tendon = name == "patellar_tendon"
     ends = placing.patellar_tendon(anatomy) if tendon else placing.retinaculum(anatomy, name)
     place, turn = placing.rest_pose(anatomy, 0.0)

@@ -1,4 +1,4 @@
-"""Scenes that are hard to simulate, and the matrix that runs them all: `pftwin hard-cases`."""
+"""Scenes that are hard to simulate, and the test matrix that runs them all: `pftwin hard-cases`."""
 
 from __future__ import annotations
 

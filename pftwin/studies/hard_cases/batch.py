@@ -1,4 +1,4 @@
-"""Cases of one structure stacked into a batch, where they start, and whether a run depends on the rest of its batch."""
+"""Batches of hard cases: stacking of scenes, starting states, and a check that runs are independent of their batch."""
 
 from __future__ import annotations
 
@@ -40,14 +40,14 @@ class CaseBatch(NamedTuple):
 
 
 def built_scene(case: HardCase, contact: str) -> Scene:
-    """The case as a scene that may be simulated; InputError where the case is refused."""
+    """Builds and checks the scene of a case; InputError if it is rejected."""
     scene = case.builder().scene_on(contact, case.name)
     check(scene)
     return scene
 
 
 def batches(cases: Sequence[HardCase], contact: str) -> tuple[list[CaseBatch], dict[str, InputError]]:
-    """The cases that run with a kind of contact, by group, and why the others are refused."""
+    """Returns batches of the cases with a kind of contact, one per group, and the errors of rejected cases by name."""
     groups: dict[str, list[tuple[HardCase, Scene]]] = {}
     refused: dict[str, InputError] = {}
     for case in cases:
@@ -63,42 +63,42 @@ def batches(cases: Sequence[HardCase], contact: str) -> tuple[list[CaseBatch], d
 
 
 def stacked(trees: Sequence[Any]) -> Any:
-    """Values of one structure, stacked along a leading axis."""
+    """Stacks pytrees of one structure along a leading axis."""
     return jax.tree.map(lambda *leaves: jnp.stack([jnp.asarray(x) for x in leaves]), *trees)
 
 
 def member(tree: Any, k: int) -> Any:
-    """One of a stack, on the host."""
+    """Returns one member of a stacked pytree, on the host."""
     return jax.tree.map(lambda a: np.asarray(a)[k], tree)
 
 
 def members(tree: Any, which: list[int]) -> Any:
-    """Some of a stack, stacked."""
+    """Returns some members of a stacked pytree, stacked."""
     at = np.asarray(which)
     return jax.tree.map(lambda a: a[at], tree)
 
 
 def steps_of(case: HardCase, method: CaseIntegrator) -> int:
-    """Steps within a frame; the first to be tried where the method chooses them."""
+    """Returns the number of steps per frame; for a method that chooses its steps, the first to try."""
     step = DEFAULT_STEP if method.chooses_steps else min(case.step, method.longest_step)
     return substeps_for(1 / RATE, step)
 
 
 def short_enough(batch: CaseBatch, method: CaseIntegrator) -> list[int]:
-    """Which of a batch's cases need no more steps than a method is given."""
+    """Returns the indices of a batch's cases that do not exceed the method's limit of steps."""
     frames, most = batch.scenes.motion.n_frames - 1, method.most_steps
     return [k for k, c in enumerate(batch.cases) if most is None or frames * steps_of(c, method) <= most]
 
 
-LARGEST = 2000  # steps of the runs compared: side by side all take as many as the longest
-AGREE = {"float64": 1e-10, "float32": 1e-4}  # of poses, beside other batch mates [m, quaternion components]
+LARGEST = 2000  # most steps of the compared runs: in one batch all take as many as the longest
+AGREE = {"float64": 1e-10, "float32": 1e-4}  # tolerance of poses between batches [m, quaternion components]
 
 
 def batch_mates(batch: CaseBatch, starts: Any, substeps: Any, method: CaseIntegrator, dtype: str) -> dict[str, str]:
-    """By case: how its result depends on the rest of the batch.
+    """Checks that no result depends on the rest of its batch; returns the faults by case.
 
-    All cases run side by side (`jax.vmap`), in reversed order with every second one NaN in all its numbers, and then
-    with the others NaN. The remaining results must equal those of the undisturbed batch in its own order.
+    All cases run in one batch (`jax.vmap`) in reversed order, first with every second one set to NaN and then with the
+    others. The remaining results must equal those of the unchanged batch in the original order.
     """
     if not method.side_by_side:
         return {}
@@ -110,7 +110,7 @@ def batch_mates(batch: CaseBatch, starts: Any, substeps: Any, method: CaseIntegr
     alone = np.asarray(poses(program(*args).states))
     back = np.arange(n)[::-1]
     scenes, *others = jax.tree.map(lambda a: a[jnp.asarray(back)], args)
-    # Integers, which order a mesh, stay.
+    # Integers, such as indices of a mesh, stay unchanged.
     nowhere = jax.tree.map(lambda a: jnp.full_like(a, jnp.nan) if eqx.is_inexact_array(a) else a, scenes)
     said: dict[str, str] = {}
     for parity in (0, 1):
@@ -127,14 +127,14 @@ def batch_mates(batch: CaseBatch, starts: Any, substeps: Any, method: CaseIntegr
 
 
 class Starts(NamedTuple):
-    """Where the cases of a batch start."""
+    """Starting states of the cases of a batch."""
 
     chosen: Solution
-    wrong: dict[str, str]  # by case: what is wrong with its equilibrium
+    wrong: dict[str, str]  # faults of the equilibria, by case
 
 
 def starts_of(batch: CaseBatch, dtype: str) -> Starts:
-    """Solves for all equilibria, with derivatives; where the search fails the damped relaxation helps."""
+    """Finds the equilibria of all cases and their derivatives, with damped relaxation if the search fails."""
     double, n = dtype == "float64", len(batch.cases)
     search, nothing = compiled(equilibrium_with_derivatives, double), jnp.zeros((n, len(PARAMETERS)))
     found: Rest = search(batch.scenes, nothing)
@@ -151,18 +151,18 @@ def starts_of(batch: CaseBatch, dtype: str) -> Starts:
 
 
 def _select_members(which: Any, a: Any, b: Any) -> Any:
-    """Stacked members: of `a` where `which`, else of `b`."""
+    """Selects stacked members from `a` where `which` is True, otherwise from `b`."""
     return jax.vmap(lambda chosen, x, y: jax.tree.map(partial(jnp.where, chosen), x, y))(jnp.asarray(which), a, b)
 
 
 def _failing_equilibria(batch: CaseBatch, found: Rest, scenes: Any, search: Any, dtype: str) -> dict[str, str]:
-    """Cases that start from an equilibrium: does the search end, and are its derivatives finite, and right."""
+    """Faults of the derivatives of the equilibria: not finite, or different from finite differences."""
     in_patella_frame = jax.vmap(lambda pose, center: Pose(pose.apply(-center), pose.orientation))
     at = in_patella_frame(found.equilibrium.pose, scenes.patella.center_of_mass)
     n, near = len(batch.cases), eqx.tree_at(lambda s: s.start, scenes, at)
     said, columns = {}, np.asarray(found.slopes)
     at_rest = converged_on_host(found.equilibrium)
-    # A failed search flags every frame.
+    # A failed search is flagged in every frame, so it needs no check here.
     looked = [k for k, case in enumerate(batch.cases) if not case.released and at_rest[k]]
     smooth = [k for k in looked if batch.cases[k].expected.smooth and dtype == "float64"]
     reference: dict[int, np.ndarray] = {}

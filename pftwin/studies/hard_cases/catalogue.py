@@ -1,4 +1,4 @@
-"""The catalogue of cases, read from cases.toml: of the small knee, and of the virtual rig."""
+"""The catalogue of hard cases, read from cases.toml: cases of the small knee and of the virtual rig."""
 
 from __future__ import annotations
 
@@ -26,19 +26,19 @@ STIFFNESS = "contact.law.contact_stiffness"
 
 @dataclass(frozen=True)
 class RigNumbers:
-    """A case of the rig, which tells what `pftwin.studies.hard_cases.knee.KneeNumbers` does."""
+    """A case of the rig, with the same interface as `pftwin.studies.hard_cases.knee.KneeNumbers`."""
 
     case: int
-    factors: Mapping[str, float] = field(default_factory=dict)  # by the numbers' names
+    factors: Mapping[str, float] = field(default_factory=dict)  # factors on parameters, by name
 
     @property
     def law(self) -> knee.Law:
-        """Of the contact."""
+        """Parameters of the contact law."""
         return knee.Law(geometry.CONTACT_STIFFNESS * self.factors.get(STIFFNESS, 1.0), restitution=geometry.RESTITUTION)
 
     @property
     def radius(self) -> float:
-        """Of the button [m]."""
+        """Radius of the button [m]."""
         return geometry.BUTTON_RADIUS
 
     def scene_on(self, kind: str, name: str) -> Scene:
@@ -57,11 +57,11 @@ class RigNumbers:
 
 
 def _parts(kind: str) -> tuple[str, Literal["plane", "cylinder"]]:
-    """The patch's name, and its chart."""
+    """The name and the chart of a patch."""
     return kind.removesuffix(CYLINDER), "cylinder" if kind.endswith(CYLINDER) else "plane"
 
 
-_ABSENT = knee.TendonNumbers(156, 10.0, (0.02, 0, -0.008), (0.22, 0, 0.035))  # hangs slack wherever the patella is
+_ABSENT = knee.TendonNumbers(156, 10.0, (0.02, 0, -0.008), (0.22, 0, 0.035))  # always slack
 _ORIGIN = (0.0, 0.0, 0.0)
 FREE = knee.KneeNumbers(
     ground=PLATE, center_of_mass=_ORIGIN, quadriceps=_ABSENT, patellar_tendon=_ABSENT, tibia=knee.standing,
@@ -75,7 +75,7 @@ KNEES = {
         quadriceps=knee.TendonNumbers(156, 0.06, (0.02, 0, -0.008), (0.1, 0.0, knee.RADIUS - 0.02)),
         patellar_tendon=knee.TendonNumbers(156, 0.06, (-0.02, 0, -0.008), (-0.1, 0.0, knee.RADIUS - 0.02)),
     ),
-    # A button of triangles lands on one of them: on a corner it would balance, and fall to a side by rounding.
+    # Lands on a triangle: on a corner the button would balance, and rounding would decide to which side it falls.
     "on_mesh": replace(FREE, ground=GROUNDS["floor"], start=(0.004, 0.006, knee.RADIUS + 5e-4), turn=(0.0, 0.087, 0.0)),
 }
 _NAMED: dict[str, Mapping[str, Any]] = {
@@ -86,14 +86,14 @@ _KINDS = {"patches": PATCHES, "meshes": MESHES}
 
 @cache
 def catalogue() -> tuple[HardCase, ...]:
-    """All cases, topic by topic."""
+    """Returns all cases, by topic."""
     topics = tomllib.loads(files("pftwin.studies.hard_cases").joinpath("cases.toml").read_text(encoding="utf-8"))
     texts = topics.pop("texts")
     return tuple(_case(topic, entry, texts) for topic, entries in topics.items() for entry in entries)
 
 
 def case_named(name: str) -> HardCase:
-    """The case of that name; InputError where there is none."""
+    """Returns the case of that name; InputError if there is none."""
     for case in catalogue():
         if case.name == name:
             return case
@@ -123,7 +123,7 @@ def _knee(entry: dict[str, Any]) -> knee.KneeNumbers | RigNumbers:
 
 
 def _changed(value: Any, change: dict[str, Any]) -> Any:
-    """A dataclass with changed fields; nested dataclasses are changed by tables of their fields."""
+    """Returns a dataclass with changed fields; a nested table changes the fields of a nested dataclass."""
 
     def changed(key: str, new: Any) -> Any:
         if isinstance(new, dict):

@@ -1,4 +1,4 @@
-"""The kinds of contact that cases run with; all of one kind have arrays of one shape, so that they can be stacked."""
+"""Contact kinds of the hard cases; all contacts of one kind have arrays of equal shape, so that they can be stacked."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ MESHES = ("contours", "volume")
 CONTACTS = (*PATCHES, *MESHES)
 
 BUTTON = 8  # frequency of the button's icosphere: 1,280 triangles
-_CORNERS, _EDGES = 64, 64  # capacity of every femur's mesh
-_NOWHERE = -1e3  # [m] where padding edges lie
+_CORNERS, _EDGES = 64, 64  # capacity of each femoral mesh
+_NOWHERE = -1e3  # coordinate of padding edges, far away [m]
 
 
 def contact_on(knee: KneeNumbers, kind: str) -> Effect:
-    """The contact of that kind for a knee; InputError for an impossible surface."""
+    """Returns the contact of a kind for a knee; InputError for an invalid surface."""
     law, center, radius = knee.law.flores(), vector(knee.center), number(knee.radius)
     if kind in PATCHES:
         return SphereContact(patch_on(knee.ground, kind), law, center, radius)
@@ -51,12 +51,12 @@ def contact_on(knee: KneeNumbers, kind: str) -> Effect:
 
 @lru_cache(maxsize=16)
 def _button(radius: float, float64: bool) -> ContactMesh:
-    """A sphere of triangles."""
+    """The button's sphere as a triangle mesh."""
     return contact_mesh(icosphere(radius, BUTTON))
 
 
 def _padded_corners(made: ContactMesh, mesh: SurfaceMesh) -> ContactMesh:
-    """The mesh padded to the capacity of corners by repeating the last ones."""
+    """Pads the mesh to the capacity of corners by repeating the last one."""
     tree = made.corners
     count = len(mesh.vertices)
     order = np.argsort(np.asarray(tree.index), kind="stable")
@@ -67,7 +67,7 @@ def _padded_corners(made: ContactMesh, mesh: SurfaceMesh) -> ContactMesh:
 
 
 def _padded_edges(made: PatchMesh) -> PatchMesh:
-    """The mesh padded to the capacity of border and rim edges by points far away."""
+    """Pads the mesh to the capacity of border and rim edges with points far away."""
     return eqx.tree_at(lambda m: (m.seam, m.rim), made, (_edges(made.seam), _edges(made.rim)))
 
 

@@ -1,8 +1,8 @@
-"""Checks derivatives of runs: finite everywhere, and equal to finite differences where the motion is smooth.
+"""Checks that derivatives of runs are finite, and equal to finite differences if the motion is smooth.
 
-A motion that diverges from its neighbours, as a button of few triangles that rolls from corner to corner, amplifies a
-change of 10 nm at its start to micrometres within a tenth of a second: finite differences then fail. Where
-quartering the parameters' changes alters the differences, that frame and all later ones are not compared.
+A chaotic motion, such as a button of few triangles that rolls from corner to corner, amplifies a change of 10 nm at
+its start to micrometres within a tenth of a second, and finite differences then fail. If a quarter of the change of
+the parameters alters the differences, that frame and all later ones are not compared.
 """
 
 from __future__ import annotations
@@ -16,30 +16,30 @@ from numpy.typing import NDArray
 from pftwin.base.arrays import Floats
 from pftwin.studies.hard_cases.programs import PARAMETERS
 
-CHANGE = 1e-5  # of a parameter, in its unit, to either side
-FINER = 0.25  # share of it that is tried where differences and derivatives disagree
-SHARE = 0.02  # tolerance of a derivative, as a share of its column's largest entry
-LEAST = {"float64": 1e-7, "float32": 1e-4}  # [m or quaternion component per unit] smaller differences are not judged
-PARTED = 2e-5  # [m or quaternion component] between paths in float32 and float64: thousands of roundings
+CHANGE = 1e-5  # step of a parameter, in its unit, for central differences
+FINER = 0.25  # share of that step to use if differences and derivatives disagree
+SHARE = 0.02  # tolerance of a derivative, relative to its column's largest entry
+LEAST = {"float64": 1e-7, "float32": 1e-4}  # absolute tolerance [m or quaternion component per unit]
+PARTED = 2e-5  # [m or quaternion component] between float32 and float64 paths: thousands of rounding errors
 SHARE_IN_SINGLE = 0.10  # tolerance of float32 derivatives against float64 differences
 
 
 class Reference(NamedTuple):
-    """What derivatives of a run are compared with, in whichever float type they are."""
+    """The reference for derivatives of a run in either float type."""
 
-    differences: Floats  # (n, 7, 4) finite differences of float64
-    path: Floats  # (n, 7) poses of float64 that they belong to
+    differences: Floats  # (n, 7, 4) finite differences in float64
+    path: Floats  # (n, 7) poses of that run in float64
 
 
 def differences(forward: Callable[[Floats], Any], share: float = 1.0) -> Floats:
-    """Central differences (..., 7, 4) of poses (..., 7) by changes of the parameters (4,), or by a share of them."""
+    """Returns central differences (..., 7, 4) of poses (..., 7) by the parameters (4,), with step `share * CHANGE`."""
     change = share * CHANGE * np.eye(len(PARAMETERS))
     ahead, back = (np.stack([forward(p) for p in side]) for side in (change, -change))
     return np.moveaxis((ahead - back) / (2 * share * CHANGE), 0, -1)
 
 
 def agreeing_differences(coarse: Floats, fine: Floats) -> Floats:
-    """Finite differences (n, 7, 4) that agree for two sizes of change: NaN from the first frame where they differ."""
+    """Returns finite differences (n, 7, 4) that agree for two steps; NaN from the first frame where they differ."""
     size = np.maximum.accumulate(np.abs(fine).max(axis=1), axis=0)
     off = np.abs(fine - coarse).max(axis=1)
     unsettled = np.logical_or.accumulate(~(off <= 0.5 * SHARE * size + LEAST["float64"]), axis=0)
@@ -47,16 +47,16 @@ def agreeing_differences(coarse: Floats, fine: Floats) -> Floats:
 
 
 def known_on(reference: Reference, path: Floats) -> Floats:
-    """Finite differences (n, 7, 4) for derivatives on a path (n, 7) of float32: NaN once it has left that of float64.
+    """Returns the finite differences (n, 7, 4) for a float32 path (n, 7); NaN after it leaves the float64 path.
 
-    From there on rounding has been multiplied a thousandfold, and derivatives are those of another path.
+    From there on, rounding errors have grown a thousandfold, and the derivatives belong to another path.
     """
     parted = np.logical_or.accumulate(~(np.abs(path - reference.path).max(axis=1) <= PARTED))
     return np.where(parted[:, None, None], np.nan, reference.differences)
 
 
 def not_finite(slopes: Floats, until: NDArray[np.bool_]) -> str | None:
-    """Whether a derivative (n, 7, 4) is not finite in a frame that counts."""
+    """Describes the first derivative (n, 7, 4) that is not finite in the frames `until` (n,); None if all are."""
     bad = ~np.isfinite(slopes).all(axis=1) & until[:, None]
     if not bad.any():
         return None
@@ -65,7 +65,7 @@ def not_finite(slopes: Floats, until: NDArray[np.bool_]) -> str | None:
 
 
 def disagree(slopes: Floats, reference: Floats, dtype: str) -> str | None:
-    """Whether derivatives (..., 7, 4) differ from finite differences where those are not NaN."""
+    """Describes the largest disagreement of derivatives (..., 7, 4) with finite differences, ignoring NaN, or None."""
     share = SHARE if dtype == "float64" else SHARE_IN_SINGLE
     rows = reference.reshape(-1, len(PARAMETERS))
     known = np.isfinite(rows)

@@ -1,4 +1,4 @@
-"""The surface under the button: a height over a plane, as a patch of any kind or a coarse, perhaps broken mesh."""
+"""Surfaces under the button: a height over a plane, as a fitted patch or as a coarse mesh with optional defects."""
 
 from __future__ import annotations
 
@@ -21,35 +21,35 @@ from pftwin.geometry.patch.spline import SplinePatch
 
 Height = Callable[[Floats, Floats], Floats]
 
-CYLINDER = " cylinder"  # ending of a patch's name: over a cylinder
+CYLINDER = " cylinder"  # suffix of the name of a patch over a cylinder
 CELLS = (8, 8)  # of the spline
 SAMPLES = 41  # along each side of the rectangle, for fits
-MESH = (3, 4)  # cells of the mesh along and across, an even number: 12 triangles on each facet
+MESH = (3, 4)  # cells of the mesh along and across (an even number): 12 triangles on each facet
 
 
 @dataclass(frozen=True)
 class TiltedGround:
     """A surface over a plane that is tilted about the femur's y axis."""
 
-    height: Height  # of arrays u (proximal) and v (lateral) [m]
-    half: tuple[float, float] = (0.024, 0.020)  # of the rectangle [m]
+    height: Height  # function of arrays u (proximal) and v (lateral) [m]
+    half: tuple[float, float] = (0.024, 0.020)  # half size of the rectangle [m]
     tilt: float = 0.0  # of the plane's normal from z towards -x [rad]
-    above: float = 0.0  # of the plane's origin along its normal from the femur's [m]
-    met: bool = False  # whether cases count nanometres from its middle, so that a polynomial must be exact there
+    above: float = 0.0  # distance of the plane's origin from the femur's, along the normal [m]
+    met: bool = False  # whether a polynomial must be exact at the middle, for cases that need nanometres there
 
     def axes(self) -> Floats:
-        """(3, 3): the plane's axes in the femur's frame, by columns."""
+        """Returns the plane's axes in the femur frame as the columns of a matrix (3, 3)."""
         ez = np.array([-np.sin(self.tilt), 0.0, np.cos(self.tilt)])
         ey = np.array([0.0, 1.0, 0.0])
         return np.stack([np.cross(ey, ez), ey, ez], axis=1)
 
     def grid(self, n_u: int, n_v: int) -> tuple[Floats, Floats, Floats]:
-        """u, v and height over the rectangle, (n_u, n_v) each."""
+        """Returns u, v and height on a grid over the rectangle, (n_u, n_v) each [m]."""
         u, v = np.meshgrid(*(np.linspace(-h, h, n) for h, n in zip(self.half, (n_u, n_v), strict=True)), indexing="ij")
         return u, v, self.height(u, v) + 0.0 * u
 
     def points(self, u: Floats, v: Floats, height: Floats) -> Floats:
-        """(n, 3) in the femur's frame."""
+        """Returns points of the surface in the femur frame (n, 3) [m]."""
         local = np.stack([u, v, height + self.above], axis=-1).reshape(-1, 3)
         return local @ self.axes().T
 
@@ -63,9 +63,9 @@ TROCHLEA = TiltedGround(_trochlea, tilt=float(np.radians(40)), above=0.026)
 
 
 def patch_on(ground: TiltedGround, kind: str) -> PolynomialPatch | SplinePatch:
-    """The patch of that kind nearest to a ground: "P5", "P5 cylinder", "spline".
+    """Returns the patch of a kind ("P5", "P5 cylinder", "spline") fitted to a ground.
 
-    All patches of one kind have one structure, so that scenes on them can be stacked.
+    All patches of one kind have the same structure, so that their scenes can be stacked.
     """
     name, round_ = kind.removesuffix(CYLINDER), kind.endswith(CYLINDER)
     coefficients, center, half = _fitted(ground, name, round_)
@@ -75,7 +75,7 @@ def patch_on(ground: TiltedGround, kind: str) -> PolynomialPatch | SplinePatch:
 
 
 def axis_below(ground: TiltedGround, kind: str) -> float:
-    """Depth below the plane of the origin of the patch's coordinates: over a cylinder that of its axis [m]."""
+    """Returns the depth of the chart's origin below the plane [m]: that of the axis for a cylinder, otherwise 0."""
     return _depth(ground) if kind.endswith(CYLINDER) else 0.0
 
 
@@ -93,7 +93,7 @@ def _chart(ground: TiltedGround, round_: bool) -> Chart:
 
 @lru_cache(maxsize=512)
 def _fitted(ground: TiltedGround, name: str, round_: bool) -> tuple[Floats, tuple[float, float], tuple[float, float]]:
-    """Coefficients, middle and half size of the rectangle."""
+    """Coefficients of the fitted patch, and centre and half size of its rectangle."""
     u, v, h = ground.grid(SAMPLES, SAMPLES)
     if round_:
         depth = _depth(ground)
@@ -108,7 +108,7 @@ def _fitted(ground: TiltedGround, name: str, round_: bool) -> tuple[Floats, tupl
 
 
 def _polynomial(a: Floats, b: Floats, h: Floats, degree: int, met: bool) -> Floats:
-    """Coefficients of the polynomial nearest to heights over the samples, or nearest with the middle's height exact."""
+    """Least-squares coefficients of a polynomial; if `met`, with the exact height at the middle."""
     basis = np.stack([a.ravel() ** i * b.ravel() ** j for i, j in exponents(degree)], axis=1)
     if not met:
         return np.asarray(np.linalg.lstsq(basis, h.ravel(), rcond=None)[0], np.float64)
@@ -118,7 +118,7 @@ def _polynomial(a: Floats, b: Floats, h: Floats, degree: int, met: bool) -> Floa
 
 
 def _spline(a: Floats, b: Floats, h: Floats) -> Floats:
-    """Coefficients of the spline nearest to heights over the samples."""
+    """Least-squares coefficients of a spline."""
     n_u, n_v = CELLS
     columns = [_basis(a.ravel(), n_u), _basis(b.ravel(), n_v)]
     basis = np.einsum("ki,kj->kij", *columns).reshape(a.size, -1)
@@ -126,7 +126,7 @@ def _spline(a: Floats, b: Floats, h: Floats) -> Floats:
 
 
 def _basis(a: Floats, n: int) -> Floats:
-    """(k, n + 3): the cubic B-splines of n cells from -1 to 1 at places a (k,)."""
+    """Values (k, n + 3) of the cubic B-splines of n cells from -1 to 1, at points a (k,)."""
     from scipy.interpolate import BSpline
 
     knots = (2 * np.arange(-3, n + 4) - n) / n
@@ -134,7 +134,7 @@ def _basis(a: Floats, n: int) -> Floats:
 
 
 def mesh_on(ground: TiltedGround) -> SurfaceMesh:
-    """A grid's triangles, normals out of the bone, in the femur's frame."""
+    """Returns a grid mesh of the ground in the femur frame, with normals out of the bone."""
     n_u, n_v = (n + 1 for n in MESH)
     k = np.arange(n_u * n_v).reshape(n_u, n_v)
     a, b, c, d = (q.ravel() for q in (k[:-1, :-1], k[1:, :-1], k[1:, 1:], k[:-1, 1:]))
@@ -143,12 +143,12 @@ def mesh_on(ground: TiltedGround) -> SurfaceMesh:
 
 
 def lateral_of(mesh: SurfaceMesh) -> NDArray[np.bool_]:
-    """Which triangles lie laterally of the middle plane, (m,)."""
+    """Returns which triangles lie lateral of the middle plane, (m,)."""
     return mesh.vertices[mesh.faces].mean(axis=1)[:, 1] > 0
 
 
 def groove(angle: float, rounding: float = 0.005, half: tuple[float, float] = (0.024, 0.02)) -> TiltedGround:
-    """A straight groove along x whose facets rise by an angle [deg], rounded at the bottom over a length [m]."""
+    """Returns a straight groove along x, whose facets rise at an angle [deg], with a bottom rounding length [m]."""
     slope = np.tan(np.radians(angle))
     return TiltedGround(lambda u, v: np.sqrt(v**2 + rounding**2) * slope, half)
 
@@ -164,25 +164,25 @@ GROUNDS = {
     "steep": groove(70, 0.006),
     "narrow": groove(55, 0.002),
     "small_patch": groove(18, 0.006, (0.004, 0.004)),
-    # A shallow groove between two shoulders beyond which it falls off.
+    # A shallow groove between two shoulders, beyond which the surface falls off.
     "shoulders": TiltedGround(lambda u, v: 0.002 * (1 - np.cos(np.pi * v / 0.02)), (0.03, 0.03)),
     "edge": TiltedGround(TROCHLEA.height, (0.012, 0.012)),
     "no_width": TiltedGround(TROCHLEA.height, (0.024, 0.0)),
-    # Long enough for the button: flat, the trochlea's own rectangle ends 13 mm short of the equilibrium.
+    # A longer rectangle: the trochlea's, if flat, ends 13 mm short of the equilibrium.
     "nearly_flat": replace(TROCHLEA, height=SHALLOW.height, half=(0.06, 0.03)),
     "nearly_vertical": groove(80, 0.004, (0.02, 0.012)),
 }
 
 
-_PLACE = (0.004, 0.006)  # below the button, inside of a triangle [m]
-_OVER_HOLE = (-0.005, 0.011)  # over the triangle that the hole takes out [m]
+_PLACE = (0.004, 0.006)  # point below the button, inside a triangle [m]
+_OVER_HOLE = (-0.005, 0.011)  # point in the triangle that is removed to make a hole [m]
 
 Vertices, Faces = NDArray[np.float64], NDArray[np.int64]
 Change = Callable[[Vertices, Faces], tuple[Vertices, Faces]]
 
 
 def _defective_mesh(change: Change) -> Callable[[TiltedGround], SurfaceMesh]:
-    """The ground's mesh with a defect, and repaired as far as a repair keeps the surface."""
+    """A function that makes the ground's mesh with a defect and applies the repairs that keep the surface."""
 
     def made(ground: TiltedGround) -> SurfaceMesh:
         plain = mesh_on(ground)
@@ -201,7 +201,7 @@ def _turned(vertices: Vertices, faces: Faces) -> tuple[Vertices, Faces]:
 
 
 def _needle(vertices: Vertices, faces: Faces) -> tuple[Vertices, Faces]:
-    """A corner a micrometre beside the middle of an edge of two triangles splits one of them in three, one a needle."""
+    """Splits a triangle into three, one of them a needle, with a vertex a micrometre from the middle of an edge."""
     k = int(np.argmin(np.abs(vertices[faces].mean(axis=1)[:, :2] - np.array(_PLACE)).sum(axis=1)))
     a, b, c = faces[k]
     p = 0.5 * (vertices[a] + vertices[b])
@@ -218,13 +218,13 @@ def _hole(vertices: Vertices, faces: Faces) -> tuple[Vertices, Faces]:
 
 
 def _fork(vertices: Vertices, faces: Faces) -> tuple[Vertices, Faces]:
-    """A third triangle stands on an edge of two."""
+    """Adds a third triangle to an edge of two triangles."""
     vertices = np.concatenate([vertices, [[0.0, 0.015, 0.01]]])
     return vertices, np.concatenate([faces, [[faces[0, 0], faces[0, 2], len(vertices) - 1]]])
 
 
 def _crossing(vertices: Vertices, faces: Faces) -> tuple[Vertices, Faces]:
-    """A loose sheet of two triangles cuts through the plate below the button."""
+    """Adds a separate sheet of two triangles that cuts through the plate below the button."""
     sheet = np.array([[-0.02, 0.003, -0.0004], [0.02, 0.003, -0.0004], [0.02, 0.02, 0.0004], [-0.02, 0.02, 0.0004]])
     n = len(vertices)
     return np.concatenate([vertices, sheet]), np.concatenate([faces, [[n, n + 1, n + 2], [n, n + 2, n + 3]]])
@@ -233,7 +233,7 @@ def _crossing(vertices: Vertices, faces: Faces) -> tuple[Vertices, Faces]:
 _TRIANGLE = np.array([[-0.03, -0.03, 0.0], [0.06, 0.0, 0.0], [-0.03, 0.03, 0.0]])  # [m]
 
 MESH_MAKERS: dict[str, Callable[[TiltedGround], SurfaceMesh]] = {
-    # It continues like a patch, so that a small button does not roll over its rim on the way to rest.
+    # Extended as a patch is extrapolated, so that a small button does not roll over the rim before it comes to rest.
     "wide": lambda ground: mesh_on(replace(ground, half=(0.03, 0.03))),
     "one_triangle": lambda ground: SurfaceMesh(_TRIANGLE, np.array([[0, 1, 2]]), "one triangle"),
     "zero_area": _defective_mesh(_with_faces(lambda v, f: [f[0, 0], f[0, 0], f[0, 1]])),

@@ -1,4 +1,4 @@
-"""What must hold for every run, and what single cases expect: each check gives None, or the fault in a few words."""
+"""Checks of invariants of all runs and of the expectations of cases; each returns None or describes the fault."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ if TYPE_CHECKING:
     from pftwin.studies.hard_cases.catalogue import RigNumbers
     from pftwin.studies.hard_cases.knee import KneeNumbers
 
-GEOMETRY = Status.NO_CONTACT | Status.LEFT_PATCH | Status.DEEP_INDENTATION  # flags with checks of their own
-ERRORS = Status.INACCURATE | Status.FACETS_INACCURATE  # and those of steps, which are judged by a converged run
+GEOMETRY = Status.NO_CONTACT | Status.LEFT_PATCH | Status.DEEP_INDENTATION  # flags with separate checks
+ERRORS = Status.INACCURATE | Status.FACETS_INACCURATE  # flags of step errors, compared with a converged run
 
 
 class Tolerance(NamedTuple):
-    """By float type."""
+    """Tolerances of the checks for a float type."""
 
-    unit: float  # of the quaternion's length
-    created: float  # unexplained energy, as a share of the largest kinetic one; times a longer step's ms
+    unit: float  # of the quaternion's norm
+    created: float  # created energy relative to the largest energy; times the step in ms if that is above 1
     least: float  # smaller energies are not judged [J]
-    place: float  # of depths found in two ways [m]
-    symmetric: float  # [m] and of quaternion components
-    same: float  # of two runs that must agree [m] and of quaternion components
-    still: float  # [m] of what must not move
+    place: float  # between depths from two methods [m]
+    symmetric: float  # [m] and quaternion components
+    same: float  # between two runs that must agree [m] and quaternion components
+    still: float  # of the position if nothing may move [m]
 
 
 TOLERANCES = {
@@ -42,7 +42,7 @@ TOLERANCES = {
 
 
 class Look(NamedTuple):
-    """One case's run on the host, with what the checks need."""
+    """One case's run on the host, with the data that the checks need."""
 
     case: HardCase
     knee: KneeNumbers | RigNumbers
@@ -50,34 +50,34 @@ class Look(NamedTuple):
     run: CaseRun
     tolerance: Tolerance
     step: float  # [s]
-    depth: Floats  # (n,) of the button in the surface, by exhaustive search [m]
-    inertia: bool = True  # whether the motion has inertia, and so kinetic energy
+    depth: Floats  # (n,) penetration of the button, by exhaustive search [m]
+    inertia: bool = True  # whether the motion has inertia, hence kinetic energy
 
     @property
     def flags(self) -> NDArray[np.int64]:
-        """(n,) bits of `Status`."""
+        """Flags of the frames, (n,) bits of `Status`."""
         return np.asarray(self.run.seen.status, dtype=np.int64)
 
     def report(self, name: str) -> Floats:
-        """(n,) what the contact reports."""
+        """Returns an observable of the contact (n,)."""
         return np.asarray(self.run.seen.effects["contact"][name], dtype=np.float64)
 
     def kinetic(self) -> Floats:
-        """(n,) kinetic energy [J]; zero in a motion without inertia."""
+        """Returns the kinetic energy (n,) [J]; zero for a motion without inertia."""
         seen = np.asarray(self.run.seen.kinetic_energy, np.float64)
         return seen if self.inertia else 0.0 * seen
 
     def clean(self) -> NDArray[np.bool_]:
-        """(n,) whether a frame is before the first that the run itself refuses."""
+        """Returns whether each frame precedes the first that the run itself rejects (n,)."""
         return np.cumsum(self.flags & int(UNKNOWN)) == 0
 
     def indentation(self) -> Floats:
-        """(n,) the larger of the two facets' [m]."""
+        """Returns the larger indentation of the two facets (n,) [m]."""
         return np.fmax(self.report("indentation_medial"), self.report("indentation_lateral"))
 
 
 def finite(look: Look) -> str | None:
-    """All observations are finite in all frames; facets' own reports may be NaN without contact."""
+    """Checks that all observations are finite in all frames; reports of a facet may be NaN without contact."""
     states, ledger = look.run.states, look.run.ledger
     arrays = [host_array(a) for a in (states.position, states.orientation, states.velocity, states.spin)]
     arrays += [ledger.work, ledger.heat, look.run.seen.kinetic_energy, look.report("force")]
@@ -86,14 +86,14 @@ def finite(look: Look) -> str | None:
 
 
 def unit_quaternion(look: Look) -> str | None:
-    """The orientation's quaternion has length 1."""
+    """Checks that the quaternion has norm 1."""
     off = np.abs(np.linalg.norm(host_array(look.run.states.orientation), axis=1) - 1)
     worst = off[look.clean()].max(initial=0.0)
     return f"quaternion's length off by {worst:.1g}" if not worst <= look.tolerance.unit else None
 
 
 def flags_allowed(look: Look) -> str | None:
-    """The run has the required flags and only allowed ones; geometric flags have a check of their own."""
+    """Checks that the run has the required flags and no others that are not allowed, except geometric flags."""
     every = Status(int(np.bitwise_or.reduce(look.flags)))
     expected = look.case.expected
     if expected.must & ~every:
@@ -106,7 +106,7 @@ def flags_allowed(look: Look) -> str | None:
 
 
 def energy(look: Look) -> str | None:
-    """T + V - work never rises: not above its start, nor above what is left of it at any later frame.
+    """Checks that T + V - work never rises above its smallest earlier value.
 
     Heat can only lower it, so heat is not counted.
     """
@@ -117,13 +117,13 @@ def energy(look: Look) -> str | None:
     parts = [kinetic, *(v - v[0] for v in stored), work]
     scale = max((float(np.abs(p[clean]).max(initial=0.0)) for p in parts), default=0.0)
     created = (left - np.minimum.accumulate(left)).max(initial=0.0)
-    longer = max(1.0, look.step / 1e-3)  # steps create what is of their order
+    longer = max(1.0, look.step / 1e-3)  # the created energy grows with the step
     bound = look.tolerance.created * longer * scale + look.tolerance.least
     return f"{created:.2g} J from nowhere, {100 * created / scale:.1f} % of the largest" if created > bound else None
 
 
 def penetration(look: Look) -> str | None:
-    """What an indentation would store by Hertz's law is no more than the energy that there was for it."""
+    """Checks that the energy that the indentation stores by Hertz's law does not exceed the available energy."""
     law = look.knee.law
     depth = np.maximum(np.nan_to_num(look.indentation()), 0.0)
     stored = law.stiffness * depth ** (law.exponent + 1) / (law.exponent + 1)
@@ -133,20 +133,20 @@ def penetration(look: Look) -> str | None:
     available = total[0] + np.maximum(work, 0.0) - sum(others)
     clean = look.clean()
     scale = float(np.max(np.abs(total[clean]), initial=0.0))
-    over = (0.5 * stored - available)[clean]  # the two halves of one contact count once
+    over = (0.5 * stored - available)[clean]  # a contact shared by both facets counts only once
     worst = over.max(initial=0.0)
     return f"indentation stores {worst:.2g} J too much" if worst > look.tolerance.least + 0.02 * scale else None
 
 
 def place(look: Look) -> str | None:
-    """Force exactly where the exhaustive search finds contact, and at the depth that it finds."""
+    """Checks that there is force exactly where an exhaustive search finds contact, at the same depth."""
     depth, found, force = look.depth, look.indentation(), look.report("force")
     clean, near = look.clean(), look.tolerance.place * max(1.0, look.knee.radius / 0.022)
-    near = near + (0.0105 * look.knee.radius if look.contact == "contours" else 0.0)  # its flat triangles
+    near = near + (0.0105 * look.knee.radius if look.contact == "contours" else 0.0)  # the button's flat triangles
     distant = clean & (force > 0) & (depth < -near)
     if distant.any():
         return f"force at a distance of {1e3 * -depth[distant].min():.2g} mm"
-    if look.contact in MESHES:  # their indentation is another one than the nearest point's
+    if look.contact in MESHES:  # their indentation differs from the depth at the closest point
         # The law's damping can cancel the force on the way out, so an indentation without force is not a miss.
         missed = clean & (force <= 0) & ~(found > 0) & (depth > np.maximum(near, DEEPEST * look.knee.radius))
         return f"no force {1e3 * depth[missed].max():.2g} mm deep" if missed.any() else None
@@ -158,7 +158,7 @@ def place(look: Look) -> str | None:
 
 
 def geometry_flags(look: Look) -> str | None:
-    """NO_CONTACT and DEEP_INDENTATION exactly where the exhaustive search finds them."""
+    """Checks that NO_CONTACT and DEEP_INDENTATION are flagged exactly where an exhaustive search finds them."""
     depth, clean = look.depth, look.clean()
     near = look.tolerance.place * max(1.0, look.knee.radius / 0.022)
     if look.contact in MESHES:
@@ -173,14 +173,14 @@ def geometry_flags(look: Look) -> str | None:
         "says too deep, is not": clean & deep & (depth < limit - 2 * near),
     }
     if look.contact in MESHES:
-        del wrong["says too deep, is not"], wrong["too deep, does not say so"]  # by area or volume, not by depth
+        del wrong["says too deep, is not"], wrong["too deep, does not say so"]  # meshes use area or volume, not depth
     said = [f"frame {np.argmax(w)}: {words}" for words, w in wrong.items() if w.any()]
     return said[0] if said else None
 
 
 def symmetric(look: Look) -> str | None:
-    """A scene symmetric about y = 0 stays so."""
-    if not look.case.expected.symmetric or look.contact in MESHES:  # a mesh's diagonals differ
+    """Checks that a scene that is symmetric about y = 0 stays symmetric."""
+    if not look.case.expected.symmetric or look.contact in MESHES:  # the diagonals of a mesh are not symmetric
         return None
     p, q = (host_array(a)[look.clean()] for a in (look.run.states.position, look.run.states.orientation))
     off = max(np.abs(p[:, 1]).max(initial=0.0), np.abs(q[:, [1, 3]]).max(initial=0.0))
@@ -188,7 +188,7 @@ def symmetric(look: Look) -> str | None:
 
 
 def stays_in_place(look: Look) -> str | None:
-    """What must not move stays in place."""
+    """Checks that a patella that must not move stays in place."""
     if not look.case.expected.still:
         return None
     p, q = host_array(look.run.states.position), host_array(look.run.states.orientation)
@@ -197,9 +197,9 @@ def stays_in_place(look: Look) -> str | None:
 
 
 def at_end(look: Look) -> str | None:
-    """Loaded at the last frame, or not: by more than the rounding of its button's place in the surface's chart gives.
+    """Checks whether the button is loaded at the last frame, by more than rounding of its position causes.
 
-    Where it touches that place is the button's radius away from the chart's plane, or that and the plane from the axis.
+    The rounding scales with the distance of the button's centre from the chart's plane or axis.
     """
     wanted, force = look.case.expected.force_at_end, look.report("force")[-1]
     law, size = look.knee.law, look.knee.radius + look.knee.axis_below(look.contact)

@@ -1,7 +1,7 @@
-"""The small knee that every case varies: a patella with its button, two tendons, weight, and a tibia that moves.
+"""The small knee that the cases vary: a patella with its button, two tendons, weight, and a moving tibia.
 
-Cases change numbers, never the structure: scenes on one kind of contact are stacked into one batch, and a
-tendon that a case lacks hangs slack.
+Cases change parameters but not the structure, because scenes with one kind of contact are stacked into one batch. A
+tendon that a case lacks is always slack.
 """
 
 from __future__ import annotations
@@ -35,16 +35,16 @@ RADIUS = 0.022  # of the button [m]
 
 @dataclass(frozen=True)
 class TendonNumbers:
-    """A tendon's numbers."""
+    """Parameters of a tendon."""
 
     stiffness: float  # [N/m]
     slack_length: float  # [m]
     insertion: Triple  # patella frame [m]
-    origin: Triple  # on its body [m]
+    origin: Triple  # frame of the other body [m]
     damping_time: float = 0.01  # damping over stiffness [s]
 
     def tendon(self, body: str, name: str) -> Tendon:
-        """As an effect."""
+        """Returns the tendon as an effect."""
         given = self.stiffness, self.slack_length, self.damping_time * self.stiffness
         stiffness, slack, damping = map(number, given)
         return Tendon(stiffness, slack, damping, vector(self.insertion), vector(self.origin), body, name=name)
@@ -52,7 +52,7 @@ class TendonNumbers:
 
 @dataclass(frozen=True)
 class Law:
-    """A contact law's numbers (Flores et al. 2011); the exponent is one of them, so that it can be varied."""
+    """Parameters of a contact law (Flores et al. 2011), with a variable exponent."""
 
     stiffness: float = 2e8  # [N/m^p]
     exponent: float = 1.5
@@ -60,14 +60,14 @@ class Law:
     floor: float = 0.01  # of the approach speed [m/s]
 
     def flores(self) -> Flores:
-        """As a law."""
+        """Returns the contact law."""
         exponent, floor = number(self.exponent), number(self.floor)
         stiffness, restitution = number(self.stiffness), number(self.restitution)
         return Flores(stiffness, restitution, hertz_exponent=exponent, approach_speed_floor=floor)
 
 
 def flexed(degrees: Floats, positions: Floats | None = None) -> PoseSeries:
-    """The tibia's poses in the femur at angles of flexion (n,), about the femur's origin, at `RATE`."""
+    """Returns the tibia's poses in the femur for flexion angles (n,) [deg] about the femur's origin, at `RATE`."""
     half = np.radians(degrees) / 2
     zero = 0.0 * half
     turns = np.stack([np.cos(half), zero, -np.sin(half), zero], axis=1)
@@ -96,25 +96,25 @@ PATELLAR_TENDON = TendonNumbers(629, 0.0714, (-0.02, 0, -0.008), (-0.07, 0.01, 0
 
 @dataclass(frozen=True)
 class KneeNumbers:
-    """All numbers of a scene."""
+    """All parameters of a scene (SI units)."""
 
     ground: TiltedGround = TROCHLEA
     law: Law = Law()
     radius: float = RADIUS  # of the button [m]
     center: Triple = (0.0, 0.0, 0.0)  # of the button, patella frame [m]
-    mass: float = MASS
-    center_of_mass: Triple = (0.001, 0.0, 0.004)
+    mass: float = MASS  # of the patella [kg]
+    center_of_mass: Triple = (0.001, 0.0, 0.004)  # patella frame [m]
     gravity: Triple = (0.0, 0.0, -9.81)  # femur axes [m/s^2]
     quadriceps: TendonNumbers = QUADRICEPS
     patellar_tendon: TendonNumbers = PATELLAR_TENDON
     tibia: Callable[[], PoseSeries] = field(default=swinging)
-    start: Triple = (-0.005, 0.001, 0.05)
-    turn: Triple = (0.0, 0.0, 0.0)  # of the start, a rotation vector [rad]
-    mesh: Callable[[TiltedGround], SurfaceMesh] = mesh_on  # the femur's, where contact is between meshes
+    start: Triple = (-0.005, 0.001, 0.05)  # starting position of the patella, femur frame [m]
+    turn: Triple = (0.0, 0.0, 0.0)  # rotation vector of the starting orientation [rad]
+    mesh: Callable[[TiltedGround], SurfaceMesh] = mesh_on  # makes the femur's mesh for contact between meshes
     facets: int = 2  # of that mesh
 
     def scene_on(self, kind: str, name: str) -> Scene:
-        """The scene with a kind of contact; InputError for impossible numbers, motion or surface."""
+        """Builds the scene with a kind of contact; InputError for invalid parameters, motion or surface."""
         inertia = tuple(i * self.mass / MASS for i in INERTIA)
         effects = (
             Gravity(number(self.mass), vector(self.gravity)),
@@ -128,7 +128,7 @@ class KneeNumbers:
         return Scene(body, effects, motion, Pose(vector(self.start), turn), name, synthetic=True)
 
     def axis_below(self, kind: str) -> float:
-        """Depth of a cylindrical patch's axis below the ground; 0 where there is none [m]."""
+        """Returns the depth of a cylindrical patch's axis below the ground [m]; 0 for other contacts."""
         return axis_below(self.ground, kind)
 
 
@@ -137,7 +137,7 @@ _LONG = 60.0  # [s]
 
 
 def _jumping() -> PoseSeries:
-    """One frame is 20 mm and 15 deg off, as where two markers change places."""
+    """One frame is displaced by 20 mm and 15 deg, as if two markers were swapped."""
     angles, positions = flexion(FRAMES), np.zeros((FRAMES, 3))
     angles[25] += 15
     positions[25] = (0.0, 0.02, 0.0)
@@ -151,7 +151,7 @@ def _noisy() -> PoseSeries:
 
 
 def _with(**changes: Callable[[Floats], Floats]) -> Callable[[], PoseSeries]:
-    """The plain motion with times, positions or quaternions changed."""
+    """A function that makes the plain motion with changed times, positions or quaternions."""
 
     def made() -> PoseSeries:
         plain, same = swinging(), lambda a: a
@@ -178,11 +178,11 @@ MOTIONS: Mapping[str, Callable[[], PoseSeries]] = {
 }
 
 
-DEGREE, BUMPS = 5, 4e-4  # of the bumps that are added to the trochlea, and their coefficients' size [m]
+DEGREE, BUMPS = 5, 4e-4  # degree of the bumps added to the trochlea; standard deviation of their coefficients [m]
 
 
 def bumpy(coefficients: np.ndarray) -> TiltedGround:
-    """The trochlea with a polynomial of `DEGREE` added to its height, in coordinates from -1 to 1 [m]."""
+    """Returns the trochlea with a polynomial of `DEGREE`, in coordinates from -1 to 1, added to its height [m]."""
     half, powers = TROCHLEA.half, exponents(DEGREE)
 
     def height(u: np.ndarray, v: np.ndarray) -> np.ndarray:
@@ -193,7 +193,7 @@ def bumpy(coefficients: np.ndarray) -> TiltedGround:
 
 
 def drawn(seed: int) -> KneeNumbers:
-    """A random knee, with every number in the range of the catalogue."""
+    """Returns a random knee, with all parameters in the range of the catalogue."""
     random = np.random.default_rng(seed)
     quadriceps, tendon = (
         replace(

@@ -1,4 +1,4 @@
-"""The matrix: every case with every kind of contact, integrator and float type, forward and differentiated."""
+"""The test matrix: each case with each kind of contact, integrator and float type, simulated and differentiated."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ from pftwin.studies.hard_cases.programs import CaseRun, compiled, depths, poses,
 from pftwin.studies.hard_cases.verdict import Cell, Evidence, verdict
 
 DTYPES = ("float64", "float32")
-MOST_LOOKS = 200  # frames of a run for which the depth is searched
+MOST_LOOKS = 200  # approximate number of frames of a run at which the depth is searched
 Say = Callable[[str], None]
-Forward = Callable[[Any, list[int]], CaseRun]  # runs of some cases with changed parameters
+Forward = Callable[[Any, list[int]], CaseRun]  # runs some cases with changed parameters
 
 
 class Selection(NamedTuple):
@@ -54,9 +54,9 @@ EVERYTHING = Selection()
 
 
 def run_matrix(cases: Sequence[HardCase], selection: Selection = EVERYTHING, say: Say = lambda _: None) -> list[Cell]:
-    """Runs cases and judges them: a cell for each case, contact, integrator and float type that there is.
+    """Runs and judges cases; returns a cell for each combination of case, contact, integrator and float type.
 
-    `say` is called with the current step.
+    `say` receives progress messages.
     """
     cells: list[Cell] = []
     for contact in selection.contacts:
@@ -67,7 +67,7 @@ def run_matrix(cases: Sequence[HardCase], selection: Selection = EVERYTHING, say
 
 
 class Prepared:
-    """The cases on one kind of contact: made, and their starts and converged runs found, when first asked for."""
+    """The cases with one kind of contact; scenes, starts and converged runs are computed on first use."""
 
     def __init__(self, cases: Sequence[HardCase], contact: str, selection: Selection) -> None:
         """Computes nothing yet."""
@@ -76,14 +76,14 @@ class Prepared:
         self._stacks: dict[str, list[tuple[CaseBatch, Starts]]] = {}
 
     def batches(self, dtype: str) -> tuple[list[CaseBatch], dict[str, InputError]]:
-        """The batches, and by case why a scene could not be made."""
+        """Returns the batches, and the errors of rejected scenes by case."""
         if dtype not in self._built:
             with jax.enable_x64(dtype == "float64"):
                 self._built[dtype] = batches(self.cases, self.contact)
         return self._built[dtype]
 
     def stacks(self, dtype: str) -> list[tuple[CaseBatch, Starts]]:
-        """The batches with their starts."""
+        """Returns the batches with their starting states."""
         if dtype not in self._stacks:
             with jax.enable_x64(dtype == "float64"):
                 self._stacks[dtype] = [(batch, starts_of(batch, dtype)) for batch in self.batches(dtype)[0]]
@@ -91,7 +91,7 @@ class Prepared:
 
     @cached_property
     def truths(self) -> dict[str, Truth]:
-        """Converged runs by case, where they are looked at; in float64, whatever they are compared with."""
+        """Converged runs by case, always in float64; empty if not selected."""
         with jax.enable_x64(True):
             stacks = self.stacks("float64") if self.selection.truths else []
             found = [truths(batch, starts.chosen, self.contact) for batch, starts in stacks]
@@ -99,7 +99,7 @@ class Prepared:
 
 
 def cells_of(prepared: Prepared, method: CaseIntegrator, say: Say = lambda _: None) -> list[Cell]:
-    """Runs all cases on one kind of contact with one integrator, in the selected float types."""
+    """Runs all cases with one kind of contact and one integrator, in the selected float types."""
     contact, selection = prepared.contact, prepared.selection
     if method.only is not None and contact not in method.only:
         return []
@@ -116,7 +116,7 @@ def cells_of(prepared: Prepared, method: CaseIntegrator, say: Say = lambda _: No
 def _of_float_type(
     prepared: Prepared, method: CaseIntegrator, dtype: str, references: dict[str, Reference], say: Say
 ) -> list[Cell]:
-    """In one float type; finite differences are kept for the other."""
+    """Runs all cases in one float type; stores finite differences in `references` for the other."""
     contact, (made, refused) = prepared.contact, prepared.batches(dtype)
     said = {c.name: _refusal(c, refused[c.name]) for c in prepared.cases if c.name in refused}
     unfit = limit_of(contact).without_inertia is not None and not method.inertia
@@ -136,7 +136,7 @@ def _of_float_type(
 
 
 def _refusal(case: HardCase, error: InputError) -> tuple[str, str]:
-    """Outcome and reason of a case whose scene could not be made."""
+    """Outcome and reason of a case whose scene was rejected."""
     words = case.expected.refusal
     if words is not None and words in str(error):
         return "refused", str(error)
@@ -144,7 +144,7 @@ def _refusal(case: HardCase, error: InputError) -> tuple[str, str]:
 
 
 def _without_inertia(batch: CaseBatch, contact: str, method: CaseIntegrator) -> tuple[str, str]:
-    """Outcome and reason of an integrator that must refuse this contact."""
+    """Outcome and reason of an integrator that must reject this contact."""
     try:
         method.integrator.refuse_unfit(batch.scenes.effects)
     except InputError as error:
@@ -193,7 +193,7 @@ def _run_batch(
 
 
 def _depths(batch: CaseBatch, runs: Sequence[CaseRun], float64: bool) -> NDArray[np.float64]:
-    """(cases, frames): by exhaustive search; NaN at frames of long motions that are skipped."""
+    """Penetration depths by exhaustive search, (cases, frames) [m]; NaN at skipped frames of long motions."""
     frames = runs[0].seen.status.size
     looked = np.arange(0, frames, max(1, frames // MOST_LOOKS))
     centers = jax.tree.map(lambda *a: np.stack(a)[:, looked], *(r.seen.center for r in runs))
@@ -203,7 +203,7 @@ def _depths(batch: CaseBatch, runs: Sequence[CaseRun], float64: bool) -> NDArray
 
 
 def _references(batch: CaseBatch, slopes: NDArray[Any], forward: Forward) -> dict[int, NDArray[np.float64]]:
-    """By number of smooth case, (frames, 7, 4): finite differences; where they differ from slopes, as they settle."""
+    """Finite differences (frames, 7, 4) of smooth cases by index, refined where they differ from the derivatives."""
     smooth = [k for k, c in enumerate(batch.cases) if c.expected.smooth]
     if not smooth:
         return {}

@@ -1,8 +1,8 @@
-"""The few programs that run all cases: one structure of scene, one compilation for each integrator and float type.
+"""Compiled programs that run the cases: scenes have one structure, so each integrator and float type compiles once.
 
-Cases follow one another through a program of one case, whose number of steps is an argument: no case waits for the one
-with the shortest steps. That batches side by side (`jax.vmap`) keep their members apart is one of the checks, and so is
-how deep a button is in its surface, by an exhaustive search that no time stepping, memory or tree can lead astray.
+Cases run one after the other through a program of one case, with the number of steps as an argument, so no case waits
+for the one with the shortest steps. The penetration depth is computed by an exhaustive search that is independent of
+time stepping, contact memory and search trees.
 """
 
 from __future__ import annotations
@@ -31,22 +31,22 @@ from pftwin.geometry.patch.polynomial import PolynomialPatch
 from pftwin.model.effects.contact import Contact
 from pftwin.model.scene import Scene
 
-# Few of LLVM's optimisations: without any, contours of meshes run four times as long; all take long to compile.
+# Few LLVM optimisations: all take long to compile, but without any, contours of meshes run four times as long.
 OPTIONS = {"xla_backend_optimization_level": 1}
 PARAMETERS = ("quadriceps stiffness", "patellar tendon's slack length", "height of the surface", "contact stiffness")
-UNITS = (1.0, 1e-2, 1e-3, 1.0)  # of the parameters' changes: relative, [m], [m], relative
+UNITS = (1.0, 1e-2, 1e-3, 1.0)  # units of the changes of the parameters: relative, [m], [m], relative
 
 
 class Rest(eqx.Module):
-    """A scene's start."""
+    """Starting states of a scene."""
 
     equilibrium: Solution
     released: Solution  # the scene's start pose, not in equilibrium
-    slopes: Array  # (7, 4) of the equilibrium's position and quaternion by `PARAMETERS`
+    slopes: Array  # (7, 4) derivatives of the equilibrium's position and quaternion by `PARAMETERS`
 
 
 class CaseRun(eqx.Module):
-    """The results of a run; leading axis: frames."""
+    """The results of a run; the leading axis is the frame."""
 
     states: State
     seen: Observation
@@ -54,7 +54,7 @@ class CaseRun(eqx.Module):
 
 
 def with_parameters(scene: Scene, p: Array) -> Scene:
-    """The scene with its parameters changed by p (4,), in `UNITS`."""
+    """Returns the scene with its parameters changed by p (4,), in `UNITS`."""
     quadriceps, tendon, button = (scene.index(n) for n in ("quadriceps", "patellar_tendon", "contact"))
 
     def numbers(s: Any) -> tuple[Any, Any, Any]:
@@ -68,29 +68,29 @@ def with_parameters(scene: Scene, p: Array) -> Scene:
 
 
 def _raised(contact: Contact, by: Array) -> Contact:
-    """The contact with its fitted surface raised; over a mesh the button is lowered instead."""
+    """The contact with its fitted surface raised by `by` [m]; for a mesh, the button is lowered instead."""
     surface: Any = contact.fitted_surface()
     if surface is None:
         return contact.with_button_moved(Vec3(jnp.zeros_like(by), jnp.zeros_like(by), -by))
-    only = isinstance(surface, PolynomialPatch)  # the first coefficient is the height; a spline's add up to it
+    only = isinstance(surface, PolynomialPatch)  # its first coefficient is the height; a spline needs all of them
     change = by * jnp.eye(1, surface.coefficients.size)[0] if only else by  # pyright: ignore
     return contact.with_fitted_surface(eqx.tree_at(lambda s: s.coefficients, surface, surface.coefficients + change))
 
 
 def poses(states: State | Pose) -> Array:
-    """(..., 7): position [m] and quaternion."""
+    """Returns position [m] and quaternion as one array (..., 7)."""
     return jnp.concatenate([states.position.array(), states.orientation.array()], axis=-1)
 
 
 def _columns(function: Callable[[Array], Array]) -> Array:
-    """Derivatives by p at p = 0, the parameters' axis last; columns in a loop, compiled once."""
+    """Derivatives by p at p = 0, with the parameters as the last axis; a loop over columns compiles only once."""
     zero = jnp.zeros(len(PARAMETERS))
     columns = jax.lax.map(lambda d: jax.jvp(function, (zero,), (d,))[1], jnp.eye(len(PARAMETERS)))
     return jnp.moveaxis(columns, 0, -1)
 
 
 def equilibrium_with_derivatives(scene: Scene, p: Array) -> Rest:
-    """The scene's equilibrium with its derivatives, and its own start."""
+    """Returns the scene's equilibrium with its derivatives, and its start pose."""
 
     def found(change: Array) -> Array:
         return poses(starting_equilibrium(with_parameters(scene, p + change)).pose)
@@ -104,7 +104,7 @@ def equilibrium_with_derivatives(scene: Scene, p: Array) -> Rest:
 
 
 def run(scene: Scene, start: Solution, substeps: Array, p: Array, integrator: Integrator) -> CaseRun:
-    """A simulation with its ledger and all observations."""
+    """Simulates a scene with its energy ledger and all observations."""
     changed = with_parameters(scene, p)
     path = frame_states(changed, integrator=integrator, substeps=substeps, start=start, ledger=True)
     assert path.ledger is not None
@@ -112,14 +112,14 @@ def run(scene: Scene, start: Solution, substeps: Array, p: Array, integrator: In
 
 
 def depths(scene: Scene, centers: Vec3) -> Array:
-    """(n,): how deep the button is at places of its centre, by exhaustive search [m]."""
+    """Returns the button's penetration (n,) [m] at positions of its centre, by exhaustive search."""
     button = System.of(scene).effects[scene.index("contact")].contact_role()
     assert button is not None
     return jax.lax.map(lambda c: depth_everywhere(button, c), centers)
 
 
 def slopes(scene: Scene, start: Solution, substeps: Array, integrator: Integrator) -> Array:
-    """(n, 7, 4): derivatives of the frames' poses by `PARAMETERS`, from a fixed start."""
+    """Returns derivatives (n, 7, 4) of the frames' poses by `PARAMETERS`, from a fixed start."""
 
     def path(p: Array) -> Array:
         changed = with_parameters(scene, p)
@@ -130,10 +130,10 @@ def slopes(scene: Scene, start: Solution, substeps: Array, integrator: Integrato
 
 @lru_cache(maxsize=256)
 def compiled(function: Callable[..., Any], float64: bool, **fixed: Any) -> Callable[..., Any]:
-    """A program of one case, for members of a batch one after the other; one for each float type, that in force.
+    """Returns a function that runs a program of one case on the members of a batch in turn, cached per float type.
 
-    It takes stacked arguments, and `only`: the numbers of the wanted members, all by default. Whoever is left out costs
-    nothing. Results are stacked on the host.
+    It takes stacked arguments, and `only`, the indices of the members to run (default: all). Results are stacked on
+    the host.
     """
     program = jax.jit(partial(function, **fixed), compiler_options=OPTIONS)
 
@@ -146,18 +146,18 @@ def compiled(function: Callable[..., Any], float64: bool, **fixed: Any) -> Calla
     return each
 
 
-SAMPLES = 61  # along each side of a square about the point below the centre
-WIDE = 1.5  # half that square's side at first, in radii
-ZOOMS = 4  # times that the square shrinks around the nearest sample
+SAMPLES = 61  # along each side of a square around the point below the centre
+WIDE = 1.5  # initial half side of that square, in radii
+ZOOMS = 4  # number of times that the square shrinks around the nearest sample
 
 
 def depth_everywhere(button: Contact, center: Vec3) -> Array:
-    """Radius less the distance of the sphere's centre to the nearest point of the surface [m].
+    """Returns the sphere's radius minus the signed distance of its centre to the surface [m]; negative: no contact.
 
-    Negative where it touches nothing. A centre below a patch counts as inside; a mesh's side is told by its nearest
-    triangle's normal, but a mesh that is open has no inside past its rim.
+    A centre below a patch counts as inside. For a mesh, the normal of the nearest triangle decides, but an open mesh
+    has no inside past its rim.
 
-    `button` is made ready by `recentred`; `center` is the sphere's, in the femur's frame.
+    `button` must be prepared by `recentred`; `center` is the sphere's centre in the femur frame.
     """
     surface, femur, corners = button.fitted_surface(), button.femur_triangles(), button.button_triangles()
     radius = button.button_radius() if corners is None else jnp.max(Vec3.from_array(corners.reshape(-1, 3)).norm())
@@ -168,9 +168,9 @@ def depth_everywhere(button: Contact, center: Vec3) -> Array:
 
 
 def _above_patch(surface: Any, center: Vec3, radius: Scalar) -> Array:
-    """By samples of two squares, one below the centre and one over the patch, each drawn closer about its nearest.
+    """Signed distance [m] by sampling two squares, one below the centre and one on the patch, each shrunk repeatedly.
 
-    Over a cylinder a square goes round the axis once at most, and what lies on the axis or beyond is no surface.
+    On a cylinder, a square goes round the axis at most once, and points on or beyond the axis do not count as surface.
     """
     c = surface.chart.to_frame(center)
     side = jnp.linspace(-1.0, 1.0, SAMPLES)
@@ -194,14 +194,14 @@ def _above_patch(surface: Any, center: Vec3, radius: Scalar) -> Array:
 
 
 def _signed(surface: Any, c: Vec3, u: Array, v: Array) -> Array:
-    """The distance of a point of the chart's frame to the surface's at (u, v), negative where it is below [m]."""
+    """Distance of a point in the chart's frame from the surface point at (u, v), negative if below [m]."""
     jet = surface.jet(u, v)
     away = _away(surface, c, u, v)
     return jnp.where(away.dot(surface.chart.normal(u, jet.f, jet.u, jet.v)) < 0, -away.norm(), away.norm())
 
 
 def _away(surface: Any, c: Vec3, u: Array, v: Array) -> Vec3:
-    """From the surface's points to the centre."""
+    """Vectors from surface points to the centre."""
     p = surface.chart.local_point(u, v, jax.vmap(surface.height)(u, v) if jnp.ndim(u) else surface.height(u, v))
     p = Vec3(*(jnp.broadcast_to(a, jnp.shape(u)) for a in (p.x, p.y, p.z)))
     return Vec3(c.x - p.x, c.y - p.y, c.z - p.z)
@@ -221,7 +221,7 @@ def _above_mesh(rows: Array, center: Vec3) -> Array:
 
 
 def _on_rim(rows: Array, point: Array) -> Array:
-    """Whether a point (3,) of a mesh lies on an edge along which no other triangle runs the other way."""
+    """Whether a point (3,) of a mesh lies on a boundary edge: one without an opposite edge of another triangle."""
     corners = rows.reshape(-1, 3, 3)
     a, b = corners.reshape(-1, 3), jnp.roll(corners, -1, axis=1).reshape(-1, 3)
     met = ((a[:, None] == b[None]) & (b[:, None] == a[None])).all(axis=-1).any(axis=1)

@@ -1,4 +1,4 @@
-"""The matrix as tables, its pieces kept as JSON and put together for docs/hard_cases.md, and cases run as results."""
+"""Tables of the matrix, its partial results as JSON, the page docs/hard_cases.md, and results of single cases."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ LONGEST_REASON = 160  # characters
 
 
 def counts(cells: Iterable[Cell]) -> Counter[str]:
-    """How many cells passed, failed and were refused."""
+    """Counts the cells that passed, failed and were refused."""
     return Counter(c.outcome for c in cells)
 
 
 def named_cases(cases: Sequence[HardCase]) -> Sheet:
-    """The cases and their difficulties."""
+    """Returns a table of the cases and their difficulties."""
     return Sheet("hard cases", ("case", "what is hard"), tuple((c.name, c.about) for c in cases))
 
 
 def _grouped(cells: Iterable[Cell], *fields: str) -> dict[tuple[str, ...], list[Cell]]:
-    """Cells by what they have in these fields."""
+    """Cells grouped by the values of these fields."""
     groups: dict[tuple[str, ...], list[Cell]] = {}
     for c in cells:
         groups.setdefault(tuple(getattr(c, name) for name in fields), []).append(c)
@@ -44,14 +44,14 @@ def _grouped(cells: Iterable[Cell], *fields: str) -> dict[tuple[str, ...], list[
 
 
 def summary(cells: Sequence[Cell]) -> Sheet:
-    """Rows of contact, integrator and float type with their counts."""
+    """Returns a table of outcome counts by contact, integrator and float type."""
     groups = _grouped(cells, "contact", "integrator", "dtype")
     rows = tuple((*key, *(str(counts(group)[o]) for o in OUTCOMES)) for key, group in groups.items())
     return Sheet("hard cases", ("contact", "integrator", "float type", *OUTCOMES), rows)
 
 
 def by_case(cells: Sequence[Cell]) -> Sheet:
-    """Rows of cases, columns of integrators: in each the outcomes over contacts and float types."""
+    """Returns a table of outcome counts, over contacts and float types, by case and integrator."""
     integrators, rows = tuple(dict.fromkeys(c.integrator for c in cells)), []
     for (case,), group in _grouped(cells, "case").items():
         found = [counts(c for c in group if c.integrator == i) for i in integrators]
@@ -60,14 +60,14 @@ def by_case(cells: Sequence[Cell]) -> Sheet:
 
 
 def outcomes(cells: Sequence[Cell]) -> Sheet:
-    """Rows of contact, integrator, float type, outcome and the cases that have it."""
+    """Returns a table of the cases by contact, integrator, float type and outcome."""
     groups = _grouped(cells, "contact", "integrator", "dtype", "outcome")
     rows = tuple((*key, ", ".join(c.case for c in group)) for key, group in groups.items())
     return Sheet("every cell", ("contact", "integrator", "float type", "outcome", "cases"), rows)
 
 
 def reasons(cells: Sequence[Cell], outcome: str) -> Sheet:
-    """Rows of case, where, and why, for one outcome; contacts and float types of one case and reason share a row."""
+    """Returns a table of the reasons for an outcome; contacts and float types of a case and integrator share a row."""
     rows = []
     for key, group in _grouped((c for c in cells if c.outcome == outcome), "case", "integrator").items():
         where = _grouped(group, "contact").items()
@@ -78,7 +78,7 @@ def reasons(cells: Sequence[Cell], outcome: str) -> Sheet:
 
 
 def markdown(cells: Sequence[Cell], cases: Sequence[HardCase], pieces: Sequence[KeptPiece]) -> str:
-    """The page docs/hard_cases.md, from the pieces that were run."""
+    """Returns the page docs/hard_cases.md from the partial results."""
     found, m = counts(cells), pieces[-1].machine
     why = {c.name: c.unmended or c.limit for c in cases}
     failing = dict.fromkeys(c.case for c in cells if c.outcome == "fail")
@@ -113,21 +113,21 @@ _EXPECTED = "what pftwin hard-cases --json has written"
 
 
 class KeptPiece(NamedTuple):
-    """Cells of one run."""
+    """A partial result: the cells of one run."""
 
     rows: tuple[Cell, ...]
-    seconds: float  # with compiling
-    machine: dict[str, Any]  # as `pftwin.base.runtime.describe` has it, date included
-    quick: bool  # whether derivatives and batches were left out
+    seconds: float  # run time, including compilation
+    machine: dict[str, Any]  # from `pftwin.base.runtime.describe`, with the date
+    quick: bool  # whether derivatives and batches were omitted
     truths: bool = False  # whether runs were compared with converged ones
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """Returns plain values that can be written as JSON."""
         return {**self._asdict(), "rows": [c._asdict() for c in self.rows]}
 
 
 def read_piece(path: Path) -> KeptPiece:
-    """A piece that `pftwin hard-cases --json` has written; InputError for no such file, or another one's content."""
+    """Reads a partial result written by `pftwin hard-cases --json`; InputError for a missing or different file."""
     found = read_json(path, expected=_EXPECTED)
     try:
         rows = tuple(Cell(**one) for one in found["rows"])
@@ -138,7 +138,7 @@ def read_piece(path: Path) -> KeptPiece:
 
 
 def read_pieces(path: Path) -> list[KeptPiece]:
-    """A piece, or all *.json pieces of a folder, from the oldest to the newest; errors as of `read_piece`."""
+    """Reads a partial result, or all *.json files of a folder from oldest to newest; raises as `read_piece` does."""
     if not path.is_dir():
         return [read_piece(path)]
     found = [read_piece(one) for one in sorted(path.glob("*.json"))]
@@ -148,7 +148,7 @@ def read_pieces(path: Path) -> list[KeptPiece]:
 
 
 def merged_pieces(pieces: Sequence[KeptPiece], order: Sequence[tuple[str, ...]]) -> list[Cell]:
-    """All cells, each from the last piece that has it, by the order of cases, contacts, integrators and float types."""
+    """Merges pieces, each cell from the last that has it; `order`: names of cases, contacts, integrators, dtypes."""
     kept = {cell[:4]: cell for piece in pieces for cell in piece.rows}
     ranks = [{name: k for k, name in enumerate(names)} for names in order]
 
@@ -159,7 +159,7 @@ def merged_pieces(pieces: Sequence[KeptPiece], order: Sequence[tuple[str, ...]])
     return sorted(kept.values(), key=rank)
 
 
-_LOOKED = {  # by whether derivatives and batches were left out, and whether there were converged runs
+_LOOKED = {  # by whether derivatives and batches were omitted, and whether there were converged runs
     (False, True): "everything",
     (False, False): "everything but converged runs",
     (True, True): "the run, beside a converged one",
@@ -168,7 +168,7 @@ _LOOKED = {  # by whether derivatives and batches were left out, and whether the
 
 
 def runs(pieces: Sequence[KeptPiece]) -> Sheet:
-    """Rows of the pieces: what was run, when and where."""
+    """Returns a table of the partial results: contents, date and run time."""
     rows = []
     for piece in pieces:
         cases, *names = (dict.fromkeys(cell[k] for cell in piece.rows) for k in range(4))
@@ -182,9 +182,9 @@ def runs(pieces: Sequence[KeptPiece]) -> Sheet:
 def results(
     cases: Sequence[HardCase], contact: str = "P5", integrator: str = "linear_implicit"
 ) -> dict[str, Result | InputError]:
-    """The result or the refusal of each case that exists with a kind of contact, in float64, as `run_matrix` runs it.
+    """Returns the result or the error of each case with a kind of contact, in float64, run as in `run_matrix`.
 
-    Unlike `pftwin.simulate` it can release a patella that is not in equilibrium, where a case says so.
+    Unlike `pftwin.simulate`, it can release a patella that is not in equilibrium if the case requires it.
     """
     method, found = method_named(integrator), {}
     with jax.enable_x64(True):

@@ -1,4 +1,4 @@
-"""The verdict on one cell of the matrix: pass, fail or refused, and why."""
+"""The verdict on one cell of the matrix: pass, fail or refused, with the reason."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from pftwin.studies.hard_cases.errors import Truth, silent_error
 from pftwin.studies.hard_cases.invariants import CHECKS, ERRORS, GEOMETRY, TOLERANCES, Look
 from pftwin.studies.hard_cases.programs import CaseRun, poses
 
-# Flags of a run, or a step, that is not to be trusted.
+# Flags of a run or a step that cannot be trusted.
 REFUSES = Status.STEP_TOO_LONG | Status.SEARCH_OVERFLOW | Status.ENERGY_FROM_NOWHERE
-# In reasons of cells that the estimated error of steps refuses.
+# Appears in the reason of a cell that is refused for its estimated error although a converged run confirms it.
 THOUGH_RIGHT = "though right in place and force, by a converged run"
 
 
@@ -38,19 +38,19 @@ class Cell(NamedTuple):
 class Evidence(NamedTuple):
     """The evidence on which one case is judged."""
 
-    runs: dict[str, CaseRun]  # of the whole batch, on the host
-    slopes: NDArray[np.float64] | None  # (n, 7, 4)
-    reference: Reference | None  # for these
-    start: str | None  # faults of its equilibrium
+    runs: dict[str, CaseRun]  # runs of the whole batch, on the host
+    slopes: NDArray[np.float64] | None  # (n, 7, 4) derivatives
+    reference: Reference | None  # finite differences for the derivatives
+    start: str | None  # faults of the equilibrium
     mates: str | None  # dependence on the batch
-    depth: NDArray[np.float64]  # (n,) by exhaustive search [m]
+    depth: NDArray[np.float64]  # (n,) penetration by exhaustive search [m]
     step: float  # [s]
     truth: Truth | None = None  # a converged run
-    remarked: Callable[[], bool] = lambda: False  # whether the result says that restitution is lost
+    remarked: Callable[[], bool] = lambda: False  # whether the result remarks that restitution is not resolved
 
 
 def verdict(case: HardCase, contact: str, method: CaseIntegrator, dtype: str, evidence: Evidence) -> Cell:
-    """Pass; fail with all faults; refused where the run says of itself that it is not to be trusted."""
+    """Judges a run: "pass", "fail" with all faults, or "refused" if the run itself reports that it is not reliable."""
     run, tolerance = evidence.runs[case.name], TOLERANCES[dtype]
     look = Look(case, case.builder(), contact, run, tolerance, evidence.step, evidence.depth, method.inertia)
 
@@ -61,9 +61,9 @@ def verdict(case: HardCase, contact: str, method: CaseIntegrator, dtype: str, ev
         return cell("fail", "not refused")
     every = Status(int(np.bitwise_or.reduce(look.flags)))
     if every & RELEASED and dtype in case.no_equilibrium.get(contact, ()):
-        return cell("refused", f"{RELEASED.describe()} ({case.limit})")  # at every frame, and nothing else is claimed
+        return cell("refused", f"{RELEASED.describe()} ({case.limit})")  # flagged in every frame
     inaccurate = int(((look.flags & int(Status.INACCURATE)) > 0).sum())
-    invalid = inaccurate > most_frames(Status.INACCURATE, look.flags.size)  # then steps are too long by their estimate
+    invalid = inaccurate > most_frames(Status.INACCURATE, look.flags.size)  # by the estimated error of the steps
     if every & UNKNOWN and (method.may_refuse or invalid or case.expected.may & UNKNOWN or _at_limit(look)):
         return _refused(look, every, cell)
     found = [
@@ -83,7 +83,7 @@ def verdict(case: HardCase, contact: str, method: CaseIntegrator, dtype: str, ev
 
 
 def _at_limit(look: Look) -> bool:
-    """Whether a run first refuses itself by a known limit of its kind of contact, with nothing unexpected before."""
+    """Whether a run first rejects itself for a known limit of its kind of contact, with nothing unexpected before."""
     limit, first = limit_of(look.contact), int(np.argmax((look.flags & int(UNKNOWN)) > 0))
     until = Status(int(np.bitwise_or.reduce(look.flags[: first + 1])))
     own = limit.flags | (limit.at_rim if Status.LEFT_PATCH in until else Status.OK)
@@ -92,7 +92,7 @@ def _at_limit(look: Look) -> bool:
 
 
 def _refused(look: Look, every: Status, cell: Callable[[str, str], Cell]) -> Cell:
-    """A run that refuses itself must do so by the first frame that is not finite, and be right until then."""
+    """A run that rejects itself must do so by the first frame that is not finite, and be right until then."""
     flags = look.flags
     lost, said = (flags & int(Status.NOT_FINITE)) > 0, (flags & int(REFUSES)) > 0
     first = np.argmax(lost) if lost.any() else len(flags)
@@ -100,7 +100,7 @@ def _refused(look: Look, every: Status, cell: Callable[[str, str], Cell]) -> Cel
         return cell("fail", f"not finite from frame {first}, and nothing said before")
     skipped = {invariants.finite, invariants.flags_allowed, invariants.at_end, invariants.stays_in_place}
     if every & Status.ENERGY_FROM_NOWHERE:
-        skipped |= {invariants.energy, invariants.penetration}  # the run flags it by the share of its largest energy
+        skipped |= {invariants.energy, invariants.penetration}  # the run itself flags the created energy
     wrong = [w for check in CHECKS if check not in skipped and (w := check(look)) is not None]
     if wrong:
         return cell("fail", "before it refuses itself: " + "; ".join(wrong))
@@ -108,7 +108,7 @@ def _refused(look: Look, every: Status, cell: Callable[[str, str], Cell]) -> Cel
 
 
 def _equals_other_case(look: Look, evidence: Evidence) -> str | None:
-    """The motion must equal that of another case."""
+    """Checks that the motion equals that of another case."""
     other = look.case.expected.same_as
     if other is None:
         return None
@@ -117,7 +117,7 @@ def _equals_other_case(look: Look, evidence: Evidence) -> str | None:
 
 
 def _slopes(look: Look, evidence: Evidence, dtype: str, invalid: bool) -> str | None:
-    """Derivatives must be finite in all frames that count, and right where the motion is smooth."""
+    """Checks that derivatives are finite before any rejected frame, and correct if the motion is smooth."""
     if evidence.slopes is None:
         return None
     own = np.asarray(evidence.slopes, np.float64)
@@ -129,6 +129,6 @@ def _slopes(look: Look, evidence: Evidence, dtype: str, invalid: bool) -> str | 
     if words is None or dtype == "float64":
         return words
     known = derivatives.known_on(evidence.reference, np.asarray(poses(look.run.states), np.float64))
-    if invalid and not np.isfinite(known).any():  # by rounding it starts elsewhere, and says so
+    if invalid and not np.isfinite(known).any():  # rounding changes its start, and it is reported as invalid
         return None
     return derivatives.disagree(own, known, dtype)

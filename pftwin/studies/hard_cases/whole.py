@@ -1,7 +1,7 @@
-"""The whole matrix in pieces, one file for each kind of contact and integrator; what has its file is not run again.
+"""Runs the whole matrix in pieces, one file for each kind of contact and integrator; existing files are not rerun.
 
-Contacts are worked at side by side in processes of their own: nearly all of the time is compiling, which uses one core.
-What all integrators need of a contact (scenes, equilibria, converged runs) is found once.
+Contacts run in parallel processes, because nearly all the time is compilation, which uses one core. Scenes, equilibria
+and converged runs of a contact are computed once for all integrators.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ from pftwin.studies.hard_cases.matrix import Prepared, Selection, cells_of
 from pftwin.studies.hard_cases.table import KeptPiece
 
 Say = Callable[[str], None]
-LONGEST_FIRST = ("contours", "volume", "spline", "P5", "P8", "P5 cylinder", "P4", "P2")  # so that all end together
+LONGEST_FIRST = ("contours", "volume", "spline", "P5", "P8", "P5 cylinder", "P4", "P2")  # balances the processes
 
 
 def piece_path(folder: Path, contact: str, method: CaseIntegrator) -> Path:
-    """Where the cells of a kind of contact and an integrator are kept."""
+    """Returns the file of the cells of a kind of contact and an integrator."""
     return folder / f"{contact}_{method.name}.json".replace(" ", "-").replace(":", "-")
 
 
 def missing(folder: Path, selection: Selection) -> dict[str, tuple[CaseIntegrator, ...]]:
-    """By kind of contact, the integrators whose cells have no file yet; what takes longest comes first."""
+    """Returns the integrators without a file by kind of contact, with the slowest contacts first."""
     found = {}
     for contact in sorted(selection.contacts, key=LONGEST_FIRST.index):
         able = [m for m in selection.integrators if m.only is None or contact in m.only]
@@ -45,17 +45,16 @@ def missing(folder: Path, selection: Selection) -> dict[str, tuple[CaseIntegrato
 def run_missing(
     folder: Path, selection: Selection, *, processes: int, cache_dir: str, say: Say = lambda _: None
 ) -> list[Path]:
-    """Runs all cases where `missing` says so, and writes a file for each contact and integrator as soon as it is done.
+    """Runs all combinations that are `missing`, and writes a file for each contact and integrator when it is done.
 
-    So many contacts at a time, in processes of their own with a folder of compiled programs; float types are both.
-    Returns the files that were written.
+    Runs up to `processes` contacts in parallel, with a shared cache of compiled programs. Returns the written files.
     """
     folder.mkdir(parents=True, exist_ok=True)
     work = missing(folder, selection)
     if processes == 1:
         return [path for c, methods in work.items() for path in run_contact(folder, c, methods, selection, say)]
     written = []
-    context = multiprocessing.get_context("spawn")  # a forked JAX hangs
+    context = multiprocessing.get_context("spawn")  # JAX hangs after a fork
     as_the_command = partial(configure, cache_dir=cache_dir)
     with ProcessPoolExecutor(processes, context, as_the_command, max_tasks_per_child=1) as pool:
         running = {pool.submit(run_contact, folder, c, m, selection): c for c, m in work.items()}
@@ -68,7 +67,7 @@ def run_missing(
 def run_contact(
     folder: Path, contact: str, methods: Sequence[CaseIntegrator], selection: Selection, say: Say = lambda _: None
 ) -> list[Path]:
-    """Runs all cases on one kind of contact, one integrator after the other."""
+    """Runs all cases with one kind of contact, one integrator after the other."""
     prepared, written = Prepared(catalogue(), contact, selection), []
     for method in methods:
         began = time.perf_counter()

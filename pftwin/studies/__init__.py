@@ -1,1 +1,1 @@
-"""Studies of scenes: cost of accuracy, worth of effects, hard cases, contact at given poses."""
+"""Studies of scenes: cost of accuracy, influence of each effect, hard cases, contact at given poses."""

@@ -1,4 +1,4 @@
-"""Shared by studies: running variants until Ctrl-C, timing them in turn, and comparing motions."""
+"""Shared functions of the studies: interruptible runs of variants, timing in turn, and comparison of motions."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ def run_each(
     before: Callable[[int, V], Any] = lambda k, variant: None,
     after: Callable[[list[A]], Any] = lambda answers: None,
 ) -> list[A]:
-    """Answers of variants, one after the other; after an interrupt (Ctrl-C) those computed so far.
+    """Runs variants one after the other; after an interrupt (Ctrl-C), returns the answers so far.
 
-    `before` is called with the number done and the next variant, `after` with all answers so far, to show or store
-    them. Raises KeyboardInterrupt where that comes before the first was done.
+    `before` is called with the number done and the next variant, `after` with all answers so far. Raises
+    KeyboardInterrupt if it comes before the first variant is done.
     """
     answers: list[A] = []
     try:
@@ -47,11 +47,11 @@ def run_each(
 
 @dataclass(frozen=True)
 class Cost:
-    """The time of a run, and its ratio to that of the first one measured with it."""
+    """The time of a run and its ratio to that of the first run timed with it."""
 
-    seconds: float  # median of all runs [s]
-    ratio: float  # to the first: median of the rounds
-    spread: float  # of the ratio: half the interquartile range of the rounds
+    seconds: float  # median over the rounds [s]
+    ratio: float  # to the first run, median over the rounds
+    spread: float  # of the ratio: half the interquartile range over the rounds
 
 
 def time_in_turn(
@@ -62,13 +62,13 @@ def time_in_turn(
     own: bool = True,
     before: Callable[[int], Any] = lambda k: None,
 ) -> list[Cost]:
-    """Times runs in turn, after a first call that compiles them, so that other load affects all alike.
+    """Times runs in turn, after a first call that compiles each, so that other load affects all of them equally.
 
     Args:
-        runs: each ends when its answer is there.
-        rounds, seconds: at least so many, and so long for each, but not more than `MOST_ROUNDS`.
+        runs: functions to time; each is timed until its arrays are ready.
+        rounds, seconds: minimum number of rounds and minimum time for each run [s], up to `MOST_ROUNDS` rounds.
         own: whether to use process time on a CPU, which other programs disturb less than wall time.
-        before: called with the number of runs compiled, before each.
+        before: called with the number of runs compiled so far, before each is compiled.
     """
     clock = time.process_time if own and jax.default_backend() == "cpu" else time.perf_counter
 
@@ -92,17 +92,17 @@ def _cost(seconds: list[float], ratios: list[float]) -> Cost:
 
 
 class Difference(NamedTuple):
-    """A motion against a reference motion of the same frames (n)."""
+    """Difference of a motion from a reference motion at the same n frames."""
 
-    center: Floats  # (n,) distance of one and the same point of the patella, in the femur [m]
+    center: Floats  # (n,) distance between the two positions of a point of the patella in the femur frame [m]
     flexion: Floats  # (n,) [rad]
     rotation: Floats  # (n,) [rad]
     tilt: Floats  # (n,) [rad]
-    contact: Floats | None  # (n,) of the contact force [N]; None where either has none
+    contact: Floats | None  # (n,) of the contact force [N]; None if either has none
 
 
 def difference(result: Result, reference: Result, point: Floats) -> Difference:
-    """The difference of a motion from another, of the path of a point (3,) of the patella's frame [m] among others."""
+    """Returns the difference of two motions; `point` (3,) [m] in the patella frame is the point whose path counts."""
     apart = np.linalg.norm(_path(result, point) - _path(reference, point), axis=1)
     pairs = ((getattr(r.angles, name) for r in (result, reference)) for name in ("flexion", "rotation", "tilt"))
     flexion, rotation, tilt = (np.angle(np.exp(1j * np.subtract(*pair))) for pair in pairs)
@@ -113,12 +113,12 @@ def difference(result: Result, reference: Result, point: Floats) -> Difference:
 
 
 def rms(a: Floats) -> float:
-    """Root mean square."""
+    """Returns the root mean square."""
     return float(np.sqrt(np.mean(np.square(a))))
 
 
 def _path(result: Result, point: Floats) -> Floats:
-    """The path of a point of the patella, in the femur (n, 3)."""
+    """The path of a point of the patella in the femur frame (n, 3) [m]."""
     turn = Quaternion(*result.quaternion.T).rotation()
     axes = [host_array(a) for a in (turn.ex, turn.ey, turn.ez)]
     return result.position + sum(p * a for p, a in zip(point, axes, strict=True))

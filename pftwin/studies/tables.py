@@ -1,4 +1,4 @@
-"""Tables of studies: columns with units for CSV and NetCDF."""
+"""Tables of studies: columns with units, written as CSV or NetCDF."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ if TYPE_CHECKING:
 
 
 class Column(NamedTuple):
-    """A figure, or words, of every row."""
+    """One column of a table: numbers or text."""
 
-    key: str  # with its unit, as files have it
-    values: Sequence[Any]  # numbers (NaN: none) or words
-    unit: str = ""  # none: words
+    key: str  # name in files, including the unit
+    values: Sequence[Any]  # numbers (NaN: missing) or text
+    unit: str = ""  # empty for text
     long_name: str = ""
 
 
 def to_csv(columns: Sequence[Column]) -> str:
-    """Comma-separated, units in the names; empty where there is no number."""
+    """Returns CSV text with units in the column names; NaN becomes an empty cell."""
     text = io.StringIO()
     sheet = csv.writer(text, lineterminator="\n")
     sheet.writerow([c.key for c in columns])
@@ -39,7 +39,7 @@ def _cell(value: Any) -> str:
 
 
 def to_dataset(columns: Sequence[Column], dimension: str, attributes: dict[str, Any], names: str = "") -> Dataset:
-    """Columns along a dimension, with units and long names; `names`: the column that is its coordinate, if one is."""
+    """Returns a dataset of columns along a dimension; `names` is the key of the column to use as its coordinate."""
     from xarray import Dataset
 
     from pftwin.results.result_dataset import plain_attribute
@@ -53,7 +53,7 @@ def to_dataset(columns: Sequence[Column], dimension: str, attributes: dict[str, 
 
 
 def short_number(value: float) -> str:
-    """Two digits, or whole above a hundred; a dash for what is not known."""
+    """Formats a number with two digits, or as an integer from about a hundred; a dash if it is not finite."""
     if not np.isfinite(value):
         return "-"
     return f"{value:,.0f}" if abs(value) >= 99.5 else f"{value:.2g}"

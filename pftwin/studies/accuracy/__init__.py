@@ -1,1 +1,1 @@
-"""The cost of accuracy in time: contact models, integrators, steps and float types measured side by side on a scene."""
+"""Work-precision study: errors and run times of contact models, integrators, steps and float types on a scene."""

@@ -1,4 +1,4 @@
-"""Errors and times of one program at several steps, against the converged run of the same contact model."""
+"""Errors and run times of one program at several steps, against the converged run of the same contact model."""
 
 from __future__ import annotations
 
@@ -32,44 +32,44 @@ from pftwin.studies.accuracy.programs import (
 )
 from pftwin.studies.runs import Difference, difference, rms, time_in_turn
 
-SceneOf = Callable[[str], Scene]  # makes a scene from a contact's name, in JAX's current float type
+SceneOf = Callable[[str], Scene]  # makes a scene from a contact's name, in JAX's current default float type
 GRADIENT_SUBSTEPS = 2
 
 
 @dataclass(frozen=True)
 class AccuracyRow:
-    """A line of the table. NaN: not measured, or nothing to measure."""
+    """A row of the table. NaN: not measured or not applicable."""
 
     contact: str
     integrator: str
-    order: int
+    order: int  # nominal order of the integrator
     dtype: str
     step_ms: float
-    position_rms_mm: float  # of the button's centre, against the converged run
+    position_rms_mm: float  # error of the button's centre against the converged run
     position_max_mm: float
     tilt_rms_deg: float
-    force_rms_n: float  # total contact force
-    dislocation_ms: float  # time of the first dislocation, less the converged run's
+    force_rms_n: float  # error of the total contact force
+    dislocation_ms: float  # time of the first dislocation minus that of the converged run
     measured_mm: float  # mean distance of the button's centre from the measurements
-    real_time: float  # one run with all results, without its equilibrium: x real time
-    real_time_batch: float  # 64 variants side by side: x real time, of all together
-    compile_s: float  # tracing and compiling one run
-    gradient: float  # time of a run with four forward derivatives, in plain runs
+    real_time: float  # simulated time over run time, one run with all results, without the equilibrium
+    real_time_batch: float  # total simulated time over run time of 64 variants in a batch
+    compile_s: float  # time to trace and compile one run
+    gradient: float  # time of a run with four forward derivatives, relative to a plain run
     status: str
-    status_frames: dict[str, int] = field(default_factory=dict)  # how many frames have each flag; not in the tables
+    status_frames: dict[str, int] = field(default_factory=dict)  # number of frames with each flag; not in the tables
 
 
 @dataclass(frozen=True)
 class Converged:
-    """The reference run of a contact model, and its difference from another integrator's."""
+    """The converged reference run of a contact model."""
 
     result: Result
-    doubt_mm: float
+    doubt_mm: float  # rms distance from the converged run of a second integrator
 
 
 @contextlib.contextmanager
 def compiling_anew() -> Iterator[None]:
-    """The folder of compiled programs is not used, so that compile times are those of a first run."""
+    """Context without JAX's compilation cache, so that compile times are those of a first run."""
     from jax.experimental.compilation_cache import compilation_cache
 
     kept = jax.config.jax_compilation_cache_dir  # pyright: ignore[reportAttributeAccessIssue]
@@ -83,7 +83,7 @@ def compiling_anew() -> Iterator[None]:
 
 
 def converged(scene: Scene, contact: str) -> Converged:
-    """Newmark's method (on meshes backward differences), checked by a second integrator; float64."""
+    """Computes the float64 reference run with Newmark's method (BDF2 on meshes), checked by a second integrator."""
     mesh = contact in MESHES
     names = ("linear_implicit_bdf2", "linear_implicit") if mesh else ("newmark", "linear_implicit_bdf2")
     start, relaxed = settle_first_frame(scene.unnamed())
@@ -96,7 +96,7 @@ def converged(scene: Scene, contact: str) -> Converged:
 
 
 def rows(setting: MeasuredProgram, scene: Scene, reference: Converged, measured: Measured | None) -> list[AccuracyRow]:
-    """One for each step, all of one compiled program."""
+    """Measures one setting; returns a row for each step, all from one compiled program."""
     start, relaxed = settle_first_frame(scene.unnamed())
     p = programs(scene, setting.integrator)
     steps = {n: jnp.asarray(n) for n in setting.substeps}
@@ -106,7 +106,7 @@ def rows(setting: MeasuredProgram, scene: Scene, reference: Converged, measured:
     times = _times(one, p, start.answer, steps)
     batch = _times(jax.jit(p.many), p, start.answer, steps) if setting.batch else {}
     gradient = math.nan
-    if setting.gradient:  # the cost of a run with its derivatives, in runs
+    if setting.gradient:
         at = steps.get(GRADIENT_SUBSTEPS, steps[setting.substeps[0]])
         pair = [partial(jax.jit(program), p.arrays, start.answer, at) for program in (p.path, p.columns)]
         gradient = time_in_turn(pair, rounds=5, seconds=0.2, own=False)[1].ratio
@@ -134,7 +134,7 @@ def rows(setting: MeasuredProgram, scene: Scene, reference: Converged, measured:
 
 
 def _times(program: Callable[..., Any], p: Programs, start: Any, steps: dict[int, Any]) -> dict[int, float]:
-    """By number of steps [s]."""
+    """Run times by number of steps per frame [s]."""
     runs = {n: partial(program, p.arrays, start, at) for n, at in steps.items()}
     return {n: time_in_turn([run], rounds=3, seconds=0.2, own=False)[0].seconds for n, run in runs.items()}
 
@@ -159,6 +159,6 @@ def _errors(scene: Scene, found: Result, reference: Result) -> dict[str, float]:
 
 
 def _dislocation(result: Result) -> float:
-    """Time of the first one [s]; NaN where there is none."""
+    """Time of the first dislocation [s]; NaN if there is none."""
     outcome = result.dislocations() if np.isfinite(result.center).all() else None
     return outcome.events[0].time if outcome is not None and outcome.events else math.nan

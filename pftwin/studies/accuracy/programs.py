@@ -1,4 +1,4 @@
-"""The plan of measurements: contact models, integrators, float types and steps, and the functions to time."""
+"""Plan of the accuracy study (contact models, integrators, float types, steps) and the functions to time."""
 
 from __future__ import annotations
 
@@ -20,23 +20,23 @@ from pftwin.dynamics.observe import Observation, observe, tracked_center
 from pftwin.model.scene import Scene
 
 VARIANTS = 64
-SPREAD = 0.02  # range of the variants' mass, to either side
-COLUMNS = 4  # most parameters for derivatives
+SPREAD = 0.02  # relative range of the variants' mass, to either side
+COLUMNS = 4  # largest number of parameters for derivatives
 FITTED = (".stiffness", ".slack_length")
 
 
 class Programs(NamedTuple):
-    """Functions of (scene's arrays, start, number of steps), not compiled yet; the number is traced."""
+    """Uncompiled functions of (arrays of the scene, start, number of steps per frame); the number is traced."""
 
-    arrays: Any
-    one: Callable[..., Any]  # with all results
-    path: Callable[..., Any]  # with the tracked point's path alone, as the following two
-    many: Callable[..., Any]
-    columns: Callable[..., Any]
+    arrays: Any  # of the scene
+    one: Callable[..., Any]  # one run with all observations
+    path: Callable[..., Any]  # one run; like the next two, it returns only the tracked point's path
+    many: Callable[..., Any]  # a batch of variants
+    columns: Callable[..., Any]  # derivatives
 
 
 def programs(scene: Scene, integrator: str) -> Programs:
-    """The functions to time for a scene and an integrator."""
+    """Returns the functions to time for a scene and an integrator."""
     chosen = integrator_from_text(integrator)
     arrays, fixed = eqx.partition(scene.unnamed(), eqx.is_array)
 
@@ -75,41 +75,41 @@ def programs(scene: Scene, integrator: str) -> Programs:
 
 
 def _parameters(scene: Scene) -> list[int]:
-    """Leaves of the scene: stiffness and slack length of the first tendons; of a scene without any the mass."""
+    """Indices of the leaves to differentiate by: stiffness and slack length of the first tendons, or else the mass."""
     leaves = jax.tree_util.tree_leaves_with_path(scene)
     names = [str(path[-1]) for path, _ in leaves]
     found = [i for i, (_, leaf) in enumerate(leaves) if names[i] in FITTED and jnp.ndim(leaf) == 0]
     return found[:COLUMNS] or [names.index(".mass")]
 
 
-SUBSTEPS = (1, 2, 5, 10, 20, 50)  # of 10 ms frames: 10 to 0.2 ms
+SUBSTEPS = (1, 2, 5, 10, 20, 50)  # steps per frame of 10 ms: 10 to 0.2 ms
 SHORT = (10, 20, 50, 100, 200)  # explicit steps are unstable in contact above 0.4 ms
 ADAPTIVE = (1, 2, 10)  # the solver chooses its own steps within these intervals
 REFERENCE = 256  # substeps of the converged run
-ON_MESHES = (1, 2, 5, 10, 20)  # 0.5 ms: what the meshes' facets cost is more than shorter steps gain
+ON_MESHES = (1, 2, 5, 10, 20)  # down to 0.5 ms: with shorter steps, the error of the meshes' facets dominates
 REFERENCE_ON_MESHES = 100
-CYLINDER = "-cylinder"  # ending of a patch's name: over a cylinder instead of a plane
+CYLINDER = "-cylinder"  # suffix of the name of a patch over a cylinder instead of a plane
 SMOOTH = ("P2", "P4", "P5", "P5-cylinder", "P8", "spline")
 MESHES = ("CM", "FM", "volume")
 COMMON = ("linear_implicit", "linear_implicit_bdf2", "newmark", "quasi_static")
 FURTHER = ("symplectic_euler", "diffrax:Tsit5")
-PAPERS = "ali3p"  # some hundred times slower than the rest: measured on P5 and the coarse mesh only
-LONG = (1, 2, 5, 10)  # its steps, 1 ms as in the paper among them
+PAPERS = "ali3p"  # about a hundred times slower than the others: measured only on P5 and the coarse mesh
+LONG = (1, 2, 5, 10)  # its steps per frame, including 1 ms as in the paper
 FLOATS = ("float64", "float32")
 
 
 class MeasuredProgram(NamedTuple):
-    """One program to measure: everything but the step."""
+    """One program to measure, at several steps."""
 
     contact: str
     integrator: str
     dtype: str
-    batch: bool  # whether many variants side by side are measured too
-    gradient: bool  # and derivatives
+    batch: bool  # whether a batch of variants is measured too
+    gradient: bool  # whether derivatives are measured too
 
     @property
     def substeps(self) -> tuple[int, ...]:
-        """Numbers of steps between two frames."""
+        """Numbers of steps per frame to measure."""
         name = self.integrator
         if name.startswith("diffrax"):
             return ADAPTIVE
@@ -118,7 +118,7 @@ class MeasuredProgram(NamedTuple):
 
 
 def chosen(contacts: Sequence[str], integrators: Sequence[str], floats: Sequence[str]) -> list[MeasuredProgram]:
-    """All combinations, with batches and derivatives; InputError for an unknown integrator or float type."""
+    """Returns all combinations, with batches and derivatives; InputError for an unknown integrator or float type."""
     for name in integrators:
         integrator_from_text(name)
     for name in floats:
@@ -128,13 +128,14 @@ def chosen(contacts: Sequence[str], integrators: Sequence[str], floats: Sequence
 
 
 def full_table() -> list[MeasuredProgram]:
-    """The whole table. Single precision on P5; batches and derivatives for the steps that batches are for, and of every
-    integrator on P5.
+    """Returns the plan of the complete table.
+
+    Single precision only on P5; batches and derivatives for every integrator on P5, else for the first two of `COMMON`.
     """
     stepping, found = COMMON[:2], []
     for contact in (*SMOOTH, *MESHES):
         smooth, chief = contact in SMOOTH, contact == "P5"
-        # Contours' forces jump from facet to facet: `quasi_static` refuses them. By volume it takes minutes.
+        # `quasi_static` rejects contours, whose forces jump between facets, and takes minutes with "volume".
         for integrator in (*COMMON, *FURTHER) if smooth else COMMON[:3]:
             more = smooth and (chief or integrator in stepping)
             found.append(MeasuredProgram(contact, integrator, "float64", more, more))

@@ -1,4 +1,4 @@
-"""Measures a plan on a scene and writes the results; rows measured before a failure are kept."""
+"""Runs a plan of the accuracy study on a scene and writes the results; keeps rows measured before a failure."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from pftwin.studies.tables import to_csv, to_dataset
 
 @dataclass(frozen=True)
 class AccuracyMeasured:
-    """What was measured."""
+    """Results of an accuracy study."""
 
     rows: list[AccuracyRow]
-    references: dict[str, Converged]  # by contact
-    models: dict[str, Validation]  # converged runs against the measurements, by contact; none without measurements
+    references: dict[str, Converged]  # converged runs by contact
+    models: dict[str, Validation]  # errors of the converged runs by contact; empty without measurements
 
 
 def measure_all(
@@ -39,10 +39,10 @@ def measure_all(
     keep: Callable[[list[AccuracyRow]], None] = lambda _: None,
     progress: Callable[[int, int], None] = lambda done, of: None,
 ) -> AccuracyMeasured:
-    """Rows of a plan on scenes, beside measurements if there are any, the converged runs first.
+    """Measures all settings of a plan, each against the converged run of its contact and optional measurements.
 
-    `tell` is called with a line before each piece of work, `progress` with the number of rows done and that of all, and
-    `keep` with all rows so far after each one, to store them.
+    `tell` is called with a message before each piece of work, `progress` with the number of settings done and their
+    total, and `keep` with all rows so far after each setting, to store them.
     """
     references: dict[str, Converged] = {}
 
@@ -72,7 +72,7 @@ def _against(reference: Converged, measured: Measured) -> Validation:
 
 
 def write(found: AccuracyMeasured, folder: Path, title: str, about: dict[str, Any]) -> list[Path]:
-    """accuracy.nc, accuracy.csv, accuracy.md, and a figure for each contact model."""
+    """Writes accuracy.nc, accuracy.csv, accuracy.md and a figure for each contact model; returns the paths."""
     folder.mkdir(parents=True, exist_ok=True)
     paths = netcdf, csv, markdown = [folder / f"accuracy.{kind}" for kind in ("nc", "csv", "md")]
     save_dataset(to_dataset(columns(found.rows), "setting", about), netcdf)
@@ -85,7 +85,7 @@ def write(found: AccuracyMeasured, folder: Path, title: str, about: dict[str, An
 
 
 def report(found: AccuracyMeasured, title: str, about: dict[str, Any]) -> str:
-    """Everything in Markdown."""
+    """Returns the report in Markdown."""
     doubts = "; ".join(f"{c} {r.doubt_mm:.1g} mm" for c, r in found.references.items())
     parts = [
         f"# {title}: what accuracy costs in time",
@@ -102,7 +102,7 @@ def report(found: AccuracyMeasured, title: str, about: dict[str, Any]) -> str:
 
 
 def _models(models: dict[str, Validation]) -> list[str]:
-    """The converged runs in the rows of the paper's Table 1."""
+    """The section with the converged runs in the rows of the paper's Table 1."""
     if not models:
         return []
     synthetic = any(v.synthetic for v in models.values())

@@ -1,4 +1,4 @@
-"""The rows as columns, tables and figures: all settings, the front of the best, and recommendations."""
+"""Tables and figures of the accuracy study: all settings, the Pareto front, and recommended settings."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-LEVELS = (0.2, 0.1, 0.05, 0.01, 0.001)  # rms errors that settings are recommended for [mm]
-ALIKE = 0.9  # ratio of two speeds within the noise of measurements
+LEVELS = (0.2, 0.1, 0.05, 0.01, 0.001)  # rms errors for which settings are recommended [mm]
+ALIKE = 0.9  # ratio of two speeds that counts as equal, because timing is noisy
 ABOUT = {
     "order": ("1", "order that the integrator declares"),
     "step_ms": ("ms", "step"),
@@ -41,24 +41,23 @@ _NEEDED = ("contact", "integrator", "dtype", "status", "order", "step_ms", "posi
 
 
 class Advice(NamedTuple):
-    """The fastest setting within an error."""
+    """The fastest setting within an rms error."""
 
     level_mm: float
-    row: AccuracyRow | None  # None: no setting that was measured is that accurate
-    best_batch: AccuracyRow | None
+    row: AccuracyRow | None  # fastest for one run; None: no measured setting is that accurate
+    best_batch: AccuracyRow | None  # fastest for a batch
 
 
 def columns(rows: Sequence[AccuracyRow]) -> list[Column]:
-    """Every field of the rows but the frames with each flag, units in the names."""
+    """Returns all fields of the rows except `status_frames` as columns, with units in the names."""
     names = [f.name for f in fields(AccuracyRow) if f.name != "status_frames"]
     return [Column(n, [getattr(r, n) for r in rows], *ABOUT.get(n, ())) for n in names]
 
 
 def read_csv(path: str | os.PathLike[str]) -> list[AccuracyRow]:
-    """Rows that were kept, of this version or of one that knew fewer columns: a number that is lacking is NaN.
+    """Reads a saved table, also from a version with fewer columns: a missing number becomes NaN.
 
-    Lines that start with # are passed over. Raises InputError for no such file, and for one without the columns that
-    make a row.
+    Lines that start with # are skipped. Raises InputError if the file is missing or lacks required columns.
     """
     lines = read_lines(path)[0]
     kinds = {n: kind for n, kind in get_type_hints(AccuracyRow).items() if kind in (str, int, float)}
@@ -77,7 +76,7 @@ def read_csv(path: str | os.PathLike[str]) -> list[AccuracyRow]:
 
 
 def front(rows: Iterable[AccuracyRow], speed: str = "real_time") -> list[AccuracyRow]:
-    """Settings that no other is both faster and more accurate than, the fastest first."""
+    """Returns the Pareto front: settings such that no other is both faster and more accurate, fastest first."""
     usable = [r for r in rows if np.isfinite(r.position_rms_mm) and np.isfinite(getattr(r, speed))]
     best, found = np.inf, []
     for row in sorted(usable, key=lambda r: (-getattr(r, speed), r.position_rms_mm)):
@@ -88,8 +87,8 @@ def front(rows: Iterable[AccuracyRow], speed: str = "real_time") -> list[Accurac
 
 
 def recommended(rows: Sequence[AccuracyRow], levels: Sequence[float] = LEVELS) -> list[Advice]:
-    """For each level of error the fastest setting, alone and in a batch; of equally fast ones that in double precision,
-    and the most accurate.
+    """Returns the fastest setting for each error level, for one run and for a batch; among equally fast settings,
+    double precision comes first, then accuracy.
     """
 
     def fastest(level: float, speed: str) -> AccuracyRow | None:
@@ -102,7 +101,7 @@ def recommended(rows: Sequence[AccuracyRow], levels: Sequence[float] = LEVELS) -
 
 
 def advice(rows: Sequence[AccuracyRow]) -> Sheet:
-    """For each rms error the fastest, run alone and 64 side by side, with its largest error and the force's, rms."""
+    """Returns a table of the fastest setting for each rms error, for one run and for 64 in a batch, with its errors."""
     found = []
     for level, one, many in recommended(rows):
         for kind, row, speed in (("one run", one, "real_time"), ("64 runs", many, "real_time_batch")):
@@ -117,7 +116,7 @@ def advice(rows: Sequence[AccuracyRow]) -> Sheet:
 
 
 def all_figures(rows: Sequence[AccuracyRow]) -> Sheet:
-    """All figures of all rows."""
+    """Returns a table of all numbers of all rows."""
     headings = (
         "contact", "integrator", "float", "step, ms", "position rms (max), mm", "tilt, deg", "force, N",
         "dislocation, ms", "from measurements, mm", "x real time", "64 side by side", "compile, s", "derivatives",
@@ -134,7 +133,7 @@ def all_figures(rows: Sequence[AccuracyRow]) -> Sheet:
 
 
 def overview(rows: Sequence[AccuracyRow]) -> Sheet:
-    """The columns that fit a terminal; the rest is in the files."""
+    """Returns a table of the columns that fit a terminal; the files have all columns."""
     found, groups = [], []
     for r in rows:
         name = f"{r.contact}, {r.integrator}, {r.dtype}"
@@ -150,7 +149,7 @@ def overview(rows: Sequence[AccuracyRow]) -> Sheet:
 
 
 def described(row: AccuracyRow) -> str:
-    """A setting in words."""
+    """Describes a setting in words."""
     single = "" if row.dtype == "float64" else ", float32"
     return f"{row.contact}, {row.integrator}, {row.step_ms:g} ms{single}"
 
@@ -159,10 +158,10 @@ PANELS = (("real_time", "one run"), ("real_time_batch", "64 variants side by sid
 
 
 def work_precision(rows: Sequence[AccuracyRow], title: str, *, contact: str | None = None) -> Figure:
-    """Two panels: one run, and many side by side; a line for each integrator, its steps along it.
+    """Plots error over time for one run and for a batch, with a line over the steps for each integrator.
 
-    Of the rows of one contact, by default the first row's, and of float64 where there is any. Raises InputError for no
-    row.
+    Draws the rows of one contact, by default that of the first row, in float64 if available. Raises InputError if there
+    are no rows.
     """
     from matplotlib.figure import Figure
 

@@ -1,1 +1,1 @@
-"""Cost and worth of each effect of a scene: `pftwin explain` and `pftwin audit`."""
+"""Cost of each effect of a scene and its influence on the result: `pftwin explain` and `pftwin audit`."""

@@ -1,4 +1,4 @@
-"""Work, heat and fastest rates of each part of a scene along a motion."""
+"""Energy account of each part of a scene along a motion: work, heat and fastest rates."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ class PartAccount(NamedTuple):
     """The account of one part over the run."""
 
     work: Scalar  # done on the patella [J]
-    moved: Scalar  # the same, whichever way it went: the integral of the power's size [J]
-    heat: Scalar  # heat that it dissipated [J]
-    fastest: Rates  # the largest of any step
+    moved: Scalar  # integral of the absolute power [J]
+    heat: Scalar  # dissipated heat [J]
+    fastest: Rates  # largest rates of any step
 
 
 class Account(eqx.Module):
@@ -42,10 +42,10 @@ class Account(eqx.Module):
 
 @Program
 def account(scene: Scene, start: Solution, integrator: Integrator, substeps: int) -> Account:
-    """The run from an equilibrium.
+    """Runs a scene from an equilibrium and accounts for each part.
 
-    Power is taken at the end of every step, from the loads there: the sum of works differs from the change of
-    kinetic energy by an error of first order in the step.
+    Power is evaluated from the loads at the end of every step: the sum of works differs from the change of kinetic
+    energy by an error of first order in the step.
     """
     system, motion = System.of(scene), scene.motion
     step, listed = step_length(motion, substeps), parts(scene)
@@ -74,7 +74,7 @@ def account(scene: Scene, start: Solution, integrator: Integrator, substeps: int
 def _at_end(
     scene: Scene, listed: list[EffectPart], state: State, guide: Guide, step: Scalar
 ) -> tuple[PartAccount, ...]:
-    """One step's entries, from its end."""
+    """The entries of one step, evaluated at its end."""
     system, now = System.of(scene), guide.instant(state.patella(), 0.0)
     out = []
     for part in listed:
@@ -102,20 +102,20 @@ class EffectPart:
     """An effect, or a part of one."""
 
     name: str
-    kind: str  # what computes it
-    index: int  # the effect's place
-    without: Scene  # the scene that does without it
-    forgetting: Callable[[Memories], Memories]  # that scene's memories from the whole scene's
-    of: str | None = None  # the effect that it belongs to
+    kind: str  # class that computes it
+    index: int  # index of the effect in the scene
+    without: Scene  # the scene without it
+    forgetting: Callable[[Memories], Memories]  # converts the memories of the complete scene to those of `without`
+    of: str | None = None  # the effect of which it is a part
 
 
 def separable(effect: Effect) -> list[tuple[Change, Callable[[Any], Any]]]:
-    """The separable part of an effect, and the conversion from the whole's memory to the rest's."""
+    """Returns the separable parts of an effect, each with the conversion of its memory to that of the rest."""
     return [(c, c.memory) for c in effect.simplifications() if c.memory is not None]
 
 
 def parts(scene: Scene) -> list[EffectPart]:
-    """All parts, an effect before its own."""
+    """Returns all parts of a scene, each effect before its own parts."""
     found = []
     for i, effect in enumerate(scene.effects):
         less = scene.without(effect.name)
@@ -128,7 +128,7 @@ def parts(scene: Scene) -> list[EffectPart]:
 
 
 def load_of(part: EffectPart, effect: Effect, now: Instant, memory: Any) -> list[tuple[float, Load]]:
-    """The part's load as a sum of loads with their signs; `effect` is made ready by `recentred`."""
+    """Returns the part's load as a signed sum of loads; `effect` must be prepared by `recentred`."""
     loads = [(1.0, effect.load(now, memory)[0])]
     own = [(c, rest) for c, rest in separable(effect) if part.name == f"{part.of}: {c.label}"]
     return [*loads, *((-1.0, c.effect.load(now, rest(memory))[0]) for c, rest in own)]

@@ -1,4 +1,4 @@
-"""The worth of each effect of a scene: how the run changes without it, or with an effect that the scene lacks."""
+"""Audit of a scene: how the run changes without each effect, or with an effect that the scene lacks."""
 
 from __future__ import annotations
 
@@ -24,45 +24,45 @@ from pftwin.studies.runs import Cost, run_each, time_in_turn
 
 @dataclass(frozen=True)
 class Worth:
-    """One variant compared with the scene."""
+    """Effect of one variant on the result, compared with the scene's own run."""
 
     name: str
     kind: Kind
-    sentence: str
-    changes: Changes | None  # None where there is nothing to compare
-    cost: float | None  # time that it takes, as a share of the scene's run; None where it ran beside others
+    sentence: str  # description of the change
+    changes: Changes | None  # None if the runs cannot be compared
+    cost: float | None  # run time of the effect as a share of the scene's run; None if the variant ran in a batch
     spread: float | None  # of that share: half the interquartile range of the rounds
-    outcome: str  # how the run's outcome differs from the scene's own; empty where it does not
-    verdict: str
+    outcome: str  # how the outcome differs from the scene's own; empty if it does not
+    verdict: str  # whether the effect matters, in a few words
 
 
 @dataclass(frozen=True)
 class Audit:
-    """All variants of a scene."""
+    """Comparison of all variants of a scene with the scene itself."""
 
     scene: str
-    synthetic: bool  # whether its motion is
+    synthetic: bool  # whether the scene's motion is synthetic
     integrator: str
     step: float  # [s]
-    tolerance: float  # of the tracked point's place [m]
-    run_time: float | None  # of the scene's own run: median [s]; None where an interrupt came before times were taken
-    tracking: str  # what becomes of the patella in the scene, in words
-    verdict: str  # whether the scene's own motion may be spoken of: "valid", or "INVALID" and why
+    tolerance: float  # of the position of the tracked point [m]
+    run_time: float | None  # median time of the scene's own run [s]; None if interrupted before times were measured
+    tracking: str  # description of the patella's tracking in the scene
+    verdict: str  # on the scene's own motion: "valid", or "INVALID" and the reasons
     status: str
-    status_frames: dict[str, int]  # how many frames have each flag
-    impact: str  # what the steps make of the contact's restitution, in words; empty without a contact law
-    programs: int  # compiled: of motion and of equilibrium
+    status_frames: dict[str, int]  # number of frames with each flag
+    impact: str  # how the steps resolve the contact's restitution, in words; empty without a contact law
+    programs: int  # number of compiled programs, for motion and equilibrium
     rows: tuple[Worth, ...]
     not_applicable: tuple[NotApplicable, ...]
-    missing: tuple[str, ...] = ()  # variants that an interrupt left undone
+    missing: tuple[str, ...] = ()  # variants not run because of an interrupt
 
     @property
     def interrupted(self) -> bool:
-        """Whether Ctrl-C came before the end: the existing rows are valid, some or all without their times."""
+        """Whether Ctrl-C ended the audit early: the existing rows are valid, but have no times."""
         return self.run_time is None
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values, for JSON."""
+        """Returns plain values that can be written as JSON."""
         return asdict(self)
 
 
@@ -75,33 +75,32 @@ def audit(
     only: Collection[str] | None = None,
     progress: Callable[[int, int, str], None] = lambda done, of, what: None,
 ) -> Audit:
-    """Runs the scene with each effect left out, with those put in that it lacks, and with other inertia and steps.
+    """Runs the scene without each effect, with effects that it lacks, and with other inertia and steps.
 
     Args:
-        scene: what is there.
-        tolerance: by how much the tracked point may be off before an effect is worth keeping [m].
-        integrator, dt: as in `simulate`, whose step is taken if none is given.
-        only: names of the rows that are wanted; each saves the time of compiling the others. None: all there are.
-        progress: called before each program with the number done, that of all, and what comes; once more at the end.
+        scene: the scene to audit.
+        tolerance: error of the tracked point's position above which an effect matters [m].
+        integrator, dt: as in `simulate`; the default step is the one that it chooses.
+        only: names of the wanted rows, which saves compiling the others; None: all.
+        progress: called with the number of programs done, their total, and a label, before each and at the end.
 
     Returns:
-        The audit. After an interrupt (Ctrl-C) it holds the variants that had been run, without their times.
+        The audit. After an interrupt (Ctrl-C) it has the variants that were run, without their times.
 
     Raises:
-        InputError: a parameter of the scene, the tolerance, the step or the integrator that cannot give a right answer;
-            a row that there is not.
+        InputError: invalid parameter of the scene, tolerance, step or integrator; unknown row.
         KeyboardInterrupt: interrupted before the first variant was done.
     """
     if not tolerance > 0:
         raise InputError(f"found {tolerance!r}", where="tolerance", expected="a positive number of metres")
     check(scene)
     integrator = checked_integrator(integrator or BDF2(), "audit")
-    # What is left out and doubled may be no knee any more.
+    # Limits are removed, because variants need not be plausible knees.
     listed = _selected_variants(replace(scene, limits=None), integrator, only)
     wanted = sorted((v for v in listed if isinstance(v, Variant)), key=lambda v: KINDS.index(v.kind))
-    alike = [v for v in wanted if v.alike]  # that differ in numbers only: run side by side
+    alike = [v for v in wanted if v.alike]  # they differ only in parameter values, so they run in one batch
     groups = [alike] * bool(alike) + [[v] for v in wanted if not v.alike]
-    of = len(groups) + 3  # and `simulate`, the scene's own run, times
+    of = len(groups) + 3  # plus `simulate`, the scene's own run, and timing
     progress(0, of, "the scene itself")
     simulated = simulate(scene, integrator=integrator, dt=dt)
     substeps = simulated.settings["substeps"]
@@ -140,7 +139,7 @@ def audit(
 def _selected_variants(
     scene: Scene, integrator: Integrator, only: Collection[str] | None
 ) -> list[Variant | NotApplicable]:
-    """What there is to leave out, put in and change, or what is wanted of it."""
+    """All variants of the scene, or those named in `only`."""
     listed = [*ablations(scene), *additions(scene, integrator)]
     if only is None:
         return listed
@@ -162,7 +161,7 @@ def _runs(
     substeps: int,
     before: Callable[[int, list[Variant]], None],
 ) -> dict[tuple[str, Kind], VariantRun]:
-    """Those of a group side by side, where they are alike; after Ctrl-C, those that are done."""
+    """Runs each group, in one batch if its variants are alike; after Ctrl-C, returns the finished runs."""
 
     def run(group: list[Variant]) -> list[VariantRun]:
         if group[0].alike:
@@ -175,7 +174,7 @@ def _runs(
 
 
 def _programs(scene: Scene, wanted: list[Variant], integrator: Integrator) -> int:
-    """`simulate`'s; one of motion for each structure, integrator and number of steps; each structure's equilibrium."""
+    """Number of compiled programs: `simulate`, one per structure, integrator and step, and equilibria."""
     alone = [v for v in wanted if not v.alike]
     structures = [scene, *(v.scene for v in alone)]
     kinds = {jax.tree.structure(s.unnamed()) for s in structures}
@@ -187,7 +186,7 @@ def _programs(scene: Scene, wanted: list[Variant], integrator: Integrator) -> in
 
 
 def _shares(runs: list[VariantRun]) -> list[Cost | None]:
-    """Times of the scene's own run and of all that ran alone, in turn; none of them after Ctrl-C."""
+    """Times of the scene's own run and of all single runs, measured in turn; all None after Ctrl-C."""
     try:
         shares = iter(time_in_turn([run.again for run in runs if run.again is not None]))
     except KeyboardInterrupt:
@@ -196,7 +195,7 @@ def _shares(runs: list[VariantRun]) -> list[Cost | None]:
 
 
 def _worth(scene: Scene, v: Variant, result: Result, own: Result, share: Cost | None, tolerance: float | None) -> Worth:
-    """No tolerance: the scene's own motion may not be spoken of."""
+    """Compares a variant with the scene's run; `tolerance` is None if the scene's own motion is not valid."""
     trouble = why_incomparable(result, own)
     found = None if trouble is not None else compare_runs(scene, result, own)
     outcome = trouble or _outcome(result, own)
@@ -208,7 +207,7 @@ def _worth(scene: Scene, v: Variant, result: Result, own: Result, share: Cost | 
 
 
 def _outcome(result: Result, own: Result) -> str:
-    """Where the patella dislocates in one of the runs alone; what flags the scene's run does not have."""
+    """Differences of outcome: a dislocation in only one of the runs, and flags that the scene's run lacks."""
     said = []
     ours, theirs = own.dislocations(), result.dislocations()
     if ours is not None and theirs is not None and bool(ours.events) != bool(theirs.events):
@@ -218,7 +217,7 @@ def _outcome(result: Result, own: Result) -> str:
 
 
 def _verdict(kind: Kind, found: Changes | None, outcome: str, tolerance: float) -> str:
-    """In two or three words."""
+    """The verdict on a variant, in a few words."""
     if found is None:
         return "indispensable" if kind == "left out" else "cannot be judged"
     matters = found.center_max > tolerance or "dislocate" in outcome

@@ -1,4 +1,4 @@
-"""Cost and action of each effect of a scene: equations, time, stiffness, energy."""
+"""Cost and action of each effect of a scene: number of equations, run time, stiffness and energy."""
 
 from __future__ import annotations
 
@@ -23,45 +23,45 @@ from pftwin.studies.runs import Cost, time_in_turn
 
 @dataclass(frozen=True)
 class PartCost:
-    """One part of a scene: an effect, or the friction of one."""
+    """Cost of one part of a scene: an effect, or a part of one such as its friction."""
 
     name: str
-    kind: str
-    of: str | None  # the effect that it belongs to and is part of
-    equations: int  # equations that it adds to a step
-    share: float  # share of a step's time saved without it
-    spread: float  # half the interquartile range of the rounds
-    longest_step: float  # longest stable explicit step with it alone, at the run's worst moment; inf: any [s]
-    stiff: bool  # whether that is less than the step
+    kind: str  # class that computes it
+    of: str | None  # the effect of which it is a part
+    equations: int  # number of equations that it adds to a step
+    share: float  # share of a step's time that is saved without it
+    spread: float  # half the interquartile range of `share` over the rounds
+    longest_step: float  # longest stable explicit step with it alone, at the worst time of the run; inf: any [s]
+    stiff: bool  # whether `longest_step` is less than the step
     work: float  # done on the patella over the run [J]
-    moved: float  # the same, taken absolutely [J]
-    heat: float  # heat that it dissipated [J]
+    moved: float  # integral of the absolute power [J]
+    heat: float  # dissipated heat [J]
 
 
 @dataclass(frozen=True)
 class Explanation:
-    """A scene and its parts."""
+    """Cost of one step of a scene and of each of its parts."""
 
     scene: str
     integrator: str
     step: float  # [s]
-    steps: int  # of the run
-    equations: int  # of one step
-    step_time: float  # median [s]
+    steps: int  # number of steps of the run
+    equations: int  # number of equations of one step
+    step_time: float  # median run time of one step [s]
     parts: tuple[PartCost, ...]
-    kinetic_change: float  # of the patella's kinetic energy over the run [J]
+    kinetic_change: float  # change of the patella's kinetic energy over the run [J]
     flags: NDArray[np.int32]  # of every frame (n,), bits of `Status`
-    verdict: str  # of the simulation: "valid", or why it is not
-    programs: int  # number of programs compiled
+    verdict: str  # on the simulation: "valid", or why it is not
+    programs: int  # number of compiled programs
 
     @property
     def shared_equations(self) -> int:
-        """Equations of a step that belong to no part: inertia, guided motion, the step's own solution."""
+        """Number of equations that belong to no part: inertia, prescribed motion, solution of the step."""
         return self.equations - sum(p.equations for p in self.parts if p.of is None)
 
     @property
     def status(self) -> Status:
-        """All flags that any frame has."""
+        """Union of the status flags of all frames."""
         return Status(int(np.bitwise_or.reduce(self.flags, initial=0)))
 
     @property
@@ -71,11 +71,11 @@ class Explanation:
 
     @property
     def energy_gap(self) -> float:
-        """The error of the account: the effects' works less the change of kinetic energy [J]."""
+        """Error of the account: work of all effects minus the change of kinetic energy [J]."""
         return sum(p.work for p in self.parts if p.of is None) - self.kinetic_change
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain values, for JSON."""
+        """Returns plain values that can be written as JSON."""
         own = {k: v for k, v in asdict(self).items() if k != "flags"}
         more = ("shared_equations", "shared_time", "energy_gap")
         return {**own, **{k: getattr(self, k) for k in more}, **status_facts(self.flags)}
@@ -88,15 +88,15 @@ def explain(
     dt: float | None = None,
     progress: Callable[[int, int, str], None] = lambda done, of, what: None,
 ) -> Explanation:
-    """Simulates the scene, runs it with an account of every step, then times a step with all effects and without each.
+    """Simulates a scene, accounts for the energy of each step, and times a step with all effects and without each.
 
     Args:
-        scene: what is there.
-        integrator, dt: as in `simulate`, whose step is taken if none is given.
-        progress: called before each program with the number done, that of all, and what comes; once more at the end.
+        scene: the scene to explain.
+        integrator, dt: as in `simulate`; the default step is the one that it chooses.
+        progress: called with the number of programs done, their total, and a label, before each and at the end.
 
     Raises:
-        InputError: a parameter of the scene, the step or the integrator that cannot give a right answer.
+        InputError: invalid parameter of the scene, step or integrator.
     """
     check(scene)
     integrator = checked_integrator(integrator or BDF2(), "explain")
@@ -132,7 +132,7 @@ def explain(
         kinetic_change=float(np.diff(np.asarray(kept.kinetic, dtype=np.float64))[0]),
         flags=simulated.flags,
         verdict=simulated.verdict.describe(),
-        programs=4 + len(listed),  # equilibrium, motion, account, a timed one with all and one without each
+        programs=4 + len(listed),  # equilibrium, motion, account, and timed: all effects, and without each
     )
 
 
@@ -144,7 +144,7 @@ def _shares(
     substeps: int,
     before: Callable[[int], None],
 ) -> list[Cost]:
-    """Of the whole scene, and of it without each part."""
+    """Run times of the complete scene and of the scene without each part."""
     state = kept.states
     pairs = [(scene, state)]
     pairs += [(p.without.unnamed(), replace(state, memories=p.forgetting(state.memories))) for p in listed]

@@ -1,4 +1,4 @@
-"""Explanations and audits for readers: tables of text with notes, columns with units for files, and bars."""
+"""Reports of explanations and audits: text tables with notes, columns with units for files, and bar charts."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ _SHOWN = (
     ("contact_rms_N", "contact rms [N]"),
     ("tension_rms_N", "tension rms [N]"),
 )
-_LONG = 1.0  # [s] longer stable steps count as no limit
+_LONG = 1.0  # longer stable steps are shown as "any" [s]
 
 
 def explanation_sheet(found: Explanation) -> Sheet:
-    """A row for each part, one for what they share, and the whole."""
+    """Returns a table with a row for each part, one for the shared rest, and one for the whole step."""
     headings = ("effect", "computed by", "equations", "share of time", "explicit up to", "stiff")
     rows = [_part(part) for part in found.parts]
     rest = ("inertia, guided motion, solution", "", f"{found.shared_equations}", f"{found.shared_time:.0%}")
@@ -82,7 +82,7 @@ def _energy(joules: float) -> str:
 
 
 def audit_sheet(found: Audit) -> Sheet:
-    """A row for each variant."""
+    """Returns a table with a row for each variant."""
     figures = {c.key: c.values for c in columns(found)}
     rows = []
     for i, row in enumerate(found.rows):
@@ -122,7 +122,7 @@ def _time(cost: float | None, spread: float | None) -> str:
 
 
 def columns(found: Audit) -> list[Column]:
-    """All figures, in the units of a reader: mm, deg, N, percent."""
+    """Returns all numeric columns, in mm, deg, N and percent."""
 
     changes = [row.changes for row in found.rows]
 
@@ -147,7 +147,7 @@ def columns(found: Audit) -> list[Column]:
 
 
 def table(found: Audit) -> list[Column]:
-    """The columns of figures between the change and the verdict."""
+    """Returns all columns: the change, the numeric columns and the verdict."""
     rows = found.rows
     first = Column("change", [r.kind for r in rows]), Column("what", [r.name for r in rows])
     tensions = Column("tension_of", [(r.changes.tension_of if r.changes else None) or "" for r in rows])
@@ -156,13 +156,13 @@ def table(found: Audit) -> list[Column]:
 
 
 def interruption(found: Audit) -> str:
-    """What an interrupted audit lacks."""
+    """Describes what an interrupted audit lacks."""
     missing = f"not run: {', '.join(found.missing)}" if found.missing else "all variants run"
     return f"interrupted; {missing}; times were not measured"
 
 
 def dataset(found: Audit) -> Dataset:
-    """All columns, with units on every variable, along the variants."""
+    """Returns all columns as a dataset along the variants, with units on every variable."""
     about = {
         "scene": found.scene,
         "integrator": found.integrator,
@@ -179,13 +179,13 @@ def dataset(found: Audit) -> Dataset:
 
 
 _COLOUR = {"left out": style.COLOURS[0], "put in": style.COLOURS[1], "changed": style.COLOURS[2], "yardstick": "0.55"}
-_MOST = 150.0  # [%] longer times are written as numbers
-_LEAST = 1e-3  # [mm], [N] smaller changes are drawn as zero
+_MOST = 150.0  # larger shares of time are outside the axis and written as numbers [%]
+_LEAST = 1e-3  # smaller changes are drawn as zero [mm], [N]
 _BESIDE: dict[str, Any] = {"xytext": (4, 0), "textcoords": "offset points", "va": "center", "fontsize": style.SMALL}
 
 
 def audit_figure(found: Audit, title: str) -> Figure:
-    """Bars for every variant: largest and rms distance from the scene's path, contact force and tension, time."""
+    """Plots bars for each variant: distance from the scene's own path, change of contact force, and time."""
     from matplotlib.figure import Figure
     from matplotlib.patches import Patch
 
@@ -217,7 +217,7 @@ def audit_figure(found: Audit, title: str) -> Figure:
 
 
 def _bars(axes: Axes, rows: tuple[Worth, ...], rms: Column, largest: Column) -> None:
-    """Bars on a logarithmic axis that starts at the smallest change that matters."""
+    """Draws bars on a logarithmic axis that starts at `_LEAST`."""
     from matplotlib.ticker import NullFormatter
 
     ends = np.array(largest.values)
@@ -241,7 +241,7 @@ def _bars(axes: Axes, rows: tuple[Worth, ...], rms: Column, largest: Column) -> 
 
 
 def _time_bars(axes: Axes, rows: tuple[Worth, ...], share: Column, spread: Column) -> None:
-    """Bars of time; shares beyond the axis are written as numbers."""
+    """Draws bars of time; shares outside the axis are written as numbers."""
     inside = [v for v in share.values if abs(v) <= _MOST]
     low, high = min(-10.0, *inside), max(10.0, *inside)
     margin = 0.15 * (high - low)
@@ -256,6 +256,6 @@ def _time_bars(axes: Axes, rows: tuple[Worth, ...], share: Column, spread: Colum
         axes.barh(i, drawn, height=0.6, color=_COLOUR[row.kind], alpha=1.0 if drawn == value else 0.35)
         if drawn == value:
             axes.errorbar(value, i, xerr=spread.values[i], color="black", linewidth=0.8, capsize=2)
-        else:  # to the right of the axis there is space, be it over a pale bar
+        else:  # there is space to the right of zero, possibly on a pale bar
             words = f"{value:+,.0f} %".replace("-", "\N{MINUS SIGN}")
             axes.annotate(words, (0, i), **_BESIDE)

@@ -1,4 +1,4 @@
-"""Runs variants one by one, or side by side where only numbers differ, and compares each with the scene's own run."""
+"""Runs variants singly, or in one batch if only parameter values differ, and compares each with the scene's own run."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class VariantRun:
     """A variant's result, and a way to run it once more."""
 
     result: Result
-    again: Callable[[], Any] | None  # None where it ran side by side with others
+    again: Callable[[], Any] | None  # None if it ran in a batch
 
 
 @Program
@@ -44,7 +44,7 @@ def _moving(scene: Scene, start: Solution, integrator: Integrator, substeps: int
 def _side_by_side(
     scene: Scene, places: tuple[int, ...], values: Leaves, integrator: Integrator, substeps: int
 ) -> tuple[Solution, Observation]:
-    """Members whose leaves at these places have these values, along a leading axis."""
+    """Runs a batch of scenes whose leaves at these places have these values, along a leading axis."""
     leaves, structure = jax.tree.flatten(scene)
 
     def member(values: Leaves) -> tuple[Solution, Observation]:
@@ -59,7 +59,7 @@ def _side_by_side(
 
 
 def run_alone(scene: Scene, integrator: Integrator, substeps: int) -> VariantRun:
-    """One scene, from its own equilibrium; InputError for a parameter that cannot give a right answer."""
+    """Runs one scene from its equilibrium; InputError for an invalid parameter."""
     check(scene)
     plain = scene.unnamed()
     start, relaxed = settle_first_frame(plain)
@@ -70,9 +70,9 @@ def run_alone(scene: Scene, integrator: Integrator, substeps: int) -> VariantRun
 def run_side_by_side(
     base: Scene, variants: Sequence[Variant], integrator: Integrator, substeps: int
 ) -> list[VariantRun]:
-    """Variants of the base in numbers only, each from its own equilibrium, in one program; errors as of `run_alone`.
+    """Runs variants that differ from the base only in parameter values, each from its equilibrium, in one batch.
 
-    A variant whose search fails runs again alone, by the base's program.
+    A variant whose search for the equilibrium fails runs again alone. Raises as `run_alone` does.
     """
     for v in variants:
         check(v.scene)
@@ -85,7 +85,7 @@ def run_side_by_side(
     for k, v in enumerate(variants):
         start, observed = jax.tree.map(lambda a, k=k: np.asarray(a)[k], (starts, seen))
         run = VariantRun(_result(v.scene, start, observed, False, integrator, substeps), None)
-        if not run.result.equilibrium.converged:  # alone, the damped relaxation helps
+        if not run.result.equilibrium.converged:  # a single run can also use damped relaxation
             run = replace(run_alone(v.scene, integrator, substeps), again=None)
         runs.append(run)
     return runs
@@ -96,27 +96,27 @@ def _result(scene: Scene, start: Solution, seen: Observation, relaxed: bool, int
     return Result.build(scene, start, seen, None, relaxed=relaxed, settings=settings, timing={})
 
 
-LOST = 0.1  # largest plausible distance from its own path [m]
+LOST = 0.1  # largest plausible distance from the scene's own path [m]
 
 
 @dataclass(frozen=True)
 class Changes:
-    """How far a variant's run is from the scene's own, over the frames."""
+    """Differences between a variant's run and the scene's own run, over the frames."""
 
-    center_rms: float  # of the tracked point [m]
+    center_rms: float  # distance of the tracked point [m]
     center_max: float  # [m]
     flexion: float  # rms [rad]
     rotation: float  # rms [rad]
     tilt: float  # rms [rad]
-    contact_rms: float | None  # of the button's contact force [N]; None where either has none
+    contact_rms: float | None  # of the button's contact force [N]; None if either run has none
     contact_max: float | None  # [N]
-    tension_rms: float | None  # rms of the tension that changes most among those that both have [N]
+    tension_rms: float | None  # of the tension, reported by both, that changes most [N]
     tension_max: float | None  # [N]
     tension_of: str | None  # the effect with that tension
 
 
 def why_incomparable(result: Result, own: Result) -> str | None:
-    """Why a run cannot be compared; None if it can. `own` is the scene's run."""
+    """Returns why a run cannot be compared with the scene's run `own`; None if it can."""
     if not result.equilibrium.converged and own.equilibrium.converged:
         return "no equilibrium to start from"
     if Status.NOT_FINITE in result.status:
@@ -127,7 +127,7 @@ def why_incomparable(result: Result, own: Result) -> str | None:
 
 
 def compare_runs(scene: Scene, result: Result, own: Result) -> Changes:
-    """Compares a run with the scene's own."""
+    """Compares a run with the scene's own run."""
     apart = difference(result, own, np.asarray(scene.tracked_point().array(), dtype=np.float64))
     tensions = {
         name: summed(result.effects[name]["tension"]) - summed(report["tension"])
@@ -152,5 +152,5 @@ def compare_runs(scene: Scene, result: Result, own: Result) -> Changes:
 
 
 def _size(change: Floats | None) -> tuple[float, float] | tuple[None, None]:
-    """Root mean square and largest size of a change."""
+    """Root mean square and largest absolute value of a change."""
     return (None, None) if change is None else (rms(change), float(np.abs(change).max()))

@@ -1,7 +1,7 @@
-"""One step of a scene: its equations counted, its time with and without a part, and how stiff a load makes it.
+"""Cost of one step of a scene: number of equations, run time with and without a part, and stiffness of a load.
 
-Every timed frame begins from the state of the whole scene's run there, so that a scene which would fly apart without a
-part is timed along the same motion.
+Each timed frame starts from the state of the complete scene's run, so that a scene that diverges without a part is
+timed along the same motion.
 """
 
 from __future__ import annotations
@@ -27,24 +27,24 @@ from pftwin.model.scene import Scene
 
 
 def guide_over(piece: MotionPiece, began: Scalar, step: Scalar) -> GuideAt:
-    """The guided bodies over one step that began at a time, between two recorded frames."""
+    """Returns the bodies with prescribed motion over one step that begins at a time, between two recorded frames."""
     return lambda part: Guide.sample(piece, began + step * part)
 
 
 def guides(motion: KneeMotion, index: Scalar, step: Scalar) -> Callable[[Scalar], GuideAt]:
-    """The guided bodies over each of the steps from a recorded frame to the next."""
+    """Returns the bodies with prescribed motion over each step from a recorded frame to the next."""
     piece, began = motion.between_frames(index), motion.start_time + motion.frame_interval * index.astype(float)
     return lambda k: guide_over(piece, began + step * k.astype(float), step)
 
 
 def step_length(motion: KneeMotion, substeps: int) -> Scalar:
-    """Length of a step, for so many between two frames [s]."""
+    """Returns the length of a step for a number of steps per frame [s]."""
     return jnp.asarray(motion.frame_interval / substeps, dtype=float)
 
 
 @Program
 def through_frames(scene: Scene, states: State, integrator: Integrator, substeps: int) -> Scalar:
-    """Runs all steps, each frame from its own given state; returns a number that depends on all of them."""
+    """Runs all steps, each frame from its given state; returns a number that depends on all of them."""
     system, motion = System.of(scene), scene.motion
     step = step_length(motion, substeps)
 
@@ -60,12 +60,12 @@ def through_frames(scene: Scene, states: State, integrator: Integrator, substeps
     return jax.lax.fori_loop(0, motion.n_frames - 1, one_frame, jnp.zeros((), float))
 
 
-# Counts the body of a call, whatever JAX's version names it.
+# Calls, under the names of several JAX versions; only their body is counted.
 _CALLS = ("pjit", "jit", "closed_call", "core_call", "custom_jvp_call", "custom_vjp_call", "checkpoint", "remat")
 
 
 def equations(scene: Scene, integrator: Integrator = LinearImplicit()) -> int:
-    """How many equations one step has, with the guided bodies' motion within it. Nothing is compiled or computed."""
+    """Counts the equations of one step, prescribed motion included, without compiling or computing anything."""
     givens = eqx.filter_eval_shape(lambda s: _step_inputs(s, integrator), scene)
     shapes, fixed = eqx.partition(givens, lambda a: isinstance(a, jax.ShapeDtypeStruct))
 
@@ -77,7 +77,7 @@ def equations(scene: Scene, integrator: Integrator = LinearImplicit()) -> int:
 
 
 def _step_inputs(scene: Scene, integrator: Integrator) -> tuple[System, State, MotionPiece, Scalar, Scalar]:
-    """All that a step starts from, what the integrator carries included."""
+    """All inputs of a step, including the memory of the integrator."""
     system, step = System.of(scene), step_length(scene.motion, 1)
     state = starting_state(scene, start_before_search(scene))
     state = integrator.begin(system, state, first_guide(scene), step)
@@ -85,7 +85,7 @@ def _step_inputs(scene: Scene, integrator: Integrator) -> tuple[System, State, M
 
 
 def count(jaxpr: Jaxpr) -> int:
-    """Equations that contribute to the results; a call counts as its content, a loop as its body."""
+    """Counts equations that contribute to the results; a call counts as its content, a loop as its body once."""
     needed = {v for v in jaxpr.outvars if isinstance(v, Var)}
     found = 0
     for eqn in reversed(jaxpr.eqns):
@@ -97,33 +97,33 @@ def count(jaxpr: Jaxpr) -> int:
 
 
 def _inside(parameters: dict[str, Any]) -> list[Jaxpr]:
-    """The programs among an equation's parameters: of loops, branches and calls."""
+    """The programs among an equation's parameters, which belong to loops, branches and calls."""
     kinds = (Jaxpr, ClosedJaxpr)
     found = jax.tree.leaves(parameters, is_leaf=lambda p: isinstance(p, kinds))
     return [p.jaxpr if isinstance(p, ClosedJaxpr) else p for p in found if isinstance(p, kinds)]
 
 
 class Rates(NamedTuple):
-    r"""The fastest motions that a load makes, and so the longest step at which an explicit method stays stable.
+    r"""The fastest rates that a load causes, which limit the stable step of an explicit method.
 
     With M the mass matrix, K = sum k g g^T and C = sum c g g^T over the load's stiff terms (and its bed's and its
     drag's), the fastest oscillation has w^2 = |M^-1/2 K M^-1/2| and damping rate y = |M^-1/2 C M^-1/2|. Semi-implicit
     (symplectic) Euler with damping taken at the step's start, v' = v - h (w^2 x + y v) and x' = x + h v', is stable up
-    to h = 4 / (y + sqrt(y^2 + 4 w^2)). Norms are Frobenius': for one term exact, for a group at most sqrt(6) above the
-    largest eigenvalue, so the step named is at most that much too short.
+    to h = 4 / (y + sqrt(y^2 + 4 w^2)). The norms are Frobenius norms: exact for one term, at most sqrt(6) times the
+    largest eigenvalue for a group, so the estimated step is at most that much too short.
     """
 
     oscillation: Scalar  # w^2 [1/s^2]
     damping: Scalar  # y [1/s]
 
     def longest_step(self) -> Scalar:
-        """That an explicit method could take; infinite where there is neither spring nor damper [s]."""
+        """Returns the longest stable step of an explicit method [s]; infinite without spring and damper."""
         rate = self.damping + jnp.sqrt(jnp.square(self.damping) + 4 * self.oscillation)
         return jnp.where(rate > 0, 4 / jnp.where(rate > 0, rate, 1.0), jnp.inf)
 
 
 def rates(system: System, loads: list[tuple[float, Load]]) -> Rates:
-    """The rates of a sum of loads with their signs."""
+    """Returns the rates of a signed sum of loads."""
     i = system.inertia
     lighter = 1 / jnp.sqrt(jnp.stack([system.mass, system.mass, system.mass, i.x, i.y, i.z]))
     springs = dampers = jnp.zeros((6, 6), lighter.dtype)
@@ -143,7 +143,7 @@ def rates(system: System, loads: list[tuple[float, Load]]) -> Rates:
 
 
 def _gram(term: StiffTerm, weight: Scalar) -> Array:
-    """The sum of w g g^T over a term's group."""
+    """The sum of w g g^T over the group of a term (6, 6)."""
     parts = (getattr(v, axis) for v in (term.direction, term.moment) for axis in "xyz")
     rows = jnp.stack([jnp.ravel(jnp.broadcast_to(a, jnp.shape(weight))) for a in parts])
     return (rows * jnp.ravel(weight)[None, :]) @ rows.T

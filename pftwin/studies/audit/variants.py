@@ -1,4 +1,4 @@
-"""The variants of an audit: effects left out, effects added, other inertia."""
+"""Variants of a scene for an audit: effects omitted or added, and changed inertia."""
 
 from __future__ import annotations
 
@@ -32,20 +32,20 @@ KINDS: tuple[Kind, ...] = get_args(Kind)  # in the order of tables
 
 @dataclass(frozen=True)
 class Variant:
-    """A change, and the scene with it."""
+    """A change and the changed scene."""
 
     name: str
     kind: Kind
-    sentence: str
+    sentence: str  # description of the change
     scene: Scene
-    alike: bool = False  # whether only numbers differ, so that it is run side by side with its like
-    integrator: Integrator | None = None  # in place of the scene's
-    refine: int = 1  # how many steps there are for each one
+    alike: bool = False  # whether only parameter values differ, so that it can run in a batch
+    integrator: Integrator | None = None  # replaces the scene's integrator
+    refine: int = 1  # factor on the number of steps
 
 
 @dataclass(frozen=True)
 class NotApplicable:
-    """A change that does not apply here, and why."""
+    """A change that does not apply to the scene, and the reason."""
 
     name: str
     kind: Kind
@@ -56,7 +56,7 @@ NAME = "moving-femur inertia"
 
 
 def without_femur_inertia(scene: Scene) -> Variant | NotApplicable:
-    """The variant, or why there is none."""
+    """Returns the variant whose femur frame is treated as inertial, or why there is none."""
     femur = scene.motion.femur
     if femur is None:
         reason = "the femur stands still in this scene, and nothing in it tells how it moved in the world"
@@ -77,7 +77,7 @@ def without_femur_inertia(scene: Scene) -> Variant | NotApplicable:
 
 
 def _series(segment: SegmentMotion, times: np.ndarray) -> PoseSeries:
-    """Poses at the recorded times: the splines go through them."""
+    """Poses at the recorded times, which the splines interpolate."""
     origins, matrices = jax.device_get(_origins_and_matrices(segment, times))
     return PoseSeries.from_matrices(times, origins, matrices)
 
@@ -89,7 +89,7 @@ def _origins_and_matrices(segment: SegmentMotion, times: np.ndarray) -> tuple[Ar
 
 
 def ablations(scene: Scene) -> list[Variant | NotApplicable]:
-    """Each effect, what effects can be without, and what the femur's motion adds."""
+    """Returns variants without each effect, without separable parts of effects, and without the femur's inertia."""
     found: list[Variant | NotApplicable] = [
         Variant(p.name, "left out", f"the scene without {p.name} ({p.kind})", p.without) for p in parts(scene)
     ]
@@ -98,7 +98,7 @@ def ablations(scene: Scene) -> list[Variant | NotApplicable]:
 
 
 def changed_together(scene: Scene, kind: Kind, changes: Iterable[Change]) -> list[Variant]:
-    """A variant for each label, with all effects changed that have a change of that label."""
+    """Returns a variant for each label; it changes all effects that have a change with that label."""
     groups: dict[str, list[Change]] = {}
     for change in changes:
         groups.setdefault(change.label, []).append(change)
@@ -120,7 +120,7 @@ WEIGHT = 9.81  # [m/s^2]
 
 
 def additions(scene: Scene, integrator: Integrator) -> list[Variant | NotApplicable]:
-    """Friction, weight, a toe region, and inertia more, less or none; and steps half as long, as a yardstick."""
+    """Returns variants with friction, weight or a toe region added, with other inertia, and with half the step."""
     found = [_friction(scene), _gravity(scene), *_refinements(scene), *_inertia(scene, integrator)]
     half = Variant("steps half as long", "yardstick", "what the step itself is worth", scene, refine=2)
     return [*(v for v in found if v is not None), half]
@@ -151,7 +151,7 @@ def _gravity(scene: Scene) -> Variant | None:
 
 
 def _refinements(scene: Scene) -> list[Variant | NotApplicable]:
-    """What effects say that they lack: toe regions of linear tendons, where no line of force has one already."""
+    """Refinements that effects offer; toe regions are not applicable if no tendon is linear."""
     lacking = [c for e in scene.effects for c in e.elaborations()]
     known = any(c.label.startswith(TOE) for e in scene.effects for c in (*lacking, *e.simplifications()))
     absent = [] if known else [NotApplicable(TOE, "put in", "no tendon is linear")]

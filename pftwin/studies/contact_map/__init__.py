@@ -1,1 +1,1 @@
-"""Contact at recorded poses: pressure maps frame by frame, without a simulation."""
+"""Contact at recorded poses: pressure maps at every frame, without a simulation."""

@@ -1,4 +1,4 @@
-"""A contact map as figures, and as an xarray Dataset with units and long names on every variable."""
+"""Figures of a contact map, and its conversion to an xarray Dataset with units and long names."""
 
 from __future__ import annotations
 
@@ -19,19 +19,19 @@ if TYPE_CHECKING:
     from xarray import Dataset
 
 
-_SHOWN = 4  # frames of the pressure map
+_SHOWN = 4  # number of frames with a pressure map
 _AXES = "xyz"
-_DARKEST, _PALEST = 0.4, 0.95  # greys of the femur: edge on, and facing the viewer
-_NAMED = 0.7  # least share of an axis that a direction must have for its ends to be called medial and lateral
+_DARKEST, _PALEST = 0.4, 0.95  # greys of the femur's triangles: edge-on, and facing the viewer
+_NAMED = 0.7  # smallest component of the lateral direction along an axis whose ends are labelled medial and lateral
 
 
 def map_figure(
     found: ContactMap, femur: SurfaceMesh, button: SurfaceMesh, title: str, *, lateral: Any = None
 ) -> Figure:
-    """Pressure on the button at four times, the centre of pressure on the femur, force, area and pressure over time.
+    """Plots pressure on the button at four times, the centre of pressure on the femur, force, area and pressure.
 
-    The meshes are in their own frames. `lateral`: unit vectors towards lateral in the femur's and the patella's frame,
-    (2, 3); without them the sides are not named.
+    The meshes are in their own frames. `lateral` (2, 3) has the unit vectors to lateral in the femur's and the
+    patella's frame; without it the sides are not labelled.
     """
     from matplotlib.figure import Figure
 
@@ -50,7 +50,7 @@ def map_figure(
 
 
 def _maps(figure: Any, panels: dict[str, Any], found: ContactMap, button: SurfaceMesh, lateral: Any) -> None:
-    """The button, seen from where it is pressed: its normals there point towards the viewer."""
+    """Draws the button seen from the loaded side, whose normals point to the viewer."""
     from matplotlib import colormaps
     from matplotlib.collections import PolyCollection
 
@@ -60,7 +60,7 @@ def _maps(figure: Any, panels: dict[str, Any], found: ContactMap, button: Surfac
     corners = 1e3 * button.vertices[button.faces]
     frames = np.flatnonzero(found.touching)
     shown = frames[np.linspace(0, len(frames) - 1, _SHOWN).round().astype(int)] if len(frames) else np.arange(_SHOWN)
-    colours = colormaps["viridis"].with_extremes(bad="0.9")  # grey where nothing presses
+    colours = colormaps["viridis"].with_extremes(bad="0.9")  # grey without pressure
     highest = max(float(found.pressure[shown].max()) / 1e6, 1e-6)
     cells = None
     for k, frame in enumerate(shown):
@@ -81,7 +81,7 @@ def _maps(figure: Any, panels: dict[str, Any], found: ContactMap, button: Surfac
 
 
 def _path(axes: Axes, found: ContactMap, femur: SurfaceMesh, lateral: Any) -> None:
-    """The centre of pressure on the femur, seen from where it is touched: the patella is pushed towards the viewer."""
+    """Draws the centre of pressure on the femur seen from the loaded side: the mean force points to the viewer."""
     center = 1e3 * found.center_of_pressure[found.touching]
     towards = found.force[found.touching].sum(axis=0) if len(center) else np.array([0.0, 0.0, 1.0])
     across, up = _plane(towards)
@@ -95,11 +95,11 @@ def _path(axes: Axes, found: ContactMap, femur: SurfaceMesh, lateral: Any) -> No
 
 
 def _seen_from(towards: NDArray[np.float64], axes: Axes, body: str, across: int, up: int, lateral: Any) -> None:
-    """Names the horizontal axis, and has it run leftwards where it does so for a viewer on that side."""
+    """Labels the horizontal axis, and inverts it if it runs to the left for a viewer on that side."""
     mirrored = bool(np.cross(*np.eye(3)[[across, up]]) @ towards < 0)
     if mirrored:
         axes.invert_xaxis()
-    ends = ""  # a second line: which end is medial, which lateral, where that is known
+    ends = ""  # second line of the label: which end is medial and which lateral, if known
     if lateral is not None and abs(lateral[across]) >= _NAMED:
         left, right = ("medial", "lateral") if (lateral[across] > 0) != mirrored else ("lateral", "medial")
         ends = f"\n{left} \N{LEFTWARDS ARROW}      \N{RIGHTWARDS ARROW} {right}"
@@ -107,7 +107,7 @@ def _seen_from(towards: NDArray[np.float64], axes: Axes, body: str, across: int,
 
 
 def _surface(axes: Axes, mesh: SurfaceMesh, across: int, up: int, towards: NDArray[np.float64]) -> None:
-    """The triangles that face the viewer, the nearest last, pale where they face it squarely."""
+    """Draws the triangles that face the viewer, the nearest last, paler the more directly they face it."""
     from matplotlib.collections import PolyCollection
 
     view = np.zeros(3)
@@ -141,12 +141,12 @@ def _courses(panels: dict[str, Any], found: ContactMap) -> None:
 
 
 def _plane(normal: NDArray[np.float64]) -> list[int]:
-    """The two axes across which a direction looks, the one drawn to the right first."""
+    """The two axes most perpendicular to a direction, the horizontal one first."""
     return [k for k in (2, 0, 1) if k != int(np.argmax(np.abs(normal)))]
 
 
 def dataset(found: ContactMap, button: SurfaceMesh, settings: dict[str, Any]) -> Dataset:
-    """Everything in SI units, vectors along the femur's axes, the button's mesh with it."""
+    """Returns the map and the button's mesh as a dataset in SI units, with vectors along the femur's axes."""
     from xarray import Dataset
 
     frame, vector, map_ = ("time",), ("time", "axis"), ("time", "triangle")
@@ -174,5 +174,5 @@ def dataset(found: ContactMap, button: SurfaceMesh, settings: dict[str, Any]) ->
 
 
 def compressed(data: Dataset) -> dict[str, dict[str, Any]]:
-    """Compression of the maps in files: most of their values are empty."""
+    """Returns the NetCDF encoding that compresses the maps, most of whose values are empty."""
     return {name: {"zlib": True, "complevel": 4} for name in ("depth", "pressure") if name in data}

@@ -1,6 +1,6 @@
 """Contact of two meshes at given poses: forces, pressures, and depth and pressure on every triangle of the button.
 
-Host side checks say in words whether two meshes, poses and what came of them belong together.
+Checks report meshes, poses and results that are not consistent with each other.
 """
 
 from __future__ import annotations
@@ -28,35 +28,35 @@ from pftwin.geometry.mesh.mesh import PLAUSIBLE, UNITS, SurfaceMesh, load_mesh, 
 from pftwin.model.effects.foundation_law import FoundationLaw
 from pftwin.studies.runs import run_each
 
-BAND = 1e-3  # distance from the femur up to which depths are computed [m]
+BAND = 1e-3  # largest distance outside the femur at which depths are computed [m]
 
 Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, eq=False)
 class ContactMap:
-    """Frame by frame; vectors along the femur's axes."""
+    """Contact at n frames; vectors have components along the femur's axes."""
 
     times: Floats  # (n,) [s]
     force: Floats  # (n, 3) on the patella [N]
     moment: Floats  # (n, 3) about the origin of the patella's frame [N m]
-    area: Floats  # (n,) in contact [m^2]
+    area: Floats  # (n,) contact area [m^2]
     mean_pressure: Floats  # (n,) over that area [Pa]
     max_pressure: Floats  # (n,) [Pa]
-    center_of_pressure: Floats  # (n, 3) in the femur's frame, NaN where nothing touches [m]
-    center_on_patella: Floats  # (n, 3) the same point in the patella's frame [m]
-    largest_depth: Floats  # (n,) of a centroid [m]
-    depth: NDArray[np.float32]  # (n, triangles) of the button [m]; NaN farther outside than the band
-    pressure: NDArray[np.float32]  # (n, triangles) [Pa]
+    center_of_pressure: Floats  # (n, 3) in the femur frame [m]; NaN without contact
+    center_on_patella: Floats  # (n, 3) the same point in the patella frame [m]
+    largest_depth: Floats  # (n,) largest depth of a triangle's centroid [m]
+    depth: NDArray[np.float32]  # (n, triangles) of the button's triangles [m]; NaN farther outside than the band
+    pressure: NDArray[np.float32]  # (n, triangles) on the button's triangles [Pa]
 
     @property
     def touching(self) -> NDArray[np.bool_]:
-        """(n,) whether a triangle is in contact."""
+        """Whether any triangle is in contact (n,)."""
         return self.area > 0
 
     @property
     def too_deep(self) -> NDArray[np.bool_]:
-        """(n,) whether a triangle is deeper than plausible in a joint: the two parts then do not belong together."""
+        """Whether any triangle is deeper than plausible in a joint, a sign of inconsistent input (n,)."""
         return self.largest_depth > DEEPEST
 
 
@@ -70,18 +70,18 @@ def map_contact(
     band: float = BAND,
     progress: Progress = lambda done, of: None,
 ) -> ContactMap:
-    """The contact at every pose, frame by frame: memory does not grow with the recording but for the result.
+    """Computes the contact at every pose, frame by frame; only the result's memory grows with the recording.
 
     Args:
-        femur, button: in the frames whose poses are given.
-        law: pressure over depth.
-        poses: of the button's frame in the femur's.
-        triangles: of the button's mesh.
-        band: distance outside the femur up to which triangles' depths are given [m].
-        progress: told after each frame how many frames are done, and of how many.
+        femur, button: surfaces in the frames to which the poses refer.
+        law: pressure as a function of depth.
+        poses: poses of the button's frame in the femur's.
+        triangles: number of triangles of the button's mesh.
+        band: largest distance outside the femur at which depths are computed [m].
+        progress: called after each frame with the number of frames done and their total.
 
     Returns:
-        The map. After an interrupt (Ctrl-C) it ends with the last frame that was done.
+        The map. After an interrupt (Ctrl-C) it ends with the last finished frame.
 
     Raises:
         KeyboardInterrupt: interrupted before the first frame was done.
@@ -126,7 +126,7 @@ def _frame(
 
 
 def _summary(found: Depths, pressure: Scalar) -> dict[str, Scalar]:
-    """Area, pressures, centre of pressure (femur frame), and depth of a contact."""
+    """Area, pressures, centre of pressure (femur frame) and largest depth of a contact."""
     touching = found.listed & (found.depth > 0)
     area = jnp.sum(jnp.where(touching, found.area, 0.0))
     borne = jnp.where(touching, found.area * pressure, 0.0)
@@ -143,20 +143,20 @@ def _summary(found: Depths, pressure: Scalar) -> dict[str, Scalar]:
 
 
 def _on_whole_mesh(frame: dict[str, np.ndarray], key: str, triangles: int, otherwise: float) -> NDArray[np.float32]:
-    """Values of the list on the whole mesh, (triangles,) in single precision."""
+    """Expands values of the listed triangles to the whole mesh, (triangles,) in single precision."""
     listed = frame["listed"]
     whole = np.full(triangles, otherwise, dtype=np.float32)
     whole[frame["triangle"][listed]] = frame[key][listed]
     return whole
 
 
-_LOOKS = 5  # frames checked before anything is computed
+_LOOKS = 5  # number of frames to check before computing
 
 
 def load_pair(
     femur: str | os.PathLike[str], patella: str | os.PathLike[str], *, units: str, patella_units: str | None = None
 ) -> tuple[SurfaceMesh, SurfaceMesh]:
-    """Both meshes in metres; InputError as of `load_mesh`, and for a size that does not suit the units."""
+    """Loads both meshes in metres; InputError as in `load_mesh`, and for a size that does not fit the units."""
     meshes = []
     for path, unit in ((femur, units), (patella, patella_units or units)):
         mesh = load_mesh(path, units=unit, size=None)
@@ -175,9 +175,9 @@ def load_pair(
 
 
 def check_sides(femur: SurfaceMesh, button: SurfaceMesh, poses: PoseSeries) -> None:
-    """Refuses poses by which the button is inside the femur, or never near it, in a few frames all over the recording.
+    """Checks in a few frames of the recording that the button is neither inside the femur nor far from it.
 
-    Raises InputError where more than half of it is behind the surface, or all of it far away, in all of them.
+    Raises InputError if in all these frames more than half of the button is behind the surface, or it is far away.
     """
     frames = np.unique(np.linspace(0, poses.times.size - 1, _LOOKS).round().astype(int))
     matrices = poses.matrices()
@@ -200,7 +200,7 @@ def check_sides(femur: SurfaceMesh, button: SurfaceMesh, poses: PoseSeries) -> N
 
 
 def check_outcome(found: ContactMap, poses: PoseSeries) -> None:
-    """Refuses a map in which nothing touches, or every contact is too deep (InputError); warns of single frames."""
+    """Raises InputError if nothing touches or every contact is too deep; warns if only some frames are too deep."""
     touching, deep = found.touching, found.too_deep
     if not touching.any():
         gaps = np.nanmax(found.depth, axis=1, initial=-np.inf)
@@ -223,5 +223,5 @@ def check_outcome(found: ContactMap, poses: PoseSeries) -> None:
 
 
 def status(found: ContactMap) -> NDArray[np.int32]:
-    """(n,) 1 where nothing touches, 2 where it is too deep; 0: no reservation."""
+    """Returns the status of each frame (n,): 1 without contact, 2 if too deep, otherwise 0."""
     return (~found.touching + 2 * found.too_deep).astype(np.int32)

@@ -1,6 +1,6 @@
-"""The command line. Commands import what they need when they run, so that `pftwin --help` answers at once.
+"""The command line. Commands import their dependencies when they run, so that `pftwin --help` is fast.
 
-The program is made when it is first asked for: it holds the commands of other packages, which import from this one.
+The program is created on first access, because it includes commands of other packages, which import from this one.
 """
 
 from __future__ import annotations

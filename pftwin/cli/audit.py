@@ -22,7 +22,7 @@ MarkdownOption = Annotated[bool, Option("--markdown", help="Print the table as M
 
 @on_scene
 def explain(*, knee: RunOptions, markdown: MarkdownOption = False, json: JsonOption = None) -> None:
-    """Say what each effect of a scene adds: equations, time, stiffness, and the energy it moved over the run.
+    """Show the cost and action of each effect of a scene: equations, time, stiffness, and energy over the run.
 
     Example: `pftwin explain --case 2`
     """
@@ -41,16 +41,16 @@ def explain(*, knee: RunOptions, markdown: MarkdownOption = False, json: JsonOpt
 def audit(
     *,
     knee: RunOptions,
-    out_dir: Annotated[Path | None, Option("--out", metavar="DIR", help="Figure, CSV and NetCDF go there.")] = None,
+    out_dir: Annotated[Path | None, Option("--out", metavar="DIR", help="Folder for figure, CSV and NetCDF.")] = None,
     tolerance: Annotated[
-        str, Option(metavar="LENGTH", help="What the path may be off by before it matters [mm].")
+        str, Option(metavar="LENGTH", help="Change of the path above which an effect matters [mm].")
     ] = "0.1 mm",
     markdown: MarkdownOption = False,
     json: JsonOption = None,
 ) -> None:
-    """Say what each effect of a scene is worth: what changes when it is left out, and what it takes.
+    """Show the influence of each effect of a scene: how the result changes without it, and the time it takes.
 
-    Effects that the scene lacks and could have are put in; inertia is doubled, halved and left out; steps are halved.
+    Effects that the scene lacks are added; inertia is doubled, halved and removed; steps are halved.
 
     Example: `pftwin audit --case 2 --out audit`
     """
@@ -77,7 +77,7 @@ def audit(
 
 
 def _write(found: Audit, folder: Path) -> list[Path]:
-    """Writes tables and figure, and returns their paths; after an interrupt the tables only, because the user waits."""
+    """Writes tables and figure and returns their paths; after an interrupt only the tables, to end quickly."""
     from pftwin.base.text_files import write_text
     from pftwin.files.result_files import save_dataset
     from pftwin.results.plots import save_figure

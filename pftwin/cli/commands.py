@@ -1,4 +1,4 @@
-"""The commands of pftwin alone."""
+"""The commands of the package pftwin, without those of other packages."""
 
 from __future__ import annotations
 
@@ -7,22 +7,22 @@ from pftwin.cli.contact_map import contact_map
 from pftwin.cli.doctor_mesh import doctor_mesh
 from pftwin.cli.plugins import Command, Job
 
-OWN_KNEE = Job("Begin a knee of your own, from an example", "pftwin init knee")
+OWN_KNEE = Job("Start your own knee from an example", "pftwin init knee")
 SIMULATE = Job("Simulate it", "pftwin simulate knee/scene.toml -o knee.nc")
 COMMANDS = (
-    Command("init", exchange.init, "Write a commented scene with a laboratory's files", "Start", 20, OWN_KNEE),
-    Command("doctor", doctor.doctor, "Is this installation sound? Versions and a self-test", "Start", 30),
-    Command("simulate", simulate.simulate, "The patella through the recorded motion", "Simulate", 10, SIMULATE),
-    Command("equilibrium", simulate.equilibrium, "Where the patella rests at the first frame", "Simulate", 20),
+    Command("init", exchange.init, "Write a commented example scene with its files", "Start", 20, OWN_KNEE),
+    Command("doctor", doctor.doctor, "Check the installation: versions and a self-test", "Start", 30),
+    Command("simulate", simulate.simulate, "Simulate the patella in a recorded motion", "Simulate", 10, SIMULATE),
+    Command("equilibrium", simulate.equilibrium, "Find the equilibrium at the first frame", "Simulate", 20),
     Command("validate", simulate.validate, "Simulate, and compare with measurements", "Simulate", 30),
-    Command("contact-map", contact_map, "Pressures where recorded poses press two meshes", "Simulate", 40),
-    Command("fit-surface", meshes.fit_surface, "Trochlear patches from a mesh of the implant", "Fit", 30),
-    Command("view", view.view, "Results in three dimensions: a page or a film", "Look", 10),
-    Command("explain", audit.explain, "What each effect of a scene adds", "Look", 30),
-    Command("audit", audit.audit, "What each effect is worth, left out in turn", "Look", 40),
-    Command("doctor-mesh", doctor_mesh, "What is wrong with a mesh; repair what is safe", "Check", 10),
-    Command("accuracy", studies.accuracy, "What accuracy costs in time", "Check", 20),
-    Command("hard-cases", studies.hard_cases, "Scenes that break simulators, judged", "Check", 30),
-    Command("export", exchange.export, "A result as .mot, .sto, .glb or .csv", "Exchange", 10),
-    Command("import", exchange.import_model, "An OpenSim model as a scene folder", "Exchange", 20),
+    Command("contact-map", contact_map, "Compute contact pressures at recorded poses", "Simulate", 40),
+    Command("fit-surface", meshes.fit_surface, "Fit trochlear patches to an implant's mesh", "Fit", 30),
+    Command("view", view.view, "Show results in 3D: a page or a film", "Look", 10),
+    Command("explain", audit.explain, "Show the cost of each effect of a scene", "Look", 30),
+    Command("audit", audit.audit, "Test the influence of each effect", "Look", 40),
+    Command("doctor-mesh", doctor_mesh, "Find defects of a mesh; repair safe ones", "Check", 10),
+    Command("accuracy", studies.accuracy, "Measure errors and run times of settings", "Check", 20),
+    Command("hard-cases", studies.hard_cases, "Run scenes that are hard to simulate", "Check", 30),
+    Command("export", exchange.export, "Convert a result to .mot, .sto, .glb or .csv", "Exchange", 10),
+    Command("import", exchange.import_model, "Convert an OpenSim model to a scene folder", "Exchange", 20),
 )

@@ -30,28 +30,30 @@ def contact_map(
         Path, Option(metavar="FILE", help="CSV: time_s, BODY_px_m ... BODY_qz. STO: time, BODY_T11 ... BODY_T44.")
     ],
     units: Annotated[str, Option(metavar="m|mm", help="Unit of the meshes' coordinates.")],
-    patella_units: Annotated[str | None, Option(metavar="m|mm", help="If the patella's mesh has another.")] = None,
-    bodies: Annotated[str, Option(metavar="FEMUR,PATELLA", help="Names in the poses' file.")] = "femur,patella",
-    law: Annotated[str, Option(metavar="linear|logarithmic", help="Pressure over depth.")] = "linear",
+    patella_units: Annotated[
+        str | None, Option(metavar="m|mm", help="Unit of the patella's mesh, if different.")
+    ] = None,
+    bodies: Annotated[str, Option(metavar="FEMUR,PATELLA", help="Names in the pose file.")] = "femur,patella",
+    law: Annotated[str, Option(metavar="linear|logarithmic", help="Law of pressure over depth.")] = "linear",
     modulus: Annotated[str, Option("--modulus-mpa", help="Elastic modulus, or femur's,patella's.")] = "46.3",
     poisson: Annotated[str, Option(help="Poisson ratio, or femur's,patella's.")] = "0.46",
-    thickness: Annotated[str, Option(help="Of the layer, or femur's,patella's [mm].")] = "5 mm",
+    thickness: Annotated[str, Option(help="Layer thickness, or femur's,patella's [mm].")] = "5 mm",
     rate: RateOption = None,
     start: Annotated[float | None, Option("--from", help="First time [s].")] = None,
     end: Annotated[float | None, Option("--to", help="Last time [s].")] = None,
     lateral: Annotated[
-        str | None, Option(metavar="AXIS", help="Of --figure: the femur's axis that points laterally, as in -z.")
+        str | None, Option(metavar="AXIS", help="For --figure: the femur's axis that points laterally, as in -z.")
     ] = None,
-    proximity: Annotated[str, Option(metavar="LENGTH", help="Largest gap that is reported [mm].")] = "1 mm",
+    proximity: Annotated[str, Option(metavar="LENGTH", help="Largest gap to report [mm].")] = "1 mm",
     output: Annotated[
-        Path | None, Option("-o", "--output", metavar="OUT.nc", help="NetCDF file with everything.")
+        Path | None, Option("-o", "--output", metavar="OUT.nc", help="NetCDF file with all results.")
     ] = None,
-    figure: Annotated[Path | None, Option(metavar="OUT.png", help="Pressure maps, path and courses.")] = None,
+    figure: Annotated[Path | None, Option(metavar="OUT.png", help="Figure of pressure, path and time courses.")] = None,
     json: terminal.JsonOption = None,
 ) -> None:
-    """Contact at recorded poses: force, moment, area, pressures, centre of pressure and proximity in every frame.
+    """Compute contact at recorded poses: force, moment, area, pressure, its centre and proximity at every frame.
 
-    Nothing is simulated: where the poses say that two surfaces overlap, elastic layers on both bear it.
+    Nothing is simulated: the overlap of the surfaces at the poses deforms elastic layers on both.
 
     Example: `pftwin contact-map --femur femur.stl --patella button.stl --units m --poses poses.csv -o contact.nc`
     """
@@ -113,7 +115,7 @@ def contact_map(
 
 
 def _law(name: str, layers: list[tuple[float, float, float]]) -> FoundationLaw:
-    """From the layers' moduli, Poisson ratios and thicknesses, the femur's first, in SI units."""
+    """The named law from each layer's modulus, Poisson ratio and thickness (SI units), the femur's layer first."""
     from pftwin.model.effects.foundation_law import LAWS, checked_layer
 
     if name not in LAWS:
@@ -123,7 +125,7 @@ def _law(name: str, layers: list[tuple[float, float, float]]) -> FoundationLaw:
 
 
 def _two(option: str, text: str, unit: str = "") -> list[float]:
-    """One number for both layers, or one each for femur and patella, in a unit that they may have written behind."""
+    """Parses one number for both layers, or one each for femur and patella, with an optional unit."""
     values = listed(text, unit, option)
     if len(values) not in (1, 2):
         raise InputError(f"found {text!r}", where=option, expected="a number, or two: femur's,patella's")
@@ -131,7 +133,7 @@ def _two(option: str, text: str, unit: str = "") -> list[float]:
 
 
 def _poses(path: Path, bodies: str, rate: float | None, start: float | None, end: float | None) -> PoseSeries:
-    """Poses of the patella in the femur within the times asked for."""
+    """Poses of the patella in the femur within the requested times."""
     from pftwin.files.mocap import read_poses
 
     names = bodies.split(",")
@@ -144,7 +146,7 @@ def _poses(path: Path, bodies: str, rate: float | None, start: float | None, end
 
 
 def _axis(text: str, figure: Path | None) -> Direction:
-    """An axis of the femur's mesh, by name; InputError for another text, or without a figure whose sides it names."""
+    """Parses an axis of the femur's mesh; InputError for other text, or if no figure is requested."""
     if figure is None:
         problem = "names the sides of a figure, and none is drawn"
         raise InputError(problem, where="--lateral", remedy="--figure OUT.png")
@@ -157,7 +159,7 @@ def _axis(text: str, figure: Path | None) -> Direction:
 
 
 def _in_both(direction: Direction, poses: PoseSeries) -> tuple[Any, Any]:
-    """A direction of the femur's frame, there and in the patella's frame half way through the recording."""
+    """A direction in the femur frame, and the same in the patella frame halfway through the recording."""
     import numpy as np
     from scipy.spatial.transform import Rotation
 

@@ -30,13 +30,13 @@ if TYPE_CHECKING:
     from packaging.requirements import Requirement
 
 FRAMES = 61  # of the self-test: 0.6 s of case 1
-MOST_CREATED = 0.005  # energy that no account explains, as a share of the work done: 0.0002 with steps of 1 ms
+MOST_CREATED = 0.005  # largest energy imbalance as a share of the work done; 0.0002 is usual with steps of 1 ms
 PROGRAM = "pftwin"
-DEVELOPERS = ("benchmarks", "dev", "docs", "test")  # extras for work on pftwin itself: not checked
+DEVELOPERS = ("benchmarks", "dev", "docs", "test")  # extras for developers, which are not checked
 
 
 class Finding(NamedTuple):
-    """One thing that was checked."""
+    """The result of one check."""
 
     name: str
     found: str
@@ -45,31 +45,31 @@ class Finding(NamedTuple):
 
 
 class Extra(NamedTuple):
-    """An optional part, and which of its packages are missing."""
+    """An optional extra and its packages."""
 
     name: str
-    packages: dict[str, str | None]  # versions; None: missing, or too old
+    packages: dict[str, str | None]  # version by name; None: missing or too old
 
     @property
     def present(self) -> bool:
-        """Whether it can be used."""
+        """Whether the extra can be used."""
         return all(v is not None for v in self.packages.values())
 
     @property
     def remedy(self) -> str:
-        """How to get it."""
+        """The command that installs the extra."""
         return f"python -m pip install '{PROGRAM}[{self.name}]'"
 
 
 def doctor(
     *,
-    quick: Annotated[bool, Option("--no-self-test", help="Look at what is installed; simulate nothing.")] = False,
+    quick: Annotated[bool, Option("--no-self-test", help="Check only the packages; simulate nothing.")] = False,
     json: JsonOption = None,
 ) -> None:
-    """Say whether this installation is sound: versions, devices, precision, cache, optional parts, a self-test.
+    """Check this installation: versions, devices, precision, cache, optional parts, and a self-test.
 
-    The self-test simulates half a second of the virtual rig and looks at balance and energy. Ends with exit code 3
-    where something is broken.
+    The self-test simulates half a second of the virtual rig and checks equilibrium and energy. The exit code is 3 if
+    something is broken.
 
     Example: `pftwin doctor`
     """
@@ -109,7 +109,7 @@ def doctor(
 
 
 def _checked(name: str, check: Callable[[], Sequence[Finding]]) -> list[Finding]:
-    """What a check found; a check that itself fails is a finding too, with the error's words."""
+    """Runs a check and returns its findings; an exception becomes a finding with its message."""
     try:
         return list(check())
     except Exception as error:
@@ -117,7 +117,7 @@ def _checked(name: str, check: Callable[[], Sequence[Finding]]) -> list[Finding]
 
 
 def _computing() -> list[Finding]:
-    """The devices that JAX sees, its precision, and the fast CPU compilation."""
+    """Checks JAX's devices, its precision and the flags for fast CPU code."""
     start_computing()
     import jax
     import jax.numpy as jnp
@@ -134,9 +134,9 @@ def _computing() -> list[Finding]:
 
 
 def self_test() -> list[Finding]:
-    """Simulates, and checks what must hold of any run: balance at the start, energy, the float type.
+    """Simulates a short motion, and checks the equilibrium at its start, the energy balance and the float type.
 
-    The first run on a machine compiles for some seconds; kept programs make the next one short.
+    The first run on a machine takes some seconds to compile; later runs use cached programs.
     """
     import dataclasses
     import time
@@ -172,7 +172,7 @@ def self_test() -> list[Finding]:
 
 
 def python() -> Finding:
-    """The interpreter, against what pftwin's metadata require."""
+    """Checks the version of Python against pftwin's metadata."""
     from packaging.specifiers import SpecifierSet
 
     wanted = metadata.metadata(PROGRAM)["Requires-Python"]
@@ -182,7 +182,7 @@ def python() -> Finding:
 
 
 def packages() -> list[Finding]:
-    """Every package that pftwin needs, with its version."""
+    """Checks the version of each package that pftwin requires."""
     return [
         Finding(
             wanted.name,
@@ -195,7 +195,7 @@ def packages() -> list[Finding]:
 
 
 def extras() -> list[Extra]:
-    """The optional parts that users may want."""
+    """Returns the optional extras for users."""
     names = metadata.metadata(PROGRAM).get_all("Provides-Extra") or []
     return [
         Extra(name, {w.name: _version(w) for w in _requirements(PROGRAM, name)})
@@ -205,7 +205,7 @@ def extras() -> list[Extra]:
 
 
 def cache(folder: Path) -> Finding:
-    """The folder of compiled programs: how large, and whether it can be written to."""
+    """Checks the size and the write permission of the folder of compiled programs."""
     sizes = [f.stat().st_size for f in folder.rglob("*") if f.is_file()] if folder.is_dir() else []
     words = f"{folder}: {len(sizes)} files, {sum(sizes) / 1e6:.1f} MB"
     return Finding(
@@ -214,7 +214,7 @@ def cache(folder: Path) -> Finding:
 
 
 def _requirements(package: str, extra: str | None = None) -> list[Requirement]:
-    """The requirements of a package on this machine; of an extra, those that it adds."""
+    """The requirements of a package on this machine; for an extra, those that it adds."""
     from packaging.requirements import Requirement
 
     listed = [Requirement(text) for text in metadata.requires(package) or []]
@@ -227,7 +227,7 @@ def _requirements(package: str, extra: str | None = None) -> list[Requirement]:
 
 
 def _version(wanted: Requirement) -> str | None:
-    """The installed version; None where it, or a package of the extras that are asked for, is missing or too old."""
+    """The installed version; None if it, or a package of the requested extras, is missing or too old."""
     version = _installed(wanted.name)
     if version is None or not wanted.specifier.contains(version, prereleases=True):
         return None

@@ -19,23 +19,23 @@ if TYPE_CHECKING:
     from pftwin.geometry.patch.directions import Candidate, PrincipalAxis
 
 _SEVERITIES = {"safe": "can be repaired", "left": "stays as it is", "fatal": "makes it unusable"}
-_MOST_PARTS = 5  # of a mesh that are described
+_MOST_PARTS = 5  # largest number of a mesh's parts to describe
 
 
 def doctor_mesh(
     mesh: Annotated[Path, Argument(metavar="FILE", help="STL, OBJ or PLY file.")],
     *,
     units: Annotated[str | None, Option(metavar="m|mm", help="Unit of the coordinates; guessed if not given.")] = None,
-    repair: Annotated[Path | None, Option(metavar="OUT", help="Write the mesh with what is safe repaired.")] = None,
+    repair: Annotated[Path | None, Option(metavar="OUT", help="Write the mesh with its safe defects repaired.")] = None,
     output: Annotated[
-        Path | None, Option("-o", "--output", metavar="FIGURE.png", help="Picture of the axes that are proposed.")
+        Path | None, Option("-o", "--output", metavar="FIGURE.png", help="Figure of the proposed axes.")
     ] = None,
     json: terminal.JsonOption = None,
 ) -> None:
-    """Say what is wrong with a mesh: doubled and empty triangles, winding, holes, non-manifold edges, parts, scale.
+    """Find defects of a mesh: duplicate and empty triangles, winding, holes, non-manifold edges, parts, scale.
 
-    Repairs what leaves the surface as it is, in the file's own unit, and refuses what would change the answer. Proposes
-    axes: those of the mesh's frame along which there is a trochlear groove, or else the principal directions.
+    Repairs only defects whose repair keeps the surface unchanged, in the file's own unit. Proposes axes: those of the
+    mesh's frame along which there is a trochlear groove, or else the principal directions.
 
     Example: `pftwin doctor-mesh femur.stl --units mm --repair femur_repaired.stl -o axes.png`
     """
@@ -66,7 +66,7 @@ def doctor_mesh(
 
         with terminal.spinner("repairing"):
             healed, after = repaired(*read_triangles(mesh), source=str(mesh), units=units)
-        save_mesh(healed, repair)  # numbers as they are: the unit stays the file's
+        save_mesh(healed, repair)  # coordinates stay in the file's unit
         facts["repaired"] = {**after.facts(), "file": str(repair)}
         parts.append(f"written: {repair}, {after.n_faces} triangles: {after.verdict}")
     unit = units or next(iter(found.units), None)
@@ -93,7 +93,7 @@ def _description(found: Diagnosis, units: str | None) -> Iterator[str]:
 
 
 def _axes(mesh: Path, unit: str, output: Path | None) -> tuple[dict[str, Any], list[str]]:
-    """Axes to take for anatomical ones, as facts and in lines, and their picture where one is asked for."""
+    """Candidates for the anatomical axes, as facts and as lines; writes their figure if requested."""
     terminal.start_computing()
     from pftwin.geometry.mesh.mesh import load_mesh
     from pftwin.geometry.patch.directions import directions_with_groove, principal_axes

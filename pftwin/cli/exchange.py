@@ -1,4 +1,4 @@
-"""`pftwin init`, `pftwin import` and `pftwin export`: files in and out."""
+"""`pftwin init`, `pftwin import` and `pftwin export`."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ if TYPE_CHECKING:
     from pftwin.files.interchange.osim_scene import Imported
 
 RateOption = Annotated[
-    float | None, Option("--rate", metavar="HERTZ", help="Frames per second, where times in a file count frames.")
+    float | None, Option("--rate", metavar="HERTZ", help="Frame rate, if the time column of a file counts frames.")
 ]
-_MOST_NAMES = 60  # letters of names in a cell of the table; the file not_imported.md has all
+_MOST_NAMES = 60  # characters of names in a cell of the table; the file not_imported.md has all
 
 
 def init(
-    folder: Annotated[Path, Argument(metavar="DIR", help="Folder for the example; made if it is not there.")],
+    folder: Annotated[Path, Argument(metavar="DIR", help="Folder for the example; created if it is missing.")],
     *,
     case: Annotated[int, Option(min=1, max=4, help="Case of the virtual rig.")] = 1,
     json: terminal.JsonOption = None,
 ) -> None:
-    """Write a commented example: a scene file with the files of a laboratory (markers, forces, mesh).
+    """Write a commented example: a scene file with laboratory files (markers, forces, mesh).
 
     Example: `pftwin init knee`, then `pftwin simulate knee/scene.toml -o knee.nc`
     """
@@ -54,10 +54,10 @@ def export(
     ],
     json: terminal.JsonOption = None,
 ) -> None:
-    """Write a result for other programs.
+    """Convert a result for other programs.
 
-    .mot: joint coordinates for OpenSim, in degrees. .sto: everything, for OpenSim. .glb: the moving knee, glTF 2.0.
-    .csv: everything, as a table.
+    .mot: joint coordinates for OpenSim, in degrees. .sto: all variables, for OpenSim. .glb: the moving knee, glTF 2.0.
+    .csv: all variables, as a table.
 
     Example: `pftwin export case2.nc -o case2.mot -o case2.glb`
     """
@@ -88,52 +88,48 @@ def import_model(
         Path | None,
         Option(
             metavar="FILE",
-            help="Coordinates over time (.mot), measured poses of the bones (.sto), or a recording of markers (.trc, "
-            ".c3d, .csv); the knee is bent if left out.",
+            help="Coordinates over time (.mot), measured poses of the bones (.sto), or recorded markers (.trc, "
+            ".c3d, .csv). Default: a synthetic flexion.",
         ),
     ] = None,
     markers: Annotated[
-        Path | None, Option(metavar="FILE.xml", help="Where markers sit, in place of the model's own marker set.")
+        Path | None, Option(metavar="FILE.xml", help="Marker set to use instead of the model's own.")
     ] = None,
-    without: Annotated[
-        list[str] | None, Option(metavar="MARKER", help="A marker to leave out; may be repeated.")
-    ] = None,
+    without: Annotated[list[str] | None, Option(metavar="MARKER", help="A marker to omit; may be repeated.")] = None,
     joint_centers: Annotated[
         bool,
         Option(
             "--joint-centers",
-            help="The centres of hip (by the pelvis' markers) and knee (by the tibia's) count as markers of the femur.",
+            help="Use the joint centres of hip (from the pelvis) and knee (from the tibia) as markers of the femur.",
         ),
     ] = False,
-    units: Annotated[
-        str | None, Option(metavar="m|cm|mm", help="Unit of the markers, where their file has none.")
-    ] = None,
+    units: Annotated[str | None, Option(metavar="m|cm|mm", help="Unit of the markers, if their file has none.")] = None,
     rate: RateOption = None,
     quadriceps: Annotated[
-        float | None, Option(metavar="NEWTONS", help="Constant tension, for muscles from femur to patella together.")
+        float | None, Option(metavar="NEWTONS", help="Constant total tension of the muscles from femur to patella.")
     ] = None,
     activation: Annotated[
         str | None,
         Option(
             metavar="A|FILE",
-            help="In place of --quadriceps: activation of the patella's muscles, 0 to 1, or a file of activations "
-            "over time (.sto, .mot, .csv); tensions follow from it and from the muscles' lengths.",
+            help="Instead of --quadriceps: activation of the patella's muscles, 0 to 1, or a file of activations "
+            "over time (.sto, .mot, .csv); with the muscles' lengths it gives the tensions.",
         ),
     ] = None,
-    bend: Annotated[str | None, Option(metavar="COORDINATE", help="To bend by, without --motion.")] = None,
-    side: Annotated[str | None, Option(metavar="right|left", help="Where the model has both.")] = None,
-    femur: Annotated[str | None, Option(metavar="BODY", help="If its name does not tell.")] = None,
-    tibia: Annotated[str | None, Option(metavar="BODY", help="If its name does not tell.")] = None,
-    patella: Annotated[str | None, Option(metavar="BODY", help="If its name does not tell.")] = None,
+    bend: Annotated[str | None, Option(metavar="COORDINATE", help="Coordinate to flex, without --motion.")] = None,
+    side: Annotated[str | None, Option(metavar="right|left", help="Side, if the model has both.")] = None,
+    femur: Annotated[str | None, Option(metavar="BODY", help="The femur, if not clear from the names.")] = None,
+    tibia: Annotated[str | None, Option(metavar="BODY", help="The tibia, if not clear from the names.")] = None,
+    patella: Annotated[str | None, Option(metavar="BODY", help="The patella, if not clear from the names.")] = None,
     geometry: Annotated[
-        list[Path] | None, Option(metavar="DIR", help="A further folder of meshes; may be repeated.")
+        list[Path] | None, Option(metavar="DIR", help="An additional folder of meshes; may be repeated.")
     ] = None,
     json: terminal.JsonOption = None,
 ) -> None:
     """Write a scene folder from an OpenSim model: patella, ligaments, contact meshes, and a motion.
 
-    Says what was left out and why; not_imported.md in the folder has the whole list. Ends with exit code 3 where the
-    scene has been written and needs something more before it can be simulated.
+    Reports what was omitted and why; not_imported.md in the folder has the complete list. The exit code is 3 if the
+    scene was written but needs more input before it can be simulated.
 
     Example: `pftwin import lenhart2015.osim -o knee`, or
     `pftwin import lenhart2015.osim --motion measured.sto --rate 30 -o knee`, or
@@ -177,7 +173,7 @@ def _shorten_names(names: str) -> str:
 
 
 def _import_problem(found: Imported) -> str | None:
-    """Why the scene cannot be loaded as it is; None where it can."""
+    """Why the imported scene cannot be simulated yet; None if it can."""
     from pftwin.files.scene_file import load_scene_file
     from pftwin.model.limits import upward_lines
 

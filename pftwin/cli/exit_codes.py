@@ -1,4 +1,4 @@
-"""What the program's exit code says: one table for all commands, and the ways to end with each of them."""
+"""Exit codes of the program, the same for all commands, and functions that end a command with them."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ if TYPE_CHECKING:
 
 
 class ExitCode(enum.IntEnum):
-    """How a command ended. docs/command_line.md holds the same table."""
+    """Exit code of a command; docs/command_line.md has the same table."""
 
     DONE = 0
     UNEXPECTED = 1  # a bug in pftwin: the traceback is shown
-    BAD_INPUT = 2  # wrong options or files, an output that cannot be written, a missing package
-    FLAGGED = 3  # the command ran, but there is no outcome or it cannot be relied on
+    BAD_INPUT = 2  # invalid options or files, an unwritable output, a missing package
+    FLAGGED = 3  # the command ran, but there is no result, or it is not reliable
     INTERRUPTED = 130  # by Ctrl-C
 
 
@@ -33,18 +33,18 @@ _REFUSALS = (InputError, OutputError, MissingExtraError)
 
 
 def code_of(error: PftwinError) -> ExitCode:
-    """The exit code of an error that is meant for the user."""
+    """Returns the exit code of an error that is meant for the user."""
     return ExitCode.BAD_INPUT if isinstance(error, _REFUSALS) else ExitCode.FLAGGED
 
 
 def exit_flagged(why: str) -> NoReturn:
-    """Ends a command whose outcome is written and shown but cannot be relied on; says why on stderr."""
+    """Ends a command whose result is written and shown but is not reliable; writes the reason to stderr."""
     tell(f"flagged: {why}", "yellow")
     raise typer.Exit(ExitCode.FLAGGED)
 
 
 def check_trust(result: Result) -> None:
-    """Ends with `FLAGGED` where a motion may not be spoken of (`pftwin.results.verdict`) or frames are inaccurate."""
+    """Ends with `FLAGGED` if a motion is not valid (`pftwin.results.verdict`) or frames are inaccurate."""
     from pftwin.dynamics.status import Status
 
     if not result.verdict.valid:
@@ -54,7 +54,7 @@ def check_trust(result: Result) -> None:
 
 
 class Interrupted(KeyboardInterrupt):
-    """Ctrl-C, with the files that hold what was computed before it; neither None nor stdout ("-") is one."""
+    """Ctrl-C, with the files of results saved before it; None and stdout ("-") are skipped."""
 
     def __init__(self, *kept: Path | str | None) -> None:
         super().__init__()
@@ -63,7 +63,7 @@ class Interrupted(KeyboardInterrupt):
 
 @contextmanager
 def report_written_on_interrupt(*files: Path | None) -> Iterator[None]:
-    """After Ctrl-C, reports which of these files the work inside has written."""
+    """Converts Ctrl-C during the work inside to `Interrupted` with those of the files that it has written."""
     before = {f: _version(f) for f in files if f is not None}
     try:
         yield
@@ -74,7 +74,7 @@ def report_written_on_interrupt(*files: Path | None) -> Iterator[None]:
 
 
 def after_interrupt(error: KeyboardInterrupt) -> NoReturn:
-    """Says what is saved, and ends with `INTERRUPTED`."""
+    """Reports which files were saved, and ends with `INTERRUPTED`."""
     kept = error.kept if isinstance(error, Interrupted) else ()
     words = f"saved so far: {', '.join(map(str, kept))}" if kept else "nothing was saved"
     tell(f"interrupted; {words}", "yellow")
@@ -82,14 +82,14 @@ def after_interrupt(error: KeyboardInterrupt) -> NoReturn:
 
 
 def leave_at_once(code: ExitCode) -> NoReturn:
-    """Ends the process without Python's own shutdown, which crashes if compiled code still runs in threads."""
+    """Ends the process without Python's shutdown, which crashes if compiled code still runs in threads."""
     for stream in (sys.stdout, sys.stderr):
         stream.flush()
     os._exit(code)
 
 
 def _version(file: Path) -> tuple[int, int] | None:
-    """Changes when a file is rewritten; None if it does not exist."""
+    """Identifies the version of a file (time of modification and inode); None if it does not exist."""
     try:
         found = file.stat()
     except OSError:

@@ -24,23 +24,23 @@ def fit_surface(
     *,
     units: Annotated[str, Option(metavar="m|mm", help="Unit of the mesh's coordinates.")],
     kind: Annotated[str, Option(metavar="polynomial|spline", help="Polynomials, or a bicubic spline.")] = "polynomial",
-    degree: Annotated[str | None, Option(metavar="LIST", help="Polynomials to fit; P2,P4,P5 if left out.")] = None,
+    degree: Annotated[str | None, Option(metavar="LIST", help="Polynomials to fit; default P2,P4,P5.")] = None,
     tolerance: Annotated[
-        str | None, Option(metavar="LENGTH", help="Rms that a spline is to reach; 0.02 mm if left out [mm].")
+        str | None, Option(metavar="LENGTH", help="Rms error that a spline must reach; default 0.02 mm [mm].")
     ] = None,
     chart: Annotated[
-        str | None, Option(metavar="plane|cylinder", help="Heights over what; a spline chooses if left out.")
+        str | None, Option(metavar="plane|cylinder", help="Base of the heights; a spline chooses by default.")
     ] = None,
     anterior: Annotated[str, Option(help="Anterior direction in the mesh's frame.")] = "+z",
     proximal: Annotated[str, Option(help="Proximal direction in the mesh's frame.")] = "+x",
     half_width: Annotated[str, Option(metavar="LENGTH", help="Half width of the region [mm].")] = "20 mm",
     angles: Annotated[
-        tuple[float, float], Option("--angles-deg", help="Region's limits about the trochlear axis [deg].")
+        tuple[float, float], Option("--angles-deg", help="Angular limits of the region about the trochlear axis [deg].")
     ] = (-60.0, 60.0),
     output: Annotated[Path | None, Option("-o", "--output", metavar="FIGURE.png", help="Figure of the region.")] = None,
     json: terminal.JsonOption = None,
 ) -> None:
-    """Find the trochlea on a mesh and fit patches to it: table of R^2 and errors, and a figure of the region.
+    """Find the trochlea on a mesh and fit patches to it; prints R^2 and errors, and draws the region.
 
     Example: `pftwin fit-surface femur.stl --units mm --anterior=-x --proximal=+y -o region.png`
     """
@@ -70,7 +70,7 @@ def fit_surface(
     with terminal.spinner("fitting"):
         fits = [fit_named(surface, name, chart=chart, region=region, **asked) for name in names]
     found = [_fit_facts(f) for f in fits]
-    over = found[0]["chart"]["type"]  # all of them are over the same
+    over = found[0]["chart"]["type"]  # all fits have the same chart
     if output is not None:
         from pftwin.results.plots.region import plot_region
 
@@ -98,7 +98,7 @@ def fit_surface(
 
 
 def _patches(kind: str, degree: str | None, tolerance: str | None) -> tuple[list[str], dict[str, float]]:
-    """The patches' names, and what else is asked of them."""
+    """The names of the patches, and the options of their fit."""
     from pftwin.geometry.patch.fit import SPLINE, parse_name
 
     if kind not in ("polynomial", SPLINE):
@@ -115,7 +115,7 @@ def _patches(kind: str, degree: str | None, tolerance: str | None) -> tuple[list
 
 
 def _with_directions(error: InputError, surface: SurfaceMesh, wanted: dict[str, Any]) -> InputError:
-    """The refusal of a mesh's region, with the options under which there is one."""
+    """The error of a region search, with the direction options that give a region as a remedy."""
     from pftwin.geometry.patch.directions import directions_with_groove
 
     found = directions_with_groove(surface, **wanted)
@@ -127,7 +127,7 @@ def _with_directions(error: InputError, surface: SurfaceMesh, wanted: dict[str, 
 
 
 def _direction(text: str, name: str) -> tuple[float, ...]:
-    """A signed axis ("-x") or three numbers ("0,1,0")."""
+    """Parses a signed axis ("-x") or three numbers ("0,1,0")."""
     if (axis := axis_named(text)) is not None:
         return axis
     try:
@@ -140,7 +140,7 @@ def _direction(text: str, name: str) -> tuple[float, ...]:
 
 
 def _fit_facts(f: PatchFit) -> dict[str, Any]:
-    """A fit for JSON; chart and coefficients as a scene file has them."""
+    """A fit for JSON, with chart and coefficients in the format of scene files."""
     import numpy as np
 
     from pftwin.base.spatial import Quaternion

@@ -1,4 +1,4 @@
-"""Commands and options that installed packages bring to the program, by entry points.
+"""Commands and options that installed packages add to the program through entry points.
 
 [project.entry-points."pftwin.commands"]
 my_package = "my_package.cli:COMMANDS"          # a sequence of `Command`
@@ -21,18 +21,18 @@ from pftwin.base.errors import InputError
 from pftwin.cli.terminal import tell
 
 COMMANDS, SCENE_CHANGES = "pftwin.commands", "pftwin.scene_changes"
-PANELS = ("Start", "Simulate", "Fit", "Treat", "Look", "Check", "Exchange")  # in this order; further ones follow
+PANELS = ("Start", "Simulate", "Fit", "Treat", "Look", "Check", "Exchange")  # order of the help; others follow
 
 
 class Job(NamedTuple):
-    """Something that people come for: `pftwin` alone shows it above all commands."""
+    """A common task, which `pftwin` without arguments shows above the commands."""
 
     words: str
-    example: str  # a line to copy, which fits a terminal of 80 columns
+    example: str  # command line to copy, which fits 80 columns
 
     @property
     def markdown(self) -> str:
-        """For the help; two blanks end a line."""
+        """The task as Markdown for the help; two spaces end a line."""
         return f"{self.words}:  \n`{self.example}`"
 
 
@@ -41,14 +41,14 @@ class Command(NamedTuple):
 
     name: str
     run: Callable[..., None]
-    line: str  # of the help: with the name it fits a terminal of 80 columns
-    panel: str
-    place: int  # in its panel
+    line: str  # description in the help, which fits 80 columns with the name
+    panel: str  # panel of the help
+    place: int  # order in its panel
     job: Job | None = None
 
 
 def installed_commands() -> list[Command]:
-    """All commands that installed packages bring, in the order of the help; warns of any that cannot be loaded."""
+    """Returns the commands of all installed packages in the order of the help; warns if any cannot be loaded."""
     found = [command for listed in _loaded(COMMANDS) for command in listed]
     panels = list(dict.fromkeys([*PANELS, *(c.panel for c in found)]))
     return sorted(found, key=lambda c: (panels.index(c.panel), c.place))
@@ -60,13 +60,13 @@ def with_options(
     options: Sequence[inspect.Parameter],
     made: Callable[[dict[str, Any]], Any],
 ) -> Callable[..., Any]:
-    """Gives a command options in the place of one of its arguments.
+    """Replaces an argument of a command by options.
 
     Args:
-        command: has an argument of that name.
-        argument: the name.
-        options: keyword parameters, annotated for typer; the help lists them in the argument's place.
-        made: the argument, from the options' values by name.
+        command: the command, which has the argument.
+        argument: name of the argument.
+        options: keyword parameters, annotated for typer; the help lists them in place of the argument.
+        made: function that makes the argument from the options' values by name.
     """
     signature = inspect.signature(command, eval_str=True)
 
@@ -83,13 +83,13 @@ def with_options(
 
 
 def with_former_names(names: Mapping[str, str]) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Lets options of a command be written by the names that they once had, which no help shows.
+    """Accepts former names of a command's options, which the help does not show.
 
     Args:
-        names: the former name of an option by the command's argument, as in {"half_width": "--half-width-mm"}.
+        names: former option name by argument name, as in {"half_width": "--half-width-mm"}.
 
     Returns:
-        A decorator. Where both are written, the command refuses them with an InputError.
+        A decorator. The command raises InputError if both names of an option are given.
     """
 
     def decorated(command: Callable[..., Any]) -> Callable[..., Any]:
@@ -126,10 +126,10 @@ def with_former_names(names: Mapping[str, str]) -> Callable[[Callable[..., Any]]
 
 
 def with_scene_changes(command: Callable[..., None]) -> Callable[..., None]:
-    """Gives a command the options by which installed packages change its scene.
+    """Adds to a command the options with which an installed package changes its scene.
 
     The command has an argument `change`, a function from a scene to a scene. An entry point takes the command and
-    returns it with options of its own in that argument's place. Without any, the argument is left out.
+    returns it with its own options in place of that argument. Without an entry point, the argument is removed.
     """
     for decorate in _loaded(SCENE_CHANGES):
         return decorate(command)
@@ -140,7 +140,7 @@ def _loaded(group: str) -> Iterator[Any]:
     for point in entry_points(group=group):
         try:
             yield point.load()
-        except Exception as error:  # another package's mistake must not take the program down
+        except Exception as error:  # an error of another package must not break the program
             tell(
                 f"warning: the entry point {point.name!r} ({point.value}) of {group} cannot be loaded: {error}",
                 "yellow",

@@ -1,4 +1,4 @@
-"""The program `pftwin`: its commands, and how errors reach the user."""
+"""The program `pftwin`: its commands, and the reporting of errors and warnings."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from pftwin.cli.terminal import tell
 
 
 class _Commands(TyperGroup):
-    """Errors meant for the user, and Ctrl-C, become a line on stderr and an exit code; others keep their traceback."""
+    """Reports pftwin's errors and Ctrl-C as a line on stderr and an exit code; other errors keep their traceback."""
 
     def invoke(self, ctx: Any) -> Any:
         with warnings.catch_warnings():
@@ -66,14 +66,14 @@ def _version(wanted: bool) -> None:
 @app.callback()
 def _options(
     version: Annotated[
-        bool, Option("--version", callback=_version, is_eager=True, help="Show the version and end.")
+        bool, Option("--version", callback=_version, is_eager=True, help="Show the version and exit.")
     ] = False,
     outside: Annotated[
-        bool, Option("--allow-outside", help="Let a scene file name files outside its folder: one you trust.")
+        bool, Option("--allow-outside", help="Let a trusted scene file use files outside its folder.")
     ] = False,
     allow: Annotated[
         list[str] | None,
-        Option(metavar="NAME=VALUE", help="Set a limit of what a knee can be, as its message names it."),
+        Option(metavar="NAME=VALUE", help="Set a plausibility limit of the knee, by the name in its message."),
     ] = None,
 ) -> None:
     """Digital twin of the patellofemoral joint: motion capture in, patellar tracking and forces out."""

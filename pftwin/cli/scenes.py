@@ -1,4 +1,4 @@
-"""The scene that a command works on: a file, one of the virtual rig's cases, or the natural knee."""
+"""Options that select the scene of a command: a file, a case of the virtual rig, or the natural knee."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ NaturalOption = Annotated[
     Option(
         "--knee",
         metavar=_TROCHLEAE,
-        help="The natural knee instead of a scene file: normal, or with a trochlea of Dejour's types.",
+        help="The natural knee instead of a scene file: normal, or with a trochlea of Dejour type A to D.",
     ),
 ]
 ActivityOption = Annotated[
@@ -43,18 +43,18 @@ ActivityOption = Annotated[
     Option(
         "--activity",
         metavar="NAME",
-        help="What the natural knee does: squat (if left out), or extension, seated and against a weight at the ankle.",
+        help="Activity of the natural knee: squat (the default), or extension, seated against a weight at the ankle.",
     ),
 ]
-# Whether scene files may name files outside their folders: --allow-outside, set before each command by the program.
+# Whether scene files may use files outside their folders (--allow-outside); the program sets it before each command.
 allow_outside: ContextVar[bool] = ContextVar("allow_outside", default=False)
-# Limits of what a knee can be that are set by name: --allow, set likewise.
+# Plausibility limits set by name (--allow); the program sets them too.
 limits: ContextVar[Mapping[str, float]] = ContextVar("limits", default=MappingProxyType({}))
 _CONTACTS = "P2|P4|P5|spline|CM|FM|volume"
 
 
 def _complete_contact(incomplete: str) -> list[str]:
-    """Contacts that complete what was typed, for the shell."""
+    """Names of contacts that start with the typed text, for shell completion."""
     return [name for name in _CONTACTS.split("|") if name.lower().startswith(incomplete.lower())]
 
 
@@ -64,7 +64,7 @@ ContactOption = Annotated[
         "--contact",
         metavar="NAME",
         autocompletion=_complete_contact,
-        help="P2, P4, P5 (if left out) or spline: a patch fitted to the mesh; with --case also meshes: CM, FM, volume.",
+        help="P2, P4, P5 (default) or spline: a patch fitted to the mesh; with --case also meshes: CM, FM, volume.",
     ),
 ]
 IntegratorOption = Annotated[
@@ -72,14 +72,14 @@ IntegratorOption = Annotated[
     Option(
         "--integrator",
         metavar="NAME",
-        help="linear_implicit_bdf2 (if left out), linear_implicit, newmark, quasi_static, symplectic_euler, ali3p"
+        help="linear_implicit_bdf2 (default), linear_implicit, newmark, quasi_static, symplectic_euler, ali3p"
         " or diffrax:SOLVER.",
     ),
 ]
 
 
 def seconds(text: str) -> float:
-    """A time step from "0.0005" [s] or "0.5 ms"; InputError for anything else."""
+    """Parses a time step such as "0.0005" [s] or "0.5 ms"; InputError for other text."""
     return amount(text, "s", "--dt")
 
 
@@ -89,23 +89,23 @@ StepOption = Annotated[
         "--dt",
         metavar="SECONDS",
         parser=seconds,
-        help='Longest time step [s], or "0.5 ms". If left out: 0.001, or shorter where errors ask for it.',
+        help='Longest time step [s], or "0.5 ms". Default: 0.001, or shorter if the estimated error requires it.',
     ),
 ]
 ToleranceOption = Annotated[
     str | None,
-    Option("--tolerance", metavar='"0.05 mm"|"0.5 N"', help="Instead of --dt: the longest step with an error below."),
+    Option("--tolerance", metavar='"0.05 mm"|"0.5 N"', help="Instead of --dt: choose the step from this error."),
 ]
 
 
 @dataclass(frozen=True)
 class Chosen:
-    """A scene, and the name of its contact where that is known."""
+    """A scene, and the name of its contact if known."""
 
     scene: Scene
     contact: str | None
-    button: SphereFit | None = None  # where it was fitted to a mesh
-    side_as_given: str = ""  # as `LoadedScene` has it
+    button: SphereFit | None = None  # sphere of the button, if it was fitted to a mesh
+    side_as_given: str = ""  # as in `LoadedScene`
 
 
 def chosen_scene(
@@ -118,8 +118,10 @@ def chosen_scene(
     natural: str | None = None,
     activity: str | None = None,
 ) -> Chosen:
-    """Loads the scene file, the rig's case or the natural knee, with another contact or motion if one is named;
-    InputError where it cannot."""
+    """Loads the scene file, the rig's case or the natural knee, optionally with another contact or motion.
+
+    Raises InputError if that is not possible.
+    """
     given = [
         name for name, value in (("a scene file", scene), ("--case", case), ("--knee", natural)) if value is not None
     ]
@@ -162,7 +164,7 @@ def chosen_scene(
 
 
 def _natural(trochlea: str, activity: str | None, contact: str | None, motion: Path | None) -> Chosen:
-    """The natural knee; InputError for no such trochlea or activity, or for what it cannot have."""
+    """Makes the natural knee; InputError for an unknown trochlea or activity and for options that do not apply."""
     if trochlea not in _TROCHLEAE.split("|"):
         raise InputError(f"found {trochlea!r}", where="--knee", expected=f"one of: {_TROCHLEAE.replace('|', ', ')}")
     for option, value in (("--contact", contact), ("--motion", motion)):
@@ -178,7 +180,7 @@ def _natural(trochlea: str, activity: str | None, contact: str | None, motion: P
 
 @dataclass(frozen=True)
 class SceneOptions:
-    """The options that say which scene a command works on; see `on_scene`."""
+    """Options that select the scene of a command; see `on_scene`."""
 
     scene: SceneArgument = None
     case: CaseOption = None
@@ -193,17 +195,17 @@ class SceneOptions:
 
 @dataclass(frozen=True)
 class RecordingOptions(SceneOptions):
-    """Also another recording of the same knee."""
+    """`SceneOptions` plus another recording of the same knee."""
 
     motion: Annotated[
         Path | None,
         Option(
             metavar="FILE",
-            help="Another recording of the same knee in place of the scene's: poses or markers of the same names.",
+            help="Another recording of the same knee, used instead of the scene's: poses or markers of the same names.",
         ),
     ] = None
     rate: Annotated[
-        float | None, Option(metavar="HZ", min=1e-3, help="Its frames per second, where times count frames.")
+        float | None, Option(metavar="HZ", min=1e-3, help="Its frame rate, if its time column counts frames.")
     ] = None
 
     def load(self) -> Chosen:
@@ -215,7 +217,7 @@ class RecordingOptions(SceneOptions):
 
 
 TrialsArgument = Annotated[
-    list[Path] | None, Argument(metavar="[SCENE.toml]...", help="Scene file; or those of several trials of one knee.")
+    list[Path] | None, Argument(metavar="[SCENE.toml]...", help="Scene file, or files of several trials of one knee.")
 ]
 TrialCasesOption = Annotated[
     list[int] | None,
@@ -227,41 +229,41 @@ TrialCasesOption = Annotated[
 
 @dataclass(frozen=True)
 class TrialsOptions:
-    """The options that say which trials of one knee a command works on, one or several."""
+    """Options that select one or several trials of one knee."""
 
     scene: TrialsArgument = None
     case: TrialCasesOption = None
     contact: ContactOption = None
 
     def load(self) -> list[Chosen]:
-        """Loads the scenes; InputError where one cannot."""
+        """Loads the scenes; InputError if one cannot be loaded."""
         files, cases = self.scene or [], self.case or []
         if files and cases:
             raise InputError("both scene files and --case given", expected="trials of one knee")
         if again := [str(each) for each in (*files, *cases) if (*files, *cases).count(each) > 1]:
             raise InputError(f"{again[0]} is named twice", expected="each trial once")
         trials = [*((path, None) for path in files), *((None, number) for number in cases)]
-        trials = trials or [(None, None)]  # which says what is missing
+        trials = trials or [(None, None)]  # its error reports what is missing
         return [chosen_scene(path, number, self.contact) for path, number in trials]
 
 
 @dataclass(frozen=True)
 class RunOptions(SceneOptions):
-    """Also those that say how it is simulated."""
+    """`SceneOptions` plus the options of a simulation."""
 
     integrator: IntegratorOption = None
     dt: StepOption = None
 
     @property
     def method(self) -> Integrator | None:
-        """The integrator, None if none is named; InputError for an unknown one."""
+        """The named integrator, or None; InputError for an unknown one."""
         from pftwin.dynamics.integrators import integrator_from_text
 
         return None if self.integrator is None else integrator_from_text(self.integrator)
 
 
 def on_scene(command: Callable[..., None]) -> Callable[..., None]:
-    """Gives a command whose argument `knee` is of one of the classes above the options of that class."""
+    """Replaces the argument `knee` of a command by the options of its class, one of the classes above."""
     kind = inspect.signature(command, eval_str=True).parameters["knee"].annotation
     hints = get_type_hints(kind, include_extras=True)
     options = [
@@ -272,9 +274,9 @@ def on_scene(command: Callable[..., None]) -> Callable[..., None]:
 
 
 def simulated(chosen: Chosen, knee: RunOptions, tolerance: str | None = None) -> tuple[Result, float]:
-    """The result with the timing of a warm run, and the time of the first run with its compilation [s].
+    """Simulates a scene; returns the result, timed without compilation, and the time of the first run with it [s].
 
-    Warns where contact leaves the spherical part of a fitted button.
+    Warns if contact leaves the spherical part of a fitted button.
     """
     import time
 
@@ -284,7 +286,7 @@ def simulated(chosen: Chosen, knee: RunOptions, tolerance: str | None = None) ->
     with spinner(f"compiling and simulating {scene.name}"):
         result = simulate(scene, integrator=method, dt=knee.dt, tolerance=tolerance)
         first = time.perf_counter() - began
-        if tolerance is None:  # the run that was chosen for a tolerance is a warm one
+        if tolerance is None:  # with a tolerance, the returned run is not the first one, which compiles
             result = simulate(scene, integrator=method, dt=knee.dt)
     if chosen.button is not None:
         from pftwin.results.button_cap import check_cap
@@ -294,7 +296,7 @@ def simulated(chosen: Chosen, knee: RunOptions, tolerance: str | None = None) ->
 
 
 def _contact(scene: Scene) -> str | None:
-    """The name of the contact: the patch's, or the method of meshes."""
+    """The name of the contact: that of the patch, or the method of mesh contact."""
     from pftwin.geometry.patch.fit import name_of
 
     method = "" if scene.contact is None else scene.contact.method

@@ -27,15 +27,15 @@ if TYPE_CHECKING:
 @on_scene
 def simulate(
     *,
-    output: Annotated[Path, Option("-o", "--output", metavar="OUT.nc", help="The result as NetCDF.")],
+    output: Annotated[Path, Option("-o", "--output", metavar="OUT.nc", help="NetCDF file for the result.")],
     knee: RunOptions,
     tolerance: ToleranceOption = None,
     change: Callable[[Any], Any] | None = None,
-    csv: Annotated[bool, Option("--csv", help="Also as a table, beside it: OUT.csv.")] = False,
-    sto: Annotated[bool, Option("--sto", help="Also for OpenSim, beside it: OUT.sto.")] = False,
+    csv: Annotated[bool, Option("--csv", help="Also write a table, OUT.csv.")] = False,
+    sto: Annotated[bool, Option("--sto", help="Also write an OpenSim file, OUT.sto.")] = False,
     json: JsonOption = None,
 ) -> None:
-    """Simulate the patella through the recorded motion, as it is or after a treatment.
+    """Simulate the patella in the recorded motion, with or without a treatment.
 
     Amounts of treatments may have a unit: "16 mm", "1.6 cm".
 
@@ -55,7 +55,7 @@ def simulate(
 
 
 def _facts(result: Result, chosen: Chosen, first: float, files: list[Path]) -> dict[str, Any]:
-    """What the JSON of every command that runs one scene says of the run."""
+    """Facts about a run for the JSON of commands that run one scene."""
     from pftwin.dynamics.status import status_facts
 
     return {
@@ -78,7 +78,7 @@ def _facts(result: Result, chosen: Chosen, first: float, files: list[Path]) -> d
 
 
 def _largest_errors(result: Result) -> dict[str, float | None] | None:
-    """Of all frames; None where it is not known."""
+    """Largest estimated errors over all frames; None if not estimated."""
     if result.error is None:
         return None
     units = {"path": "m"}
@@ -116,7 +116,7 @@ def equilibrium(*, knee: SceneOptions, json: JsonOption = None) -> None:
 def validate(
     *,
     output: Annotated[
-        Path | None, Option("-o", "--output", metavar="OUT.nc", help="The simulated result as NetCDF.")
+        Path | None, Option("-o", "--output", metavar="OUT.nc", help="NetCDF file for the simulated result.")
     ] = None,
     knee: RunOptions,
     tolerance: ToleranceOption = None,
@@ -124,7 +124,7 @@ def validate(
 ) -> None:
     """Simulate, and compare with the measurements: the rows of Table 1 of Michaud et al. 2024.
 
-    Of a marker on the skin over the patella it tells how alike the courses are, and nothing of its place.
+    For a skin marker over the patella, only the shape of its time course is compared, not its position.
 
     Example: `pftwin validate --case 1 --contact P5`
     """
@@ -149,7 +149,7 @@ def validate(
     found = compare(result, measured, **springs)
     paper = chosen.contact if chosen.contact in PAPER_TABLE_1 else None
     rows = found.to_rows(paper)
-    if found.mean_distance is None:  # of a marker on the skin alone: most of these rows would be empty
+    if found.mean_distance is None:  # with only skin markers, most of these rows are empty
         rows = [row for row in rows if row.value is not None]
     beside = [] if paper is None else [f"paper, {paper}"]  # the paper's means over its four cases
     cells = [(r.label, *(_number(v) for v in (r.value, r.paper)[: 1 + len(beside)]), r.unit) for r in rows]
@@ -169,7 +169,7 @@ def validate(
 
 
 def _skin_sheet(found: Validation) -> tuple[Sheet, str]:
-    """How alike the courses of markers on the skin are, and what that can mean."""
+    """Table that compares the time courses of skin markers, with a note on its limits."""
     from pftwin.results.skin_markers import QUALITATIVE
 
     headings = ("", "correlation", "range measured", "range simulated", "rms less mean offset", "unit")

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from pftwin.studies.hard_cases.table import KeptPiece
     from pftwin.studies.hard_cases.verdict import Cell
 
-OWN = "as it is"  # a scene file's contact
+OWN = "as it is"  # stands for the contact of the scene file
 _tell = functools.partial(terminal.tell, style="dim")
 
 
@@ -37,16 +37,16 @@ def accuracy(
         list[str] | None, Option(metavar="NAME", help="P2, P5, P5-cylinder, spline, CM ...; may be repeated.")
     ] = None,
     integrator: Annotated[
-        list[str] | None, Option(metavar="NAME", help="May be repeated; the common four if left out.")
+        list[str] | None, Option(metavar="NAME", help="May be repeated; default: four common integrators.")
     ] = None,
     dtype: Annotated[
-        list[str] | None, Option(metavar="float64|float32", help="May be repeated; float64 if left out.")
+        list[str] | None, Option(metavar="float64|float32", help="May be repeated; default: float64.")
     ] = None,
-    full: Annotated[bool, Option("--full", help="Everything; takes half an hour.")] = False,
-    folder: Annotated[Path, Option("--out", metavar="DIR", help="For tables and figures.")] = Path("accuracy"),
+    full: Annotated[bool, Option("--full", help="Measure all settings; takes half an hour.")] = False,
+    folder: Annotated[Path, Option("--out", metavar="DIR", help="Folder for tables and figures.")] = Path("accuracy"),
     json: terminal.JsonOption = None,
 ) -> None:
-    """Measure what accuracy costs in time: contact models, integrators, steps and float types, with the best settings.
+    """Measure errors and run times of contact models, integrators, steps and float types; recommends settings.
 
     Example: `pftwin accuracy --case 1 --contact P5 --out accuracy`
     """
@@ -74,7 +74,7 @@ def accuracy(
 
 
 def _keep(rows: list[AccuracyRow], folder: Path) -> None:
-    """Saves the rows so far, in case the rest fails."""
+    """Saves the rows so far, in case a later one fails."""
     from pftwin.base.text_files import write_text
     from pftwin.studies.accuracy.table import columns
     from pftwin.studies.tables import to_csv
@@ -84,10 +84,10 @@ def _keep(rows: list[AccuracyRow], folder: Path) -> None:
 
 
 class _Source(NamedTuple):
-    """The scenes to measure, and what to compare them with."""
+    """The scenes to measure, and the measurements to compare them with."""
 
-    scene_of: SceneOf  # by the contact's name
-    own: str  # the contact's name if none is asked for
+    scene_of: SceneOf  # makes a scene from a contact's name
+    own: str  # default name of the contact
     measured: Measured | None
     title: str
 
@@ -116,47 +116,41 @@ def _source(scene: Path | None, case: int | None) -> _Source:
 
 def hard_cases(
     *,
-    case: Annotated[list[str] | None, Option(metavar="NAME", help="A case, may be repeated; all if left out.")] = None,
+    case: Annotated[list[str] | None, Option(metavar="NAME", help="A case; may be repeated; default: all.")] = None,
     contact: Annotated[
-        list[str] | None, Option(metavar="NAME", help="A kind of contact, may be repeated; all if left out.")
+        list[str] | None, Option(metavar="NAME", help="A kind of contact; may be repeated; default: all.")
     ] = None,
     integrator: Annotated[
-        list[str] | None, Option(metavar="NAME", help="An integrator, may be repeated; all if left out.")
+        list[str] | None, Option(metavar="NAME", help="An integrator; may be repeated; default: all.")
     ] = None,
-    dtype: Annotated[
-        list[str] | None, Option(metavar="float64|float32", help="A float type; both if left out.")
-    ] = None,
-    list_: Annotated[
-        bool, Option("--list", help="Name the cases and say what is hard about them; run nothing.")
-    ] = False,
-    quick: Annotated[
-        bool, Option("--quick", help="Neither derivatives nor batches side by side: a third of the time.")
-    ] = False,
+    dtype: Annotated[list[str] | None, Option(metavar="float64|float32", help="A float type; default: both.")] = None,
+    list_: Annotated[bool, Option("--list", help="List the cases and their difficulties; run nothing.")] = False,
+    quick: Annotated[bool, Option("--quick", help="Check no derivatives and no batches: a third of the time.")] = False,
     into: Annotated[
         Path | None,
         Option(
             metavar="DIR",
-            help="Run what has no file there yet, several contacts at a time, keep it, and show all that is there.",
+            help="Run what has no file there yet, several contacts in parallel; save it, and show all saved results.",
         ),
     ] = None,
     processes: Annotated[
-        int, Option(metavar="N", help="With --into: contacts at a time; as many as cores if left out.")
+        int, Option(metavar="N", help="With --into: number of contacts in parallel; default: number of cores.")
     ] = 0,
     from_: Annotated[
         list[Path] | None,
         Option(
             "--from",
             metavar="PATH",
-            help="Run nothing; show cells kept by --json: a file, or a folder's. May be repeated, newest last.",
+            help="Run nothing; show results saved by --json, from a file or a folder. May be repeated, newest last.",
         ),
     ] = None,
     json: terminal.JsonOption = None,
-    markdown: Annotated[Path | None, Option(metavar="FILE", help="Write the page of the docs.")] = None,
+    markdown: Annotated[Path | None, Option(metavar="FILE", help="Write the page of the documentation.")] = None,
 ) -> None:
-    """Run the catalogue of scenes that are hard to simulate, and say which pass, fail or are refused.
+    """Run the catalogue of scenes that are hard to simulate, and report which pass, fail or are refused.
 
-    Everything, with --into DIR, takes three quarters of an hour of two cores, most of it compiling; one contact with
-    one integrator minutes. What is interrupted goes on where it was; to run a piece again, remove its file.
+    All of them, with --into DIR, take three quarters of an hour on two cores, mostly to compile; one contact with one
+    integrator takes minutes. An interrupted run can be resumed; to run a piece again, remove its file.
 
     Example: `pftwin hard-cases --contact P5 --integrator linear_implicit --dtype float64`
     """
@@ -179,7 +173,7 @@ def hard_cases(
         return
     methods = tuple(method_named(n) for n in integrator) if integrator else INTEGRATORS
     for method in methods:
-        _ = method.integrator  # a name that is none is refused
+        _ = method.integrator  # raises for an unknown name
     chosen = Selection(
         _known(contact, CONTACTS, "--contact"),
         methods,
@@ -207,7 +201,7 @@ def hard_cases(
 
 
 def _run_missing(folder: Path, chosen: Selected, processes: int) -> None:
-    """Runs the pieces that are not in a folder yet, with progress on stderr."""
+    """Runs the pieces that the folder lacks, with progress on stderr."""
     from pftwin.studies.hard_cases.whole import run_missing
 
     try:
@@ -217,7 +211,7 @@ def _run_missing(folder: Path, chosen: Selected, processes: int) -> None:
 
 
 def _run(cases: tuple[HardCase, ...], chosen: Selected, json: str | None) -> KeptPiece:
-    """Runs what was chosen, contact by contact, with progress on stderr; Ctrl-C keeps the contacts that are done."""
+    """Runs the selection, contact by contact, with progress on stderr; Ctrl-C keeps the finished contacts."""
     from pftwin.studies.hard_cases import run_matrix
     from pftwin.studies.hard_cases.table import KeptPiece
     from pftwin.studies.runs import run_each
@@ -237,7 +231,7 @@ def _run(cases: tuple[HardCase, ...], chosen: Selected, json: str | None) -> Kep
 
 
 def _known(wanted: list[str] | None, known: tuple[str, ...], option: str) -> tuple[str, ...]:
-    """The names asked for, or all; raises InputError for a name that is not known."""
+    """The requested names, or all if none; InputError for an unknown name."""
     for name in wanted or ():
         if name not in known:
             raise InputError(f"found {name!r}", where=option, expected=f"one of: {', '.join(known)}")

@@ -1,4 +1,4 @@
-"""What commands share at the terminal: one renderer for their outcomes, progress, and checks of output paths."""
+"""Shared functions of the commands: output of results, progress, and checks of output paths."""
 
 from __future__ import annotations
 
@@ -25,27 +25,27 @@ if TYPE_CHECKING:
 
 
 JsonOption = Annotated[
-    str | None, Option("--json", metavar="FILE|-", help="Write the outcome as JSON to a file, or to stdout with -.")
+    str | None, Option("--json", metavar="FILE|-", help="Write the result as JSON to a file, or to stdout with -.")
 ]
 FIGURES = (".png", ".svg", ".pdf")
 
 
 def err() -> Console:
-    """The console on stderr, for progress, warnings and errors."""
+    """Returns the console on stderr, for progress, warnings and errors."""
     from rich.console import Console
 
     return Console(stderr=True)
 
 
 def tell(text: str, style: str | None = None) -> None:
-    """Writes a line on stderr."""
+    """Writes a line to stderr."""
     err().print(text, style=style, markup=False, highlight=False, soft_wrap=True)
 
 
 def show(*parts: Sheet | str, json: str | None = None, markdown: bool = False) -> None:
-    """Prints tables, each with its notes, and lines; on stdout, or on stderr where JSON takes stdout ("-").
+    """Prints tables with their notes, and lines, to stdout, or to stderr if JSON goes to stdout ("-").
 
-    Empty lines are left out. With `markdown` tables are Markdown.
+    Empty lines are skipped. With `markdown`, tables are in Markdown.
     """
     from rich.console import Console
 
@@ -63,29 +63,29 @@ def show(*parts: Sheet | str, json: str | None = None, markdown: bool = False) -
 
 
 def present(facts: Any, *parts: Sheet | str, json: str | None, markdown: bool = False) -> None:
-    """Gives the user the outcome of a command: its facts as JSON where asked for, and tables and lines."""
+    """Reports the result of a command: its facts as JSON if requested, and tables and lines."""
     write_json(facts, json)
     show(*parts, json=json, markdown=markdown)
 
 
 def written_line(paths: Sequence[Path | str | None]) -> str:
-    """The line that names the files of a command, None left out; empty if there are none."""
+    """Returns the line that names the files written by a command, without None; empty if there are none."""
     there = [str(path) for path in paths if path is not None]
     return f"written: {', '.join(there)}" if there else ""
 
 
 @contextmanager
 def spinner(what: str) -> Iterator[None]:
-    """A spinner on stderr while something takes its time; nothing where stderr is no terminal."""
+    """Shows a spinner on stderr during the work inside; nothing if stderr is not a terminal."""
     with err().status(f"{what} ..."):
         yield
 
 
 @contextmanager
 def progress(what: str) -> Iterator[Callable[..., None]]:
-    """A bar on stderr with n of N and the time left, silent where that is no terminal.
+    """Shows a progress bar on stderr with n of N and the time left; nothing if stderr is not a terminal.
 
-    Yields `show(done, of, now=None, what=None)`; `now` takes the place of "n of N".
+    Yields `show(done, of, now=None, what=None)`; `now` replaces "n of N".
     """
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -103,14 +103,14 @@ def progress(what: str) -> Iterator[Callable[..., None]]:
 
 
 def told_by(show: Callable[..., None]) -> Callable[[int, int, str], None]:
-    """For work that tells the number done, that of all, and what comes: shows it by what `progress` yields."""
+    """Adapts the function that `progress` yields to callbacks with the number done, the total, and a label."""
     return lambda done, of, what: show(done, of, what=what)
 
 
 def start_computing(*, batches: bool = False) -> None:
-    """Sets double precision, fast CPU code and the folder of compiled programs, unless the process has done so already.
+    """Sets double precision, fast CPU code and the cache of compiled programs, unless already set in this process.
 
-    For batches every core becomes a device, or as many as $PFTWIN_DEVICES says.
+    For batches, every CPU core becomes a device, or as many as $PFTWIN_DEVICES states.
     """
     devices = _cpu_devices() if batches else None
     if "jax" in sys.modules:
@@ -130,25 +130,25 @@ def _cpu_devices() -> int | str:
 
 
 def check_suffix(path: Path, suffixes: Sequence[str], what: str) -> None:
-    """Refuses an output of another suffix; `what` says why ("results are NetCDF"), and the first suffix is proposed."""
+    """Raises OutputError for another suffix, with the reason `what` ("results are NetCDF") and the first suffix."""
     if path.suffix.lower() not in suffixes:
         raise OutputError(f"{path}: {what}; try: {path.with_suffix(suffixes[0])}")
 
 
 def check_figure(path: Path | None) -> None:
-    """Refuses a figure of a kind that is not offered."""
+    """Raises OutputError for an unsupported file type of a figure."""
     if path is not None and path.suffix.lower() not in FIGURES:
         raise OutputError(f"{path}: unknown kind of figure; expected: {', '.join(FIGURES)}")
 
 
 def save_picture(figure: Figure, path: Path) -> None:
-    """Writes a figure, whole or not at all."""
+    """Writes a figure atomically."""
     with written_whole(path) as temporary:
         figure.savefig(temporary, dpi=150)
 
 
 def check_outputs(*paths: str | os.PathLike[str] | None) -> None:
-    """Refuses places that cannot be written to, and two outputs to one file, before any work; skips None and "-"."""
+    """Raises OutputError for unwritable paths and for two outputs to one file, before any work; skips None and "-"."""
     seen: set[Path] = set()
     for path in paths:
         if path is None or str(path) == "-":
@@ -165,7 +165,7 @@ def check_outputs(*paths: str | os.PathLike[str] | None) -> None:
 
 
 def check_folder(folder: Path) -> None:
-    """Refuses a folder that does not exist and cannot be made, or cannot be written to; makes nothing."""
+    """Raises OutputError for a folder that cannot be created or written to; creates nothing."""
     if folder.exists() and not folder.is_dir():
         raise OutputError(f"{folder}: is a file; try: another name for the folder")
     if not may_write(there := nearest_existing(folder)):
@@ -173,18 +173,18 @@ def check_folder(folder: Path) -> None:
 
 
 def nearest_existing(folder: Path) -> Path:
-    """The folder, or the nearest place above it that exists."""
+    """Returns the folder, or its nearest existing parent."""
     there = folder.absolute()
     return next(place for place in (there, *there.parents) if place.exists())
 
 
 def may_write(place: Path) -> bool:
-    """Whether it is a folder in which this user may make files."""
+    """Whether a path is a folder in which this user may create files."""
     return place.is_dir() and os.access(place, os.W_OK | os.X_OK)
 
 
 def write_json(value: Any, to: str | None) -> None:
-    """Writes JSON to a file or stdout ("-"); None: not at all. Numbers that are not finite become null."""
+    """Writes JSON to a file, to stdout ("-"), or nowhere (None); numbers that are not finite become null."""
     if to is None:
         return
     text = json.dumps(_plain(value), indent=2, allow_nan=False) + "\n"
@@ -197,7 +197,7 @@ def write_json(value: Any, to: str | None) -> None:
 
 
 def _plain(value: Any) -> Any:
-    """Only what JSON has."""
+    """Converts a value to types that JSON supports."""
     if isinstance(value, Mapping):
         return {str(k): _plain(v) for k, v in value.items()}
     if hasattr(value, "tolist"):

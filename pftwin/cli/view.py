@@ -1,4 +1,4 @@
-"""`pftwin view`: the knee in three dimensions, as a page and as a film."""
+"""`pftwin view`: the knee in 3D, as a page or a film."""
 
 from __future__ import annotations
 
@@ -18,30 +18,30 @@ def view(
     *,
     output: Annotated[
         Path | None,
-        Option("-o", "--output", metavar="VIEW.html", help="The page; beside the first result if left out."),
+        Option("-o", "--output", metavar="VIEW.html", help="The page; by default next to the first result."),
     ] = None,
     names: Annotated[
         list[str] | None,
-        Option("--name", metavar="NAME", help="What a result is called in the legend; once for each, in order."),
+        Option("--name", metavar="NAME", help="Name of a result in the legend; once for each, in order."),
     ] = None,
     side_by_side: Annotated[
-        bool, Option("--side-by-side", help="Several results beside each other instead of laid over each other.")
+        bool, Option("--side-by-side", help="Show several results next to each other instead of overlaid.")
     ] = False,
     record: Annotated[
         Path | None,
-        Option("--record", metavar="FILM.(gif|mp4)", help="A film, in place of the page unless -o is given."),
+        Option("--record", metavar="FILM.(gif|mp4)", help="Write a film; no page unless -o is given."),
     ] = None,
     camera: Annotated[
-        Literal["anterior", "lateral", "medial", "skyline"], Option("--camera", help="From where the film looks.")
+        Literal["anterior", "lateral", "medial", "skyline"], Option("--camera", help="Camera of the film.")
     ] = "anterior",
-    speed: Annotated[float, Option("--speed", metavar="FACTOR", help="Of the knee in the film.")] = 1.0,
+    speed: Annotated[float, Option("--speed", metavar="FACTOR", help="Playback speed of the film.")] = 1.0,
     see_through: Annotated[
-        bool, Option("--see-through", help="A see-through patella in the film, so that contact behind it is seen.")
+        bool, Option("--see-through", help="Make the patella transparent in the film, to show the contact behind it.")
     ] = False,
-    browser: Annotated[bool, Option("--open", help="Show the page in the browser.")] = False,
+    browser: Annotated[bool, Option("--open", help="Open the page in the browser.")] = False,
     json: terminal.JsonOption = None,
 ) -> None:
-    """Draw the knee in three dimensions: one HTML file that opens offline, with play and a time slider; or a film.
+    """Draw the knee in 3D: a single HTML file that opens offline, with play and a time slider, or a film.
 
     Example: `pftwin view before.nc after.nc -o view.html`
     """

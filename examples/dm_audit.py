@@ -1,8 +1,8 @@
-"""What each effect of the DM knee costs and is worth: `pftwin explain` and `pftwin audit` on the scene of dm_knee.py.
+"""Cost and influence of each effect of the DM knee: `pftwin explain` and `pftwin audit` on the scene of dm_knee.py.
 
     python examples/dm_audit.py FOLDER_OF_DM_KNEE [--contact patch|mesh] [--tolerance 0.1] [--markdown] [-o FOLDER]
 
-The folder may be left out where PFTWIN_DATA names the folder that holds dm_knee. docs/audit.md has what came out.
+The folder may be omitted if PFTWIN_DATA names the folder that contains dm_knee. docs/audit.md has the results.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ from pftwin.studies.tables import to_csv
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """The command."""
+    """Runs the command; returns its exit code."""
     data = os.environ.get("PFTWIN_DATA")
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, nargs="?" if data else None, default=data and Path(data) / "dm_knee")
     parser.add_argument("--contact", choices=("patch", "mesh"), default="patch", help="sphere on a patch, or meshes")
-    parser.add_argument("--tolerance", type=float, default=0.1, help="what the path may be off by [mm]")
-    parser.add_argument("--dt", type=float, help="time step [s]; that of simulate if left out")
+    parser.add_argument("--tolerance", type=float, default=0.1, help="change of the path that matters [mm]")
+    parser.add_argument("--dt", type=float, help="time step [s]; default: that of simulate")
     parser.add_argument("--markdown", action="store_true", help="print the tables as Markdown")
     parser.add_argument("-o", "--out", type=Path, help="folder for figure, CSV and NetCDF")
     given = parser.parse_args(arguments)

@@ -1,8 +1,7 @@
-"""Sixty strands and four muscles of the DM recording, replaced by two elastic tendons with a width.
+"""Two elastic tendons with a width that replace the sixty strands and four muscles of the DM recording.
 
-Attachments come from the recorded geometry, weighted by the recorded tensions; stiffness and slack length do not:
-`examples/dm_patient.py` fits them to the recorded poses. `reference` says what they would be if they were taken from
-the recorded tensions.
+Attachments come from the recorded geometry, weighted by the recorded tensions. Stiffness and slack length are fitted to
+the recorded poses by `examples/dm_patient.py`; `reference` computes them from the recorded tensions, for comparison.
 """
 
 from __future__ import annotations
@@ -27,25 +26,25 @@ from pftwin.model.scene import Scene
 Floats = NDArray[np.float64]
 
 QUADRICEPS, PATELLAR_TENDON = "quadriceps", "patellar_tendon"
-STIFFNESS = {QUADRICEPS: 3e3, PATELLAR_TENDON: 1e5}  # a guess to start from [N/m]
-FIRST_PULL = 20.0  # a guess too: of either tendon at the first frame, some four times the patella's weight [N]
-DAMPING_TIME = 0.01  # damping per stiffness, as the paper's springs have it [s]
+STIFFNESS = {QUADRICEPS: 3e3, PATELLAR_TENDON: 1e5}  # initial guess [N/m]
+FIRST_PULL = 20.0  # initial guess of each tension at the first frame, about four times the patella's weight [N]
+DAMPING_TIME = 0.01  # damping over stiffness, as for the paper's springs [s]
 
 
 class Band(Tendon):
-    """A tendon with a width: half of it runs to either side of its middle line, medially and laterally.
+    """A tendon with a width: one half on the medial and one on the lateral side of its middle line.
 
-    Both halves share stiffness and slack length, so the band has the parameters of a tendon, and its tension is the sum
-    of theirs. A single line does not resist turning about itself: through attachments that lie in one line with the
-    button's centre, as here, it leaves the patella's tilt to chance. A band of length L and half widths b and B at its
-    ends resists a small turn a by the moment tension * b B / L * a.
+    Both halves share stiffness and slack length, so the band has the parameters of a tendon, and its tension is their
+    sum. A single line does not resist rotation about itself: if its attachments are in line with the button's centre,
+    as here, the patella's tilt is undetermined. A band of length L and half widths b and B at its ends resists a small
+    rotation a by the moment tension * b B / L * a.
     """
 
     insertion_half_width: Scalar  # along y of the patella [m]
-    origin_half_width: Scalar  # along y of the guided body [m]
+    origin_half_width: Scalar  # along y of the other body [m]
 
     def halves(self) -> Tendon:
-        """The two lines as a group."""
+        """Returns the two lines as a group."""
         side, both = jnp.asarray([-1.0, 1.0]), jnp.ones(2)
 
         def apart(p: Vec3, half_width: Scalar) -> Vec3:
@@ -62,33 +61,33 @@ class Band(Tendon):
         )
 
     def load(self, now: Instant, memory: Any) -> tuple[Load, Any]:
-        """The pull of both halves."""
+        """Returns the load of both halves."""
         return self.halves().load(now, memory)
 
     def observe(self, now: Instant, memory: Any) -> dict[str, Scalar]:
-        """Tension of the whole band, and its mean length."""
+        """Returns the tension of the whole band [N] and its mean length [m]."""
         seen = self.halves().observe(now, memory)
         return {"tension": jnp.sum(seen["tension"]), "length": jnp.mean(seen["length"])}
 
 
 @dataclass(frozen=True)
 class Course:
-    """Where a tendon attaches, and half its width there: effective values of many recorded lines."""
+    """Effective attachments and half widths of a tendon, from many recorded lines."""
 
-    origin: Floats  # (3,) on the guided body, its frame [m]
-    insertion: Floats  # (3,) on the patella, its frame [m]
+    origin: Floats  # (3,) in the frame of the other body [m]
+    insertion: Floats  # (3,) in the patella's frame [m]
     origin_half_width: float  # rms distance of the lines from the middle, medial-lateral [m]
     insertion_half_width: float
     length: Floats  # (n,) from origin to insertion at the recorded poses [m]
 
 
 def courses(knee: Knee) -> dict[str, Course]:
-    """The effective quadriceps and patellar tendon of the recording.
+    """Computes the effective quadriceps and patellar tendon of the recording.
 
-    The patellar tendon: its strands' ends, weighted by the tensions that its strands have at the recorded poses. The
-    quadriceps: the muscles' insertions likewise; its origin is the point to which the recorded pulls point most nearly.
-    The mean of the last points on the femur will not do: muscles that run 100 to 460 mm up the thigh end 20 mm away
-    once they wrap, and a line to their mean pulls backward in deep flexion where the muscles pull forward.
+    Patellar tendon: mean of its strands' ends, weighted by the tensions of the strands at the recorded poses.
+    Quadriceps: the muscles' insertions in the same way; its origin is the point that best fits the recorded directions.
+    The mean of the last points on the femur is not suitable: muscles that run 100 to 460 mm up the thigh end 20 mm away
+    once they wrap, and a line to that mean pulls backward in deep flexion, where the muscles pull forward.
     """
     muscles, strands = knee.scene.effect("quadriceps"), knee.scene.effect("pt")
     if not (isinstance(muscles, PrescribedTension) and isinstance(strands, StrandGroup)):
@@ -110,12 +109,12 @@ def courses(knee: Knee) -> dict[str, Course]:
 
 
 def patient(knee: Knee, found: dict[str, Course], *, bands: bool = True) -> Scene:
-    """The scene with two elastic tendons of guessed stiffness; motion, patella, gravity and contact as they were.
+    """Returns the scene with two elastic tendons of guessed stiffness; motion, patella, gravity and contact are kept.
 
     Args:
-        knee: of `dm_knee.build`.
-        found: of `courses`.
-        bands: whether the tendons have their width; single lines else.
+        knee: result of `dm_knee.build`.
+        found: result of `courses`.
+        bands: whether the tendons have a width; otherwise they are single lines.
     """
     tendons = []
     for name, body in ((QUADRICEPS, "femur"), (PATELLAR_TENDON, "tibia")):
@@ -135,9 +134,9 @@ def patient(knee: Knee, found: dict[str, Course], *, bands: bool = True) -> Scen
 
 
 def reference(knee: Knee, found: dict[str, Course]) -> dict[str, float]:
-    """K1, L1, K2, L2 [N/m, m] as a straight line through the recorded tensions over the recorded lengths has them.
+    """Returns K1, L1, K2, L2 [N/m, m] from a straight-line fit of recorded tension over recorded length.
 
-    No fit sees them: they are what fits are compared with.
+    The fits to poses do not use them; they are only compared with them.
     """
     out = {}
     for i, name in enumerate((QUADRICEPS, PATELLAR_TENDON), 1):
@@ -159,7 +158,7 @@ def _middle(points: Floats, weights: Floats) -> tuple[Floats, float]:
 
 
 def _moved(poses: PoseSeries, points: Floats) -> Floats:
-    """A body's points (m, 3) in the femur at every frame (n, m, 3)."""
+    """A body's points (m, 3) in the femur frame at every frame (n, m, 3) [m]."""
     return poses.positions[:, None] + np.einsum("nij,mj->nmi", poses.matrices(), points)
 
 
@@ -169,7 +168,7 @@ def _lengths(knee: Knee, body: PoseSeries | None, origin: Floats, insertion: Flo
 
 
 def _toward(through: Floats, force: Floats, guess: Floats) -> Floats:
-    """The point (3,) to which lines through points (n, 3) run most nearly along forces (n, 3), large ones above all."""
+    """The point (3,) for which lines from points (n, 3) fit the directions of forces (n, 3) best, weighted by force."""
     size = np.linalg.norm(force, axis=1, keepdims=True)
 
     def missed(point: Floats) -> Floats:
@@ -180,7 +179,7 @@ def _toward(through: Floats, force: Floats, guess: Floats) -> Floats:
 
 
 def _strand_tensions(knee: Knee, strands: StrandGroup) -> Floats:
-    """(n, m) [N] of every strand at rest at the recorded poses, by the law that `StrandGroup` states."""
+    """Static tension (n, m) [N] of every strand at the recorded poses, by the law of `StrandGroup`."""
     line = _moved(knee.tibia, _points(strands.origin)) - _moved(knee.patella, _points(strands.insertion))
     slack, toe, k = (np.asarray(a) for a in (strands.slack_length, strands.toe_strain, strands.stiffness))
     strain = np.maximum(np.linalg.norm(line, axis=-1) / slack - 1, 0.0)

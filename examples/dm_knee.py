@@ -2,9 +2,9 @@
 
     python examples/dm_knee.py FOLDER_OF_DM_KNEE [--contact patch|mesh] [--degree 6] [--dt 1e-3] [-o dm_knee.nc]
 
-The folder may be left out where PFTWIN_DATA names the folder that holds dm_knee. docs/bring_your_own_knee.md explains
-every step and what came out. Data: subject DM of the sixth Grand Challenge competition (Fregly et al. 2012, J Orthop
-Res 30:503) as published with OpenSim JAM; the recording is a passive flexion simulated by that code.
+The folder may be omitted if PFTWIN_DATA names the folder that contains dm_knee. docs/bring_your_own_knee.md explains
+the steps and the results. Data: subject DM of the sixth Grand Challenge competition (Fregly et al. 2012, J Orthop Res
+30:503) as published with OpenSim JAM; the recording is a passive flexion simulated by that code.
 """
 
 from __future__ import annotations
@@ -64,39 +64,39 @@ LIGAMENTS = {"PT": "patellar_tendon", "MPFL": "mpfl", "LPFL": "lpfl"}
 TOE_STRAIN = 0.06  # Blankevoort 1991
 GRAVITY = np.array([0.0, -9.81, 0.0])  # in the recording's world [m/s^2]
 MASS, INERTIA = 0.449, (7.594e-5, 7.594e-5, 1.642e-5)  # [kg], [kg m^2] about the anatomical axes
-MASS_CENTRE = (-0.0019, 0.0279, 0.0)  # data's axes [m]; from the model that made the recording, quaint as it is
-LAYER = {"modulus": 46.3e6, "poisson": 0.46, "thickness": 0.005}  # of either side's foundation [Pa, -, m]
+MASS_CENTRE = (-0.0019, 0.0279, 0.0)  # data's axes [m]; an odd value, from the model that made the recording
+LAYER = {"modulus": 46.3e6, "poisson": 0.46, "thickness": 0.005}  # elastic layer on each side [Pa, -, m]
 
 
 @dataclass(frozen=True)
 class Knee:
-    """A scene, what it was made from, and the recording it is to be compared with."""
+    """A scene, the surfaces fitted for it, and the recording to compare with."""
 
     scene: Scene
     patch: PatchFit
     sphere: SphereFit
-    patella: PoseSeries  # recorded, in the femur's frame, anatomical axes
-    tibia: PoseSeries  # likewise
+    patella: PoseSeries  # recorded, in the femur frame, anatomical axes
+    tibia: PoseSeries  # recorded, in the femur frame, anatomical axes
     tensions: Table  # recorded
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Simulated against recorded, over the frames."""
+    """Differences between simulation and recording, over n frames."""
 
     offset: NDArray[np.float64]  # (n, 3) of the sphere's centre: proximal, lateral, anterior [m]
     angles: NDArray[np.float64]  # (n, 3) rotation vector from recorded to simulated, x, y, z of the data's button [deg]
-    force: NDArray[np.float64]  # (n, 2) contact force, simulated and as the recorded tensions demand it [N]
+    force: NDArray[np.float64]  # (n, 2) contact force, simulated and in balance with the recorded tensions [N]
     tensions: dict[str, NDArray[np.float64]]  # (n, 2) of each ligament, simulated and recorded [N]
 
     @property
     def mean_distance(self) -> float:
-        """Of the sphere's centre from its recorded place [m]."""
+        """Mean distance of the sphere's centre from its recorded position [m]."""
         return float(np.linalg.norm(self.offset, axis=1).mean())
 
     @property
     def angle_rms(self) -> NDArray[np.float64]:
-        """About x, y, z of the data's button frame (3,) [deg]."""
+        """Root mean square angles about x, y, z of the data's button frame (3,) [deg]."""
         return np.sqrt((self.angles**2).mean(axis=0))
 
     def __str__(self) -> str:
@@ -113,24 +113,24 @@ class Comparison:
 
 
 def anatomical(points: ArrayLike) -> NDArray[np.float64]:
-    """Points or directions (..., 3) of the data's frames in proximal, lateral, anterior axes."""
+    """Converts points or directions (..., 3) from the data's axes to proximal, lateral, anterior axes."""
     return np.asarray(points, dtype=np.float64) @ AXES.T
 
 
 def array(values: ArrayLike) -> jax.Array:
-    """On the device, in JAX's default float type."""
+    """Converts values to a JAX array of the default float type."""
     return jnp.asarray(np.asarray(values), dtype=float)
 
 
 def vec3(points: ArrayLike) -> Vec3:
-    """Points (..., 3) as the library holds them."""
+    """Converts points (..., 3) to the library's `Vec3`."""
     return Vec3.from_array(array(points))
 
 
 def read_motion(folder: Path) -> tuple[PoseSeries, PoseSeries, NDArray[np.float64]]:
-    """Tibia and patella in the femur's frame, in anatomical axes, and gravity there (3,).
+    """Reads tibia and patella poses in the femur frame, in anatomical axes, and gravity there (3,) [m/s^2].
 
-    The femur stands still within 0.13 mm and 0.03 deg: its frame is taken for the world.
+    The femur moves by less than 0.13 mm and 0.03 deg, so its frame serves as the world.
     """
     path = folder / "passive_flexion_poses.csv"
     flexion = read_csv(path, units="1")
@@ -144,13 +144,13 @@ def read_motion(folder: Path) -> tuple[PoseSeries, PoseSeries, NDArray[np.float6
 
 
 def read_surface(path: Path) -> SurfaceMesh:
-    """A mesh in anatomical axes."""
+    """Reads a mesh in anatomical axes."""
     mesh = load_mesh(path, units="m")
     return replace(mesh, vertices=anatomical(mesh.vertices))
 
 
 def read_ligaments(path: Path) -> list[StrandGroup]:
-    """One effect for each ligament, all of its strands together."""
+    """Reads the ligaments, one effect with all strands for each."""
     try:
         strands = json.loads(path.read_text(encoding="utf-8"))
         names = {kind: [n for n in strands if n.rstrip("0123456789") == kind] for kind in LIGAMENTS}
@@ -175,7 +175,7 @@ def _ligament(kind: str, strands: list[dict]) -> StrandGroup:
 
 
 def read_quadriceps(path: Path, start: float, end: float) -> PrescribedTension:
-    """Known pulls; where a muscle wraps, its last point on the femur moves."""
+    """Reads the prescribed muscle tensions; if a muscle wraps, its last point on the femur moves."""
     table = read_csv(path).between(start, end)
 
     def points(kind: str) -> NDArray[np.float64]:
@@ -193,11 +193,11 @@ def read_quadriceps(path: Path, start: float, end: float) -> PrescribedTension:
 
 
 def foundation_law(radius: float) -> Hertz:
-    """The layered elastic foundation under a sphere, as a contact law F = pi K R d^2.
+    """Returns the elastic foundation of two layers under a sphere as a contact law F = pi K R d^2.
 
-    A layer bears p = k d with k = E (1 - nu) / ((1 + nu) (1 - 2 nu) h); two in series K = k / 2. Pressed by d into a
-    flat facet, the sphere displaces the volume pi R d^2, which K multiplies. Summed over the fitted groove the force
-    goes with d to the power 2.01 to 2.14, and its size is 0.93 to 1.37 of this.
+    A layer has the pressure p = k d with k = E (1 - nu) / ((1 + nu) (1 - 2 nu) h), and two in series have K = k / 2. At
+    the depth d in a flat facet, the sphere displaces the volume pi R d^2, and the force is K times that. Summed over
+    the fitted groove, the force varies as d to the power 2.01 to 2.14, and is 0.93 to 1.37 times this law.
     """
     nu = LAYER["poisson"]
     layer = LAYER["modulus"] * (1 - nu) / ((1 + nu) * (1 - 2 * nu) * LAYER["thickness"])
@@ -205,19 +205,19 @@ def foundation_law(radius: float) -> Hertz:
 
 
 def layers(femur: SurfaceMesh, button: SurfaceMesh) -> ElasticFoundation:
-    """The contact law of the recording itself: an elastic layer on either side, pressure on every triangle."""
+    """Returns the contact law of the recording: an elastic layer on each side, with pressure on every triangle."""
     layer = checked_layer(LAYER["modulus"], LAYER["poisson"], LAYER["thickness"])
     sides = pressed_surface(femur), pressing_surface(button)
     return ElasticFoundation(*sides, LinearFoundation(layer, layer), vec3(np.zeros(3)))
 
 
 def build(folder: Path, *, degree: int = 6, cap_tolerance: float = 0.02e-3, contact: str = "patch") -> Knee:
-    """The knee of a folder's files.
+    """Builds the knee from the files of a folder.
 
     Args:
-        folder: of the files.
-        degree: of the trochlear polynomial.
-        cap_tolerance: how far from a sphere the button's cap may be [m].
+        folder: folder of the files.
+        degree: degree of the trochlear polynomial.
+        cap_tolerance: largest deviation of the button's dome from a sphere [m].
         contact: "patch", a sphere on the polynomial, or "mesh", the button's triangles on the femur's.
     """
     if not folder.is_dir():
@@ -247,10 +247,10 @@ def build(folder: Path, *, degree: int = 6, cap_tolerance: float = 0.02e-3, cont
 
 
 def compare(knee: Knee, result: Result) -> Comparison:
-    """The simulated patella against the recorded one.
+    """Compares the simulated patella with the recorded one.
 
     Raises:
-        InputError: a simulation that is not finite throughout.
+        InputError: the simulation is not finite in all frames.
     """
     offset, angles = pose_errors(knee, result)
     tensions = {
@@ -262,15 +262,15 @@ def compare(knee: Knee, result: Result) -> Comparison:
 
 
 def recorded_center(knee: Knee) -> NDArray[np.float64]:
-    """Of the button's sphere, in the femur (n, 3) [m]."""
+    """Returns the recorded centre of the button's sphere in the femur frame (n, 3) [m]."""
     return knee.patella.positions + np.einsum("nij,j->ni", knee.patella.matrices(), knee.sphere.center)
 
 
 def pose_errors(knee: Knee, result: Result) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Offset (n, 3) [m] and angles (n, 3) [deg] of the simulated patella; see `Comparison`.
+    """Returns offset (n, 3) [m] and angles (n, 3) [deg] of the simulated patella; see `Comparison`.
 
     Raises:
-        InputError: a simulation that is not finite throughout.
+        InputError: the simulation is not finite in all frames.
     """
     if pftwin.Status.NOT_FINITE in result.status:
         raise InputError("the simulation did not stay finite", where=result.scene_name, remedy="a smaller time step")
@@ -282,9 +282,9 @@ def pose_errors(knee: Knee, result: Result) -> tuple[NDArray[np.float64], NDArra
 
 
 def pulls_at_recorded_poses(knee: Knee) -> dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]:
-    """Of every effect but contact: its force (n, 3) in the femur's axes and what it calls tension (n,) [N].
+    """Returns, for every effect except contact, its force (n, 3) in femur axes and its tension (n,) [N].
 
-    Everything stands still, as in the recorded tensions.
+    All velocities are zero, as for the recorded tensions.
     """
     system, com = System.of(knee.scene), knee.scene.patella.center_of_mass
     guides = Guide.sample(knee.scene.motion, array(knee.patella.times))
@@ -303,7 +303,7 @@ def pulls_at_recorded_poses(knee: Knee) -> dict[str, tuple[NDArray[np.float64], 
 
 
 def demanded_force(knee: Knee) -> NDArray[np.float64]:
-    """Size of the contact force (n,) [N] that balances the recorded tensions and the weight at the recorded poses."""
+    """Returns the contact force (n,) [N] that balances the recorded tensions and the weight at the recorded poses."""
     total = np.zeros((knee.patella.times.size, 3))
     for name, (force, tension) in pulls_at_recorded_poses(knee).items():
         column = LIGAMENTS.get(name.upper())
@@ -316,7 +316,7 @@ def demanded_force(knee: Knee) -> NDArray[np.float64]:
 
 
 def gait_motion(folder: Path) -> KneeMotion:
-    """Optical motion capture of the same subject's gait, from the file to femur and tibia motion."""
+    """Reads the optical motion capture of the same subject's gait as motion of femur and tibia."""
     clusters = {
         bone: [f"R_{bone}_{place}" for place in ("Superior", "Inferior", "Lateral")] for bone in ("Thigh", "Shank")
     }
@@ -328,18 +328,18 @@ def gait_motion(folder: Path) -> KneeMotion:
 
 
 def run(folder: Path, *, degree: int = 6, dt: float = 1e-3, contact: str = "patch") -> tuple[Knee, Result, Comparison]:
-    """Builds, simulates and compares."""
+    """Builds the knee, simulates it, and compares the result with the recording."""
     knee = build(folder, degree=degree, contact=contact)
     result = pftwin.simulate(knee.scene, dt=dt)
     return knee, result, compare(knee, result)
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """The command."""
+    """Runs the command; returns its exit code."""
     data = os.environ.get("PFTWIN_DATA")
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, nargs="?" if data else None, default=data and Path(data) / "dm_knee")
-    parser.add_argument("--degree", type=int, default=6, help="of the trochlear polynomial")
+    parser.add_argument("--degree", type=int, default=6, help="degree of the trochlear polynomial")
     parser.add_argument("--contact", choices=("patch", "mesh"), default="patch", help="sphere on a patch, or meshes")
     parser.add_argument("--dt", type=float, default=1e-3, help="time step [s]")
     parser.add_argument("-o", "--out", type=Path, help="NetCDF file to write")

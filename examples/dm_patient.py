@@ -1,10 +1,10 @@
-"""The DM recording as a patient: two elastic tendons fitted to the patella's poses, and judged by forces left unseen.
+"""The DM recording as a patient: two elastic tendons fitted to the patella's poses, and tested on forces not used.
 
     python examples/dm_patient.py FOLDER_OF_DM_KNEE [-o dm_patient] [--starts 32]
 
-prints tables and writes figures and estimates into the folder after -o. The folder of data may be left out where
-PFTWIN_DATA names the folder that holds dm_knee. docs/worked_patient.md explains the steps and what came out. The
-recording is itself a simulation, by OpenSim JAM (see `examples/dm_knee.py`): tables and figures say so.
+prints tables and writes figures and estimates to the folder after -o. The data folder may be omitted if PFTWIN_DATA
+names the folder that contains dm_knee. docs/worked_patient.md explains the steps and the results. The recording is
+itself a simulation, by OpenSim JAM (see `examples/dm_knee.py`); tables and figures state this.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from pftwin.base.runtime import default_cache_dir
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """The command."""
+    """Runs the command; returns its exit code."""
     data = os.environ.get("PFTWIN_DATA")
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, nargs="?" if data else None, default=data and Path(data) / "dm_knee")
-    parser.add_argument("--starts", type=int, default=32, help="of the search")
+    parser.add_argument("--starts", type=int, default=32, help="number of starts of the search")
     parser.add_argument("-o", "--out", type=Path, default=Path("dm_patient"), help="folder for figures and estimates")
     given = parser.parse_args(arguments)
     pftwin.configure(cache_dir=default_cache_dir())
@@ -43,7 +43,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def report(folder: Path, out: Path, starts: int) -> None:
-    """Fits, predictions, tables and figures."""
+    """Fits and simulates the patient; prints tables and writes figures and estimates."""
     case = prepare(folder)
     shown.print_patient(case)
     found = {}

@@ -1,4 +1,4 @@
-"""The DM recording as a patient: what is fitted, to what, and how its forces compare with those left unseen."""
+"""The DM recording as a patient: fits of two tendons, and comparison of their forces with recorded ones not used."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ Floats = NDArray[np.float64]
 
 TENDONS = (QUADRICEPS, PATELLAR_TENDON)
 FREE = ("K1", "L1", "K2", "L2")
-HEIGHT = "quadriceps.origin.z"  # how far anteriorly the effective quadriceps starts
+HEIGHT = "quadriceps.origin.z"  # anterior position of the effective quadriceps' origin
 SOURCE = "the DM recording (simulated by OpenSim JAM)"
 
 
 class Fit(NamedTuple):
-    """What is compared, and what is free."""
+    """Definition of a fit."""
 
-    use: tuple[str, ...]
-    free: tuple[str, ...] = FREE
+    use: tuple[str, ...]  # measured channels to fit
+    free: tuple[str, ...] = FREE  # free parameters
 
 
 FITS = {
@@ -46,17 +46,17 @@ FITS = {
 
 @dataclass(frozen=True)
 class Patient:
-    """What is fitted, to what, and what it is judged by."""
+    """The scene to fit, the measurements, and reference values for comparison."""
 
     knee: Knee
     courses: dict[str, Course]
     scene: Scene
-    measured: Measured  # poses; the quadriceps' recorded tension is used where a fit asks for it alone
-    reference: dict[str, float]  # K1, L1, K2, L2 from the recorded tensions; for comparison alone
+    measured: Measured  # poses, and the quadriceps' recorded tension, which only some fits use
+    reference: dict[str, float]  # K1, L1, K2, L2 from the recorded tensions; only for comparison
 
     @property
     def bounds(self) -> dict[str, tuple[float, float]]:
-        """Two orders of magnitude for stiffness; for slack lengths whatever is slack or stretched by a guess."""
+        """Bounds of the fit: two orders of magnitude for stiffness, wide for slack length, 30 mm about the height."""
         first = {name: self.courses[name].length[0] for name in TENDONS}
         height = float(self.courses[QUADRICEPS].origin[2])
         return {
@@ -69,16 +69,16 @@ class Patient:
 
 
 class Agreement(NamedTuple):
-    """Of a fitted tension with the recorded one, over the frames."""
+    """Agreement of a fitted tension with the recorded one, over the frames."""
 
     correlation: float
-    rms: float  # [N]
-    ratio: float  # of the sums: 1 where the scale is right
+    rms: float  # of the difference [N]
+    ratio: float  # of the sums, fitted over recorded
 
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """A fit, and what its scene does."""
+    """A fit, and the simulation of the fitted scene."""
 
     estimate: Estimate
     result: Result
@@ -88,25 +88,25 @@ class Outcome:
 
     @property
     def mean_distance(self) -> float:
-        """Of the sphere's centre from its recorded place [m]."""
+        """Mean distance of the sphere's centre from its recorded position [m]."""
         return float(np.linalg.norm(self.offset, axis=1).mean())
 
     def tension(self, name: str) -> Floats:
-        """Of a tendon, (n,) [N]."""
+        """Returns the simulated tension of a tendon (n,) [N]."""
         return np.asarray(self.result.effects[name]["tension"])
 
     def agreement(self, name: str) -> Agreement:
-        """Of a tendon's tension with the recorded one."""
+        """Compares a tendon's tension with the recorded one."""
         here, there = self.tension(name), self.recorded[name]
         off = float(np.sqrt(np.mean((here - there) ** 2)))
         return Agreement(float(np.corrcoef(here, there)[0, 1]), off, float(here.sum() / there.sum()))
 
 
 def prepare(folder: Path) -> Patient:
-    """The patient of a folder's files.
+    """Builds the patient from the files of a folder.
 
     Raises:
-        InputError: no such folder, or files that cannot be used.
+        InputError: the folder is missing, or its files are not usable.
     """
     knee = build(folder)
     found = courses(knee)
@@ -122,23 +122,20 @@ def prepare(folder: Path) -> Patient:
 
 
 def fit(case: Patient, what: Fit, **options: Any) -> Estimate:
-    """Stiffness and slack length of both tendons, and what else is free.
-
-    Options, `priors` among them, are those of `fitting.fit_tendons`.
-    """
+    """Fits the free parameters; options, such as `priors`, are those of `fitting.fit_tendons`."""
     bounds = {name: case.bounds[name] for name in what.free}
     return fitting.fit_tendons(case.scene, case.measured, free=what.free, bounds=bounds, use=what.use, **options)
 
 
 def judge(case: Patient, estimate: Estimate, *, dt: float = 1e-3) -> Outcome:
-    """The fitted scene's motion and tensions beside the recorded ones."""
+    """Simulates the fitted scene, and compares motion and tensions with the recorded ones."""
     result = pftwin.simulate(estimate.scene, dt=dt)
     offset, angles = pose_errors(case.knee, result)
     return Outcome(estimate, result, offset, angles, {n: case.knee.tensions.column(n) for n in TENDONS})
 
 
 def tension_bands(case: Patient, estimate: Estimate) -> dict[str, tuple[Floats, Floats]]:
-    """Tensions with 95 % bands: the estimate's covariance carried through their slopes.
+    """Computes tensions with 95 % bands, by linear propagation of the estimate's covariance.
 
     Returns:
         By tendon: its tension and half the width of its band, (n,) [N] each.
@@ -154,5 +151,5 @@ def tension_bands(case: Patient, estimate: Estimate) -> dict[str, tuple[Floats, 
 
 
 def ideal(case: Patient, estimate: Estimate) -> fitting.Plan:
-    """What the motion would tell at best if the model were right, with positions good to 0.2 mm."""
+    """Plans the experiment for a correct model: the precision that positions with 0.2 mm error would give."""
     return fitting.plan_experiment(estimate.apply(case.scene), free=FREE, candidates=[QUADRICEPS])

@@ -32,12 +32,12 @@ console = Console(soft_wrap=True)
 
 
 def _letter(name: str) -> str:
-    """What tables call a fit."""
+    """Letter of a fit in the tables."""
     return "ABCDEFGH"[list(FITS).index(name)]
 
 
 def print_patient(case: Patient) -> None:
-    """What the two tendons are, and what is known of them beforehand."""
+    """Prints the attachments, widths and lengths of the two tendons."""
     table = Table(title="Two effective tendons from 60 strands and four muscles (mm, in each body's frame)")
     for heading in ("tendon", "origin", "insertion", "half widths", "length over the motion"):
         table.add_column(heading)
@@ -51,7 +51,7 @@ def print_patient(case: Patient) -> None:
 
 
 def print_fit(name: str, found: Outcome) -> None:
-    """One fit: how sure it is, in words."""
+    """Prints the summary of one fit, with its uncertainty and remarks."""
     e = found.estimate
     off = int(np.sum((found.result.flags & int(Status.LEFT_PATCH)) != 0))
     console.print(
@@ -65,7 +65,7 @@ def print_fit(name: str, found: Outcome) -> None:
 
 
 def print_comparison(case: Patient, found: dict[str, Outcome]) -> None:
-    """All fits side by side."""
+    """Prints tables that compare all fits."""
     console.print()
     console.print(_tracking(found))
     console.print(_parameters(case, found))
@@ -75,7 +75,7 @@ def print_comparison(case: Patient, found: dict[str, Outcome]) -> None:
 
 
 def print_ideal(plan: fitting.Plan) -> None:
-    """What a right model would learn from the same motion."""
+    """Prints what the same motion would determine if the model were correct."""
     console.print("\n[bold]Were the model right[/bold], and positions good to 0.2 mm with independent errors:")
     console.print(plan.sentence())
 
@@ -131,7 +131,7 @@ def _tensions(found: dict[str, Outcome]) -> Table:
 
 
 def save_figures(case: Patient, found: dict[str, Outcome], bands: dict[str, Bands], out: Path) -> None:
-    """dm_patient_poses and dm_patient_tensions, as PNG and SVG."""
+    """Writes the figures dm_patient_poses and dm_patient_tensions as PNG and SVG."""
     save_figure(_poses_figure(case, found), out / "dm_patient_poses")
     save_figure(_tensions_figure(case, found, bands), out / "dm_patient_tensions")
 

@@ -1,10 +1,10 @@
-"""Lateral release and MPFL graft on the DM knee with all its 60 strands: a demonstration, not a plan for anyone.
+"""Lateral release and MPFL graft on the DM knee with all its 60 strands: a demonstration, not a treatment plan.
 
     python examples/dm_treatments.py FOLDER_OF_DM_KNEE [-o dm_patient]
 
-The lateral strands are the LPFL's 15, which is all that this knee has there; the graft takes the place of the MPFL's
-15. The strands are straight. In the recording the LPFL wraps the condyle and pulls twice as much, so that a release
-would do more there.
+The lateral strands are the LPFL's 15, the only ones on that side of this knee; the graft replaces the MPFL's 15. The
+strands are straight. In the recording, the LPFL wraps the condyle and pulls twice as hard, so a release would have a
+larger effect there.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from xarray import Dataset
 
-RELEASE = (0.0, 0.25, 0.5, 0.75, 1.0)  # share of the lateral strands' stiffness that is gone
+RELEASE = (0.0, 0.25, 0.5, 0.75, 1.0)  # share of the lateral strands' stiffness that is removed
 SHORTENING = (0.002, 0.004, 0.006, 0.008)  # of the MPFL's slack length [m]; 0 is the first release
 _COLUMNS = (
     ("mean_shift", 1e3, "mean shift (mm)", ".2f"),
@@ -43,7 +43,7 @@ _COLUMNS = (
 
 
 def predicted(scene: Scene) -> Dataset:
-    """Outcomes and courses of every release, then of every graft, in one batch."""
+    """Predicts outcomes and time courses of every release, then of every graft, in one batch."""
     both = Treatment.of("lateral_release", release=0.0).then(Treatment.of("mpfl_graft", shortening=0.0))
     release = np.concatenate([RELEASE, np.zeros(len(SHORTENING))])
     shortening = np.concatenate([np.zeros(len(RELEASE)), SHORTENING])
@@ -113,7 +113,7 @@ def _figure(scene: Scene, data: Dataset) -> Figure:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """The command."""
+    """Runs the command; returns its exit code."""
     base = os.environ.get("PFTWIN_DATA")
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, nargs="?" if base else None, default=base and Path(base) / "dm_knee")

@@ -1,9 +1,9 @@
-"""A living knee, measured by dynamic MRI: fitted to the bending half of its motion, predicted in the other.
+"""A living knee, measured by dynamic MRI: fitted to the bending half of its motion, and predicted in the other half.
 
     python examples/living_knee.py FOLDER_OF_HEALTHY_KNEE [-o OUT]
 
-The folder may be left out where PFTWIN_DATA names the folder that holds healthy_knee. docs/living_knee.md tells what
-came out, and the three commands that do the same. Data: Lenhart et al. 2015, Ann Biomed Eng 43:2675.
+The folder may be omitted if PFTWIN_DATA names the folder that contains healthy_knee. docs/living_knee.md has the
+results, and three commands that do the same. Data: Lenhart et al. 2015, Ann Biomed Eng 43:2675.
 """
 
 from __future__ import annotations
@@ -29,14 +29,14 @@ NOISE = {"position": 3e-4, "orientation": 0.01}  # of the measurement [m], [rad]
 
 
 def imported(data: Path, folder: Path) -> pftwin.Scene:
-    """The generic model in the measured motion, with 20 N guessed for the quadriceps."""
+    """Imports the generic model with the measured motion and a guess of 20 N for the quadriceps."""
     model, motion = data / "lenhart2015.osim", data / "passive_body_transformations.sto"
     options = {"rate": 30.0, "quadriceps": 20.0, "side": "right", "geometry": [data / "geometry"]}
     return pftwin.load_scene(import_osim(model, folder, motion=motion, **options).scene)
 
 
 def study(scene: pftwin.Scene, samples: int = 50) -> tuple[fitting.Estimate, PredictedMotion]:
-    """The estimate from the bending half, and the straightening half predicted from it."""
+    """Returns the estimate from the bending half, and the prediction of the straightening half."""
     measured = scene.measured
     assert measured is not None
     estimate = fitting.fit_tendons(

@@ -76,7 +76,7 @@ def doctor(
     check_outputs(json)
     folder = Path(default_cache_dir())
     optional: list[Extra] = []
-    with spinner("looking"):
+    with spinner("checking the installation"):
         findings = _checked("installation", lambda: [python(), *packages()])
         if all(f.sound for f in findings):
             optional = extras()
@@ -160,7 +160,7 @@ def self_test() -> list[Finding]:
     finite = bool(np.isfinite(result.position).all() and np.isfinite(result.quaternion).all())
     clean = finite and Status.NOT_FINITE not in result.status
     ran = f"{FRAMES} frames of case 1 in {seconds:.1f} s, compiling included"
-    balance = f"{start.residual:.1e} N left over of the forces; at most {start.tolerance:.0e} N"
+    balance = f"residual force {start.residual:.1e} N; at most {start.tolerance:.0e} N"
     budget = f"{100 * share:.2g} % of the work unaccounted for; at most {100 * MOST_CREATED:g} %"
     remedy = "a fresh environment: python -m venv; an empty cache folder"
     return [

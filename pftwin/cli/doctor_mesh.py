@@ -46,7 +46,7 @@ def doctor_mesh(
         check_format(repair)
         if repair.resolve() == mesh.resolve():
             raise InputError(
-                "is the mesh that is examined", where="--repair", expected="another file: this one is kept"
+                "is the examined mesh itself", where="--repair", expected="another file: the mesh is not overwritten"
             )
     terminal.check_figure(output)
     terminal.check_outputs(repair, output, json)
@@ -98,7 +98,7 @@ def _axes(mesh: Path, unit: str, output: Path | None) -> tuple[dict[str, Any], l
     from pftwin.geometry.mesh.mesh import load_mesh
     from pftwin.geometry.patch.directions import directions_with_groove, principal_axes
 
-    with terminal.spinner("looking for axes"):
+    with terminal.spinner("searching for axes"):
         surface = load_mesh(mesh, units=unit, size=None, repair=True)
         grooves, axes = directions_with_groove(surface), principal_axes(surface)
     if output is not None:
@@ -122,7 +122,7 @@ def _along_grooves(grooves: list[Candidate]) -> Iterator[str]:
         options = f"--anterior={c.anterior} --proximal={c.proximal}"
         yield f"a groove along {options}: {deep:.1f} mm deep, from {low:.0f} to {high:.0f} deg about its axis"
     if len(grooves) > 1:
-        yield "which of them is the trochlea, a picture tells: -o axes.png"
+        yield "to see which of them is the trochlea, draw them: -o axes.png"
 
 
 def _along_principal(axes: tuple[PrincipalAxis, ...]) -> Iterator[str]:

@@ -60,7 +60,7 @@ def fit_surface(
 
     with terminal.spinner(f"reading {mesh}"):
         surface = load_mesh(mesh, units=units)
-    with terminal.spinner("looking for the trochlea"):
+    with terminal.spinner("searching for the trochlea"):
         limits = float(np.radians(angles[0])), float(np.radians(angles[1]))
         wanted: dict[str, Any] = {"half_width": half, "angles": limits}
         try:
@@ -110,7 +110,7 @@ def _patches(kind: str, degree: str | None, tolerance: str | None) -> tuple[list
             "tolerance": 1e-3 * amount(tolerance, "mm", "--tolerance", least=0)
         }
     if tolerance is not None:
-        raise InputError("polynomials reach what they reach", where="--tolerance", remedy="--kind spline")
+        raise InputError("polynomials have no tolerance to choose", where="--tolerance", remedy="--kind spline")
     return [parse_name(name) for name in (degree or "P2,P4,P5").split(",")], {}
 
 

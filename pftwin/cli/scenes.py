@@ -94,7 +94,7 @@ StepOption = Annotated[
 ]
 ToleranceOption = Annotated[
     str | None,
-    Option("--tolerance", metavar='"0.05 mm"|"0.5 N"', help="Instead of --dt: choose the step from this error."),
+    Option("--tolerance", metavar='"0.05 mm"|"0.5 N"', help="Instead of --dt: the longest step with a smaller error."),
 ]
 
 
@@ -131,7 +131,7 @@ def chosen_scene(
     if natural is not None:
         return _natural(natural, activity, contact, motion)
     if activity is not None:
-        raise InputError("given without --knee", where="--activity", expected="--knee, whose motion is made up")
+        raise InputError("given without --knee", where="--activity", expected="--knee, whose motion is invented")
     if contact is not None:
         from pftwin.rig.contacts import ON_MESHES, parse_contact
 
@@ -156,7 +156,7 @@ def chosen_scene(
     from pftwin import rig
 
     if motion is not None:
-        raise InputError("another motion of the virtual rig", where="--motion", expected="a scene file")
+        raise InputError("given with --case", where="--motion", expected="a scene file")
     assert case is not None
     with spinner(f"preparing case {case} of the virtual rig"):
         name = contact or "P5"
@@ -189,7 +189,7 @@ class SceneOptions:
     contact: ContactOption = None
 
     def load(self) -> Chosen:
-        """Loads the scene; InputError where it cannot."""
+        """Loads the scene; InputError if it cannot be loaded."""
         return chosen_scene(self.scene, self.case, self.contact, natural=self.natural, activity=self.activity)
 
 
@@ -209,7 +209,7 @@ class RecordingOptions(SceneOptions):
     ] = None
 
     def load(self) -> Chosen:
-        """Loads the scene; InputError where it cannot."""
+        """Loads the scene; InputError if it cannot be loaded."""
         if self.rate is not None and self.motion is None:
             raise InputError("a rate without --motion", where="--rate", expected="both")
         made_up = {"natural": self.natural, "activity": self.activity}

@@ -60,7 +60,9 @@ def accuracy(
     from pftwin.studies.accuracy.table import advice, overview
 
     if full and (contact or integrator or dtype):
-        raise InputError("--full given with a choice", expected="one of them", remedy="leave --full out")
+        raise InputError(
+            "--full given with --contact, --integrator or --dtype", expected="one of them", remedy="omit --full"
+        )
     source = _source(scene, case)
     plan = full_table() if full else chosen(contact or [source.own], integrator or COMMON, dtype or FLOATS[:1])
     with report_written_on_interrupt(folder / "accuracy.csv"), terminal.progress("measuring") as shown:

@@ -195,7 +195,7 @@ class Result:
 
     @property
     def lengths(self) -> dict[str, Floats]:
-        """Lengths by name of the lines of force that report one, (n,) or (n, lines) [m]."""
+        """Lengths of the lines of force that report one, by name, (n,) or (n, lines) [m]."""
         return self._of_lines("length")
 
     def _of_lines(self, name: str) -> dict[str, Floats]:
@@ -264,7 +264,7 @@ class Result:
         return f"<table><caption>{escape(head)}</caption>{cells}</table>"
 
     def summary(self) -> str:
-        """The main facts in a few lines."""
+        """Returns the main results in a few lines of text."""
         return "\n".join(self._facts())
 
     def _facts(self) -> list[str]:

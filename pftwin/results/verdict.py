@@ -20,8 +20,8 @@ INVALID = "INVALID"
 # Largest share of the frames that may have a flag in a valid motion; any other flag may not occur at all.
 ALLOWED = {
     Status.NO_CONTACT: 0.5,  # with a larger share, the patella moves mostly without contact
-    Status.LEFT_PATCH: 1.0,  # harmless: the surface is extrapolated there
-    Status.SNAPPED: 1.0,  # a property of a motion without inertia
+    Status.LEFT_PATCH: 1.0,  # describes the motion, not an error: the surface is extrapolated there
+    Status.SNAPPED: 1.0,  # describes the motion, if it has no inertia
     Status.INACCURATE: 0.1,  # an impact or a change of facets takes a few frames; with more, the steps are too long
     Status.FACETS_INACCURATE: 1.0,  # the total force may still be accurate; INACCURATE flags it if it is not
 }

@@ -104,7 +104,7 @@ def knee_flexion(result: Result) -> Floats:
 
 
 def _source(result: Result, measured: Measured | None) -> Callable[[PlottedQuantity], Course]:
-    """A function that returns a quantity's course, simulated or measured; its values are NaN if it is missing."""
+    """A function that returns the curve of a quantity, simulated or measured, with NaN values if it is missing."""
     flexion, out = knee_flexion(result), _dislocated(result, measured)
 
     def course(quantity: PlottedQuantity) -> Course:
@@ -126,7 +126,7 @@ def _dislocated(result: Result, measured: Measured | None) -> NDArray[np.bool_]:
 
 
 def _draw(ax: Axes, courses: list[Course], grid: Floats, way: Strokes, name: str, colour: str) -> bool:
-    """Draws the courses of one group; returns whether a stroke among them dislocates."""
+    """Draws the curves of one group; returns whether a stroke among them dislocates."""
     apart = False
     for words, (found, alone) in by_outcome(courses, grid, way).items():
         dashes = _DASHED.get(words, "-")

@@ -87,7 +87,7 @@ def compared(
 ) -> Figure:
     """Plots a panel for each measured quantity (wide grey line) with the simulated ones and their RMSE (`validate`).
 
-    For skin markers, the RMSE is computed after subtraction of the mean offset, because their position means nothing.
+    For skin markers, whose position is not comparable, the RMSE is computed after subtraction of the mean offset.
 
     Args:
         results: one result, or several by legend name.

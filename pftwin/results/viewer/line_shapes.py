@@ -1,4 +1,4 @@
-"""Moving shapes of tendons, ligaments and muscles: a ribbon through adjacent parallel lines, tubes otherwise."""
+"""Moving shapes of tendons, ligaments and muscles: a ribbon through adjacent lines, tubes otherwise."""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ Leaves = tuple[Any, ...]
 
 @dataclass(frozen=True, eq=False)
 class VariantRun:
-    """A variant's result, and a way to run it once more."""
+    """A variant's result, and a function that runs it again."""
 
     result: Result
     again: Callable[[], Any] | None  # None if it ran in a batch

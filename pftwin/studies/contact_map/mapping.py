@@ -108,7 +108,7 @@ def map_contact(
 def _frame(
     femur: PressedSurface, button: PressingSurface, law: FoundationLaw, position: Array, quaternion: Array, band: float
 ) -> dict[str, Array]:
-    """The contact of one frame; the list holds every triangle, so none is lost."""
+    """The contact of one frame; the list has room for every triangle, so none is lost."""
     at = Vec3.from_array(position)
     found = depths(button, femur, at, Quaternion.from_array(quaternion).rotation(), band=band)
     answer = law.press(jnp.where(found.listed, found.depth, -1.0))
@@ -185,7 +185,7 @@ def check_sides(femur: SurfaceMesh, button: SurfaceMesh, poses: PoseSeries) -> N
     if all(look.behind > 0.5 for look in looks):
         raise InputError(
             f"at {poses.times[frames[0]]:g} s {looks[0].behind:.0%} of the button are inside the femur, "
-            "and no better at any other time that was looked at",
+            "and it is no better at the other times that were checked",
             where=poses.source,
             expected="poses of the button's mesh frame against the femur's",
             remedy="check that normals point outward (pftwin doctor-mesh), which body is which, and the poses' units",
@@ -204,9 +204,9 @@ def check_outcome(found: ContactMap, poses: PoseSeries) -> None:
     touching, deep = found.touching, found.too_deep
     if not touching.any():
         gaps = np.nanmax(found.depth, axis=1, initial=-np.inf)
-        how = "farther apart than was looked" if not np.isfinite(gaps).any() else f"{-1e3 * gaps.max():.3g} mm apart"
+        how = "farther than the largest gap" if not np.isfinite(gaps).any() else f"{-1e3 * gaps.max():.3g} mm apart"
         raise InputError(
-            f"the two never touch in {touching.size} frames: at their nearest they are {how}",
+            f"the two surfaces never touch in {touching.size} frames: at their nearest they are {how}",
             where=poses.source,
             remedy="check the poses' accuracy: a tenth of a millimetre is much of a contact",
         )

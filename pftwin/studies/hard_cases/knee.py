@@ -76,17 +76,17 @@ def flexed(degrees: Floats, positions: Floats | None = None) -> PoseSeries:
 
 
 def flexion(n: int, speed: float = 1.0) -> Floats:
-    """(n,) From 45 to 65 deg and back in 0.9 s, proportionally faster at another speed [deg]."""
+    """Returns flexion (n,) [deg] from 45 to 65 deg and back in 0.9 s at speed 1."""
     return 45 + 20 * np.sin(2 * np.pi * speed * np.arange(n) / RATE / 1.8) ** 2
 
 
 def swinging(n: int = FRAMES, speed: float = 1.0) -> PoseSeries:
-    """A tibia of that flexion."""
+    """Returns the motion of a tibia with that flexion."""
     return flexed(flexion(n, speed))
 
 
 def standing() -> PoseSeries:
-    """45 deg of flexion throughout."""
+    """Returns the motion of a tibia at rest at 45 deg of flexion."""
     return flexed(np.full(FRAMES, 45.0))
 
 

@@ -161,7 +161,7 @@ def test_fit_surface_writes_what_a_scene_file_takes(toy: Path, tmp_path: Path) -
     [
         (("--kind", "nurbs"), "no patch 'nurbs'"),
         (("--kind", "spline", "--degree", "P5"), "a spline has no degree to choose"),
-        (("--tolerance", "0.1"), "polynomials reach what they reach"),
+        (("--tolerance", "0.1"), "polynomials have no tolerance to choose"),
     ],
 )
 def test_fit_surface_refuses(toy: Path, options: tuple[str, ...], message: str) -> None:

@@ -204,7 +204,7 @@ def check_outcome(found: ContactMap, poses: PoseSeries) -> None:
     touching, deep = found.touching, found.too_deep
     if not touching.any():
         gaps = np.nanmax(found.depth, axis=1, initial=-np.inf)
-        how = "farther than the largest gap" if not np.isfinite(gaps).any() else f"{-1e3 * gaps.max():.3g} mm apart"
+        how = "farther apart than the band" if not np.isfinite(gaps).any() else f"{-1e3 * gaps.max():.3g} mm apart"
         raise InputError(
             f"the two surfaces never touch in {touching.size} frames: at their nearest they are {how}",
             where=poses.source,

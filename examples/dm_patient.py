@@ -3,7 +3,7 @@
     python examples/dm_patient.py FOLDER_OF_DM_KNEE [-o dm_patient] [--starts 32]
 
 prints tables and writes figures and estimates to the folder after -o. The data folder may be omitted if PFTWIN_DATA
-names the folder that contains dm_knee. docs/worked_patient.md explains the steps and the results. The recording is
+names the folder that contains dm_knee. docs/worked_knees.md explains the steps and the results. The recording is
 itself a simulation, by OpenSim JAM (see `examples/dm_knee.py`); tables and figures state this.
 """
 

@@ -2,7 +2,7 @@
 
     python examples/living_knee.py FOLDER_OF_HEALTHY_KNEE [-o OUT]
 
-The folder may be omitted if PFTWIN_DATA names the folder that contains healthy_knee. docs/living_knee.md has the
+The folder may be omitted if PFTWIN_DATA names the folder that contains healthy_knee. docs/worked_knees.md has the
 results, and three commands that do the same. Data: Lenhart et al. 2015, Ann Biomed Eng 43:2675.
 """
 

@@ -213,5 +213,5 @@ assert low < force < high
 # [Predict and optimise a treatment](04_treatment.ipynb) carries these uncertainties into a decision.
 # [Fit parameters](../docs/fitting.md) has the theory, and the paper's way, a genetic algorithm
 # (`method="matlab_ga", objective="paper"`); `pftwin demo` does this beside the paper's Table 2. The
-# [worked patient](../docs/worked_patient.md) does all of this on the recording of an implant and compares
+# [worked patient](../docs/worked_knees.md#an-implant-as-a-patient) does all of this on the recording of an implant and compares
 # with forces that the fit did not see.

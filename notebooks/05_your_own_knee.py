@@ -197,7 +197,7 @@ if data is not None:
 # %% [markdown]
 # ## Where next
 #
-# [A patient](../docs/worked_patient.md) fits two tendons to that simulated recording and compares forces
+# [A patient](../docs/worked_knees.md#an-implant-as-a-patient) fits two tendons to that simulated recording and compares forces
 # with its own. The scene file's reference ("Scene files, field by field" on the documentation site) has all that a
 # scene can hold: ligaments of many strands, toe regions, friction, meshes. `pftwin doctor-mesh femur.stl` says what is
 # wrong with a mesh, `pftwin import model.osim` begins from an OpenSim model.

@@ -30,7 +30,7 @@ def outcome(healthy_knee, tmp_path_factory):
 
 
 def test_the_unseen_half_is_predicted_within_its_bands(outcome):
-    """As docs/living_knee.md tells: 2.1 mm, 3.4, 0.7 and 1.5 deg, and 96 % held."""
+    """As docs/worked_knees.md tells: 2.1 mm, 3.4, 0.7 and 1.5 deg, and 96 % held."""
     _, motion = outcome
     assert motion.verdict == "valid"
     assert motion.compared.sum() == 28

@@ -106,7 +106,7 @@ class LineElement(Effect):
         return self.insertion, self.body
 
     def origin_at(self, time: Scalar | float) -> Vec3:
-        """The origins in their body's frame at a time [s] [m]; constant unless overridden."""
+        """The origins [m] in their body's frame at a time in seconds; constant unless overridden."""
         return self.origin
 
     def with_origin_moved(self, by: Vec3) -> Self:

@@ -11,9 +11,10 @@ import json
 import statistics
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -39,14 +40,13 @@ def has_one() -> bool:
     return jax.default_backend() != "cpu"
 
 
-def rows(scene: Scene, sizes: tuple[int, ...]) -> list[Row]:
-    """Throughput by size and shares of the time, in this process' float type."""
+def rows(scene: Scene, sizes: tuple[int, ...]) -> Iterator[Row]:
+    """Throughput by size and shares of the time, in this process' float type, as they are measured."""
     import pftwin
 
     device = jax.devices()[:1]
     said = f"{device[0].device_kind}, {jnp.zeros(()).dtype}"
     duration = float(scene.motion.frame_interval) * (scene.motion.n_frames - 1)
-    out = []
     for count, estimate in [*((n, True) for n in sizes), (max(sizes), False)]:
         many = pftwin.Variants(scene, transferred, amounts(count))
         study = partial(pftwin.simulate_batch, many, devices=device, estimate=estimate, **SETTINGS)
@@ -56,11 +56,11 @@ def rows(scene: Scene, sizes: tuple[int, ...]) -> list[Row]:
         details = {"cold_s": cold, "warm_s": warm, "recomputed": found.attrs["recomputed_members"]}
         note = f"{seconds:.3g} s; {said}"
         what = f"{count:,} variants, {jnp.zeros(()).dtype}{'' if estimate else ', without the error of their steps'}"
-        out.append(Row("accelerator", f"{what}: variants a second", count / seconds, "1/s", note=note, details=details))
+        yield Row("accelerator", f"{what}: variants a second", count / seconds, "1/s", note=note, details=details)
         target = REAL_TIME if count == max(SIZES) else None
         faster = count * duration / seconds
-        out.append(Row("accelerator", f"{what}: times real time", faster, "times", target, "at least", said))
-    return out + _parts(scene, max(sizes), said)
+        yield Row("accelerator", f"{what}: times real time", faster, "times", target, "at least", said)
+    yield from _parts(scene, max(sizes), said)
 
 
 def mesh_row(count: int) -> Row:
@@ -100,7 +100,7 @@ def _stepped(task: Task, row: Any, start: Any) -> Any:
     return path.states.position.x[-1]
 
 
-def _parts(scene: Scene, most: int, said: str) -> list[Row]:
+def _parts(scene: Scene, most: int, said: str) -> Iterator[Row]:
     """Of one piece, which is what a device computes at a time: equilibrium, steps, and looking at the frames."""
     device = tuple(jax.devices()[:1])
     piece = piece_for(most, device[0].platform)
@@ -113,27 +113,27 @@ def _parts(scene: Scene, most: int, said: str) -> list[Row]:
         "steps": lambda: spread.run(_stepped, shared, chunk, (own, start)),
         "steps and frames": lambda: spread.run(member_motion, shared, chunk, (own, start)),
     }
-    out = []
     for name, work in works.items():
         _clocked(work)
         seconds = statistics.median(_clocked(work)[0] for _ in range(_REPEATS))
         what = f"{chunk.members:,} side by side, {jnp.zeros(()).dtype}: {name}"
-        out.append(Row("accelerator", what, 1e3 * seconds, "ms", note=said))
-    return out
+        yield Row("accelerator", what, 1e3 * seconds, "ms", note=said)
 
 
 def work(task: dict[str, Any], target: Path) -> None:
-    """Measures and writes the rows as JSON: `python -m tests.benchmarks.accelerator TASK TARGET`."""
+    """Writes rows as JSON as they are measured: `python -m tests.benchmarks.accelerator TASK TARGET`."""
     import pftwin
 
     pftwin.configure(float64=task["precision"] == "float64")
+    measured: list[dict[str, Any]] = []
+    target.write_text("[]", encoding="utf-8")
     if not has_one():
         print("skipped: JAX has no accelerator here; pip install -e '.[cuda]' on a machine that has", file=sys.stderr)
-        measured = []
-    else:
-        measured = rows(pftwin.rig.case(2, contact="P5"), QUICK_SIZES if task["quick"] else SIZES)
-        measured.append(mesh_row(QUICK_SIZES[-1] if task["quick"] else MESH_SIZE))
-    target.write_text(json.dumps([row.to_json() for row in measured]), encoding="utf-8")
+        return
+    sizes, meshes = (QUICK_SIZES, QUICK_SIZES[-1]) if task["quick"] else (SIZES, MESH_SIZE)
+    for row in chain(rows(pftwin.rig.case(2, contact="P5"), sizes), map(mesh_row, [meshes])):
+        measured.append(row.to_json())
+        target.write_text(json.dumps(measured), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -55,6 +55,6 @@ def test_without_one_nothing_is_measured_and_that_is_said(tmp_path, capsys, monk
 def test_figures_are_taken_on_any_device():
     import pftwin
 
-    rows = accelerator.rows(pftwin.rig.case(2, contact="P5"), (1,))
+    rows = list(accelerator.rows(pftwin.rig.case(2, contact="P5"), (1,)))
     assert all(row.value > 0 for row in rows)
     assert [row.unit for row in rows] == ["1/s", "times", "1/s", "times", "ms", "ms", "ms"]

@@ -20,7 +20,7 @@ def rows(quick: bool) -> list[Row]:
         estimate = study.fits[fit]
         for i, name in enumerate(estimate.names[: estimate.asked]):
             low, high = 100 * (estimate.intervals[i] / study.nominal[i] - 1)
-            covers = "covers" if low <= 0 <= high else "leaves out"
+            covers = "contains" if low <= 0 <= high else "excludes"
             note = (
                 f"{study.errors(fit)[i]:+.1f} %, 95 % interval {low:+.1f} to {high:+.1f} %, which {covers} the nominal "
                 f"value; {study.errors_of_line(fit)[i]:+.1f} % from the straight line nearest to the plant's spring"

@@ -15,22 +15,21 @@
 # %% [markdown]
 # # What accuracy costs in time
 #
-# A simulation moves in steps. Long steps are fast and wrong, short ones slow and right, and methods differ in how
-# much they make of a step. You will get:
+# A simulation advances in time steps. Long steps are fast and inaccurate; short steps are slow and accurate. How
+# accurate also depends on the integration method. You will get:
 #
-# 1. a small study, run here and now: three methods of integration, six lengths of step, the error of each and the
-#    time that it takes, in one figure with the best settings marked;
+# 1. a small study, run here: three integration methods with six step lengths, their errors and computing times, in one
+#    figure that marks the best settings;
 # 2. recommended settings, from this study and from the full one that is kept with the project;
-# 3. `simulate(..., tolerance="0.05 mm")`, which chooses the step for you, with a check of what it promises;
-# 4. what is left beside the error of the steps: how far the model is from measurements, beside the paper's Table 1.
+# 3. `simulate(..., tolerance="0.05 mm")`, which chooses the step for you, and a check that it keeps the tolerance;
+# 4. the errors that remain: how far the model is from measurements, beside the paper's Table 1.
 #
 # The knee is case 1 of the virtual rig that comes with pftwin. **Its measurements are synthetic**: another, different
-# model made them. Agreement with them shows how exact the method is, not that it is true of a patient.
+# model generated them. Agreement with them shows how accurate the method is, not that it holds for a patient.
 #
-# Times depend on the machine and on what else it does: the load that is printed below says how many programs wanted a
-# core at that time, and one that is shared makes lines in figures crooked. So nothing here is checked against a time.
-# Errors are the same everywhere: every statement about an error is followed by an `assert` that stops the notebook
-# should it ever become wrong.
+# Times depend on the machine and on its other work. The load printed below is the number of programs that wanted a core
+# at that time; on a busy machine the curves become ragged. So no time is checked here. Errors are the same on every
+# machine: every statement about an error is followed by an `assert` that stops the notebook if it is wrong.
 
 # %%
 # %matplotlib inline
@@ -62,12 +61,12 @@ assert measured.synthetic
 # %% [markdown]
 # ## A small study
 #
-# `linear_implicit` takes one evaluation of the forces per step and damps strongly. `linear_implicit_bdf2`, pftwin's
-# default, costs the same and remembers one step more, which makes it of second order. `newmark` solves
-# each step by iteration. These are the functions that `pftwin accuracy --case 1` calls.
+# `linear_implicit` evaluates the forces once per step and damps strongly. `linear_implicit_bdf2`, pftwin's default,
+# costs the same and also uses the previous step, which makes it second-order. `newmark` solves each step by iteration.
+# The functions called here are those behind `pftwin accuracy --case 1`.
 #
-# Errors are those **of the steps alone**: the distance of the button's centre from a converged run of the *same*
-# model, by `newmark` in steps of 0.04 ms.
+# Errors are those **of the time steps alone**: the distance of the button's centre from a converged simulation of the
+# *same* model, by `newmark` in steps of 0.04 ms.
 
 # %%
 METHODS = ("linear_implicit", "linear_implicit_bdf2", "newmark")
@@ -98,17 +97,17 @@ table(
 )
 
 # %% [markdown]
-# The figure shows error over time spent, both on logarithmic axes: down is more exact, left is faster. Each line is a
-# method, the numbers along it are its steps in milliseconds. The wide grey band is the front: settings that no other
-# one beats in both. Whatever lies off it is money badly spent.
+# The figure shows error against computing time, both on logarithmic axes: lower is more accurate, farther left is
+# faster. Each line is a method, and the numbers along it are its steps in milliseconds. The wide grey band is the
+# front: the settings that no other setting beats in both speed and accuracy. Settings off the front waste time.
 
 # %%
 work_precision(found.rows, "Case 1 of the virtual rig (synthetic), P5: what accuracy costs")
 
 # %% [markdown]
-# How much does a step half as long gain? The order of a method says it: with order 1 the error halves, with order 2
-# it falls to a quarter. Measured here between steps of 5 and 0.5 ms. `linear_implicit_bdf2` and `newmark` both
-# declare order 2. Contacts that open and close between two frames cost the former part of it.
+# How much more accurate is a step half as long? The method's order tells: with order 1 the error halves, with order 2
+# it falls to a quarter. Below, the order is measured between steps of 5 and 0.5 ms. `linear_implicit_bdf2` and
+# `newmark` both have nominal order 2. Contacts that open and close between two frames reduce it.
 
 # %%
 error = {(r.integrator, r.step_ms): r.position_rms_mm for r in found.rows}
@@ -129,15 +128,15 @@ assert gain > 4
 # %% [markdown]
 # ## Recommended settings
 #
-# For each level of error the fastest setting that was measured within it, here and now:
+# For each level of error, the table gives the fastest setting measured here whose rms error stays within it:
 
 # %%
 Markdown(advice(found.rows).grid())
 
 # %% [markdown]
-# One trap stands in the table above: at 10 ms `linear_implicit_bdf2` can lose the groove for a moment, and is then
-# off by millimetres. A method may look good in the mean and fail in a single frame, which is why the largest error
-# stands beside the rms.
+# The rms can hide errors in single frames, so always read the largest error too. In steps of 10 ms `linear_implicit`
+# has an rms error of 0.15 mm and a largest error of 0.8 mm; its contact force, in the table of all settings above, is
+# wrong by more than 10 N rms.
 
 # %%
 worst = {name: next(r for r in found.rows if (r.integrator, r.step_ms) == (name, 10.0)) for name in METHODS}
@@ -150,10 +149,10 @@ assert all(r.position_max_mm >= r.position_rms_mm for r in found.rows)
 # %% [markdown]
 # ## The full study
 #
-# The project keeps a larger one: more contact models, methods and float types, and 64 variants of the knee run side
-# by side, which is what fitting and treatment planning do. The newest is read here. Date and machine are told in the
-# file's name, in the file and in [docs/accuracy.md](../docs/accuracy.md); compare its rows with each other, not with
-# your watch.
+# The project keeps a larger study: more contact models, methods and floating-point types, and 64 variants of the knee
+# simulated in one batch, as fitting and treatment planning do. The newest is read here. Its date and machine are stated
+# in the file and in [docs/accuracy.md](../docs/accuracy.md). Compare its rows with each other, not with times on your
+# machine.
 
 # %%
 folder = Path(pftwin.__file__).resolve().parents[1] / "docs" / "benchmarks"
@@ -167,11 +166,11 @@ Markdown(advice(kept).grid())
 work_precision(kept, "Case 1 of the virtual rig (synthetic), P5: the full study", contact="P5")
 
 # %% [markdown]
-# The left panel is for one run, the right one for 64 side by side; symbols and numbers are those of the figure above.
-# Further integrators appear: `quasi_static` has no inertia, so what it lacks is no error of its steps and does not
-# shrink with them; `ali3p` is the paper's own formulation; `diffrax:Tsit5` chooses its steps by itself.
+# The left panel is for one simulation, the right one for 64 in one batch. Symbols and numbers are those of the figure
+# above. Further integrators appear. `quasi_static` has no inertia: its error comes from that, not from its steps, and
+# does not shrink with them. `ali3p` is the paper's own formulation. `diffrax:Tsit5` chooses its steps itself.
 #
-# The front over all contact models, in words, the fastest first:
+# This table lists the front over all contact models, the fastest first:
 
 # %%
 best = front(kept)
@@ -181,9 +180,10 @@ table(
 )
 
 # %% [markdown]
-# Two checks. Along the front, error falls wherever speed does, and each recommendation keeps its level. And the
-# errors measured above are not above those in the kept table: errors of a simulation do not depend on the machine. They
-# do on the model. The table is of 2026-11-22, when the rig's patches ended at 30 deg of extension, inside the groove.
+# Two checks follow. Along the front, the error falls as the speed does, and each recommendation keeps its level. And
+# the errors measured above are at most a quarter larger than those in the kept table. Errors of a simulation do not
+# depend on the machine, but they do depend on the model. The table is of 2026-11-22, when the rig's fitted patches
+# ended at 30 deg of extension, inside the groove.
 
 # %%
 assert all(a.position_rms_mm > b.position_rms_mm and a.real_time >= b.real_time for a, b in pairwise(best))
@@ -199,9 +199,9 @@ assert np.all((ratios > 0.25) & (ratios < 1.25))
 # %% [markdown]
 # ## Let the simulation choose
 #
-# With `tolerance=` you say how far off the path may be, and `simulate` finds the longest step that holds it on the
-# very scene at hand: it doubles the number of steps until the estimate of the error is small enough. What it chose,
-# and what it believes of the error, are kept in the result's settings and go into every file that is written.
+# With `tolerance=` you set how far the path may be from the exact one. `simulate` then finds the longest step that
+# keeps it for this scene: it doubles the number of steps until the estimated error is small enough. The result's
+# settings record the chosen step and the estimated error, and every file that you write contains them.
 
 # %%
 WANTED = ("0.05 mm", "0.01 mm")
@@ -211,15 +211,15 @@ for key, value in result.settings.items():
     print(f"{key:18s} {value}")
 
 # %% [markdown]
-# Is the estimate true? The converged run knows. Distance is taken as the estimate takes it: over the patella's points
-# within 20 mm of the tracked one, rms over the frames.
+# Is the estimate true? Compare it with the converged simulation. The distance is measured as in the estimate: over
+# points of the patella within 20 mm of the tracked one, rms over the frames.
 
 # %%
 exact = reference.result
 
 
 def distance(run):
-    """Root mean square over the frames of how far points within 20 mm of the button's centre are off [m]."""
+    """Root mean square over the frames of the error of points within 20 mm of the button's centre [m]."""
     cosine = np.abs(np.sum(run.quaternion * exact.quaternion, axis=1))
     turned = 2 * np.arccos(np.minimum(cosine, 1.0))
     return float(np.sqrt(np.mean((np.linalg.norm(run.center - exact.center, axis=1) + 0.02 * turned) ** 2)))
@@ -236,9 +236,9 @@ for wanted, run in runs.items():
     assert true[wanted] <= 2 * estimate  # and the estimate bounds the error, within a factor of two
 
 # %% [markdown]
-# The figure shows, frame by frame, how far the button's centre is from the converged run, for the steps that two
-# tolerances chose; the dashed lines are the tolerances. They hold in the mean over the frames, and single frames
-# stand out: in the two spikes a facet comes into contact or leaves it.
+# The figure shows, frame by frame, how far the button's centre is from the converged simulation, for the steps chosen
+# for two tolerances. The dashed lines are the tolerances. They apply to the rms over the frames; the error in a
+# single frame can be several times the rms.
 
 # %%
 with mpl.rc_context(STYLE):
@@ -255,12 +255,12 @@ with mpl.rc_context(STYLE):
 figure
 
 # %% [markdown]
-# ## What the steps are not to blame for
+# ## Errors that shorter steps do not remove
 #
 # How far is the simulation from measurements? The first two columns are ours, for case 1 and against the rig's
-# **synthetic** measurements: the converged run, and the run that the tolerance chose. The others are the paper's
-# means over its four cases, with its own rig and measurements (Michaud et al. 2024, Table 1): coarse and fine mesh,
-# and polynomial patches of degree 2, 4 and 5. They stand beside ours for a sense of size; the rigs are not the same.
+# **synthetic** measurements: the converged simulation, and the one with the tolerance of 0.05 mm. The others are the
+# paper's means over its four cases, with its own rig and measurements (Michaud et al. 2024, Table 1): coarse and fine
+# mesh, and polynomial patches of degree 2, 4 and 5. Use them only for a sense of size; the two rigs are not the same.
 
 # %%
 converged, quick = found.models["P5"], pftwin.validate(result, measured)
@@ -285,10 +285,10 @@ table(
 )
 
 # %% [markdown]
-# The first two columns have the same positions to within a few hundredths of a millimetre; contact force, which feels
-# the steps most, differs by a tenth of a newton. What is left, above a millimetre, is what the model does not know:
-# the patch is not the implant, and the rig that made the measurements has friction, stiffening springs and misplaced
-# attachments that the twin has not. Steps finer than a tolerance of 0.05 mm buy nothing here; a better surface or
+# In the first two columns positions agree to within a few hundredths of a millimetre. The contact force, which is most
+# sensitive to the steps, differs by a tenth of a newton. The remaining distance, above a millimetre, comes from the
+# model: the patch is not the implant, and the rig that generated the measurements has friction, stiffening springs and
+# misplaced attachments, which the twin lacks. Steps finer than those for 0.05 mm gain nothing here; a better surface or
 # better springs would.
 
 # %%
@@ -299,6 +299,6 @@ print(f"the steps' error is {100 * share:.1f} % of the distance from the (synthe
 assert share < 0.1
 
 # %% [markdown]
-# **In short.** For most work `simulate(scene, tolerance="0.05 mm")`. For a reference `integrator=pftwin.Newmark()` with
-# `dt=1e-4`. For thousands of variants the fastest row of the table that you can afford. `pftwin accuracy scene.toml`
-# does the same study on a knee of your own.
+# **In short.** For most work use `simulate(scene, tolerance="0.05 mm")`. For a reference use
+# `integrator=pftwin.Newmark()` with `dt=1e-4`. For thousands of variants choose the fastest row of the table whose
+# error you can accept. `pftwin accuracy scene.toml` does the same study for your own knee.

@@ -15,18 +15,18 @@
 # %% [markdown]
 # # Predict and optimise a treatment
 #
-# Case 2 of the virtual rig is a knee whose patella dislocates as it straightens. Moving the tibial tuberosity
-# medially can cure it; moving it too far loads the other facet. You will get:
+# Case 2 of the virtual rig is a knee whose patella dislocates as it straightens. Moving the tibial tuberosity medially
+# can prevent that; moving it too far loads the medial facet. You will get:
 #
-# 1. springs fitted to the untreated knee, with their uncertainty, which goes into everything below;
-# 2. what each transfer from 0 to 20 mm would do, with 95 % bands from the fit's uncertainty;
-# 3. the smallest transfer that keeps the patella 3 mm from dislocating, in nine of ten draws of what is uncertain;
-# 4. two amounts together, medially and anteriorly, as a map;
-# 5. what radiologists would read before and after, and a look at how it tracks;
+# 1. springs fitted to the untreated knee, with an uncertainty that goes into the predictions below;
+# 2. the effect of each transfer from 0 to 20 mm, with 95 % bands from the fit's uncertainty;
+# 3. the smallest transfer that keeps the patella 3 mm from dislocating, in nine of ten samples of the uncertainty;
+# 4. a map of transfers that combine medial and anterior displacement;
+# 5. clinical indices before and after, and the tracking;
 # 6. a check against the knee on which that operation was done.
 #
-# **All of it is synthetic**: the rig is a computer's. What comes out is what a model says; nobody has checked such
-# predictions against operated knees with this program.
+# **All of it is synthetic**: the rig exists only in the computer. The results are those of a model; nobody has checked
+# such predictions against operated knees with this program.
 
 # %%
 # %matplotlib inline
@@ -53,7 +53,8 @@ assert measured.synthetic
 # %% [markdown]
 # ## The springs of this knee
 #
-# Fitted to positions and to one measured force: [notebook 3](03_fit_tendons.ipynb) shows why the force is needed.
+# They are fitted to positions and to one measured force: [notebook 3](03_fit_tendons.ipynb) shows why the force is
+# needed.
 
 # %%
 estimate = fitting.fit_tendons(scene, measured, use=("position", "quadriceps"))
@@ -63,46 +64,47 @@ knee = estimate.scene
 # %% [markdown]
 # ## Every transfer, with its uncertainty
 #
-# `predict` simulates the whole motion for each amount and for each of forty draws from the estimate's uncertainty, in
-# a few batches. All amounts see the same draws, so differences between amounts are sharper than each of them. Batches
-# of 64, of a transfer with both amounts that matter here, are what all that follows uses too: it is compiled once.
+# `predict` simulates the whole motion for each amount and for each of forty samples (draws) from the estimate's
+# uncertainty, in a few batches. All amounts share the same draws, so differences between amounts are more precise than
+# the amounts' own results. The predictions below also use batches of 64 and a transfer with both amounts, medial and
+# anterior, so that they share one compiled program.
 
 # %%
 amounts = np.arange(0.0, 0.0201, 0.001)
 medially = grid("tibial_tuberosity_transfer", medialisation=amounts, anteriorisation=[0.0])
 data = fitting.predict(scene, medially, estimate, samples=40, chunk=64)
 print(
-    f"{data.sizes['variant']} amounts, {data.sizes['sample'] - 1} draws and the estimate: "
+    f"{data.sizes['variant']} amounts, for the estimate and {data.sizes['sample'] - 1} draws: "
     f"{data.sizes['variant'] * data.sizes['sample']} simulations of {measured.times[-1] - measured.times[0]:.1f} s"
 )
 assert not data["failed"].any()
 
 # %%
-own = data.isel(sample=0)
-loose = data.isel(sample=slice(1, None))
-risk = (loose["dislocations"] > 0).mean("sample").values
+best_estimate = data.isel(sample=0)
+draws = data.isel(sample=slice(1, None))
+risk = (draws["dislocations"] > 0).mean("sample").values
 for k in range(0, len(amounts), 4):
     print(
         f"{1e3 * amounts[k]:4.0f} mm medially: dislocates in {100 * risk[k]:3.0f} % of the draws, "
-        f"peak contact force {float(own['peak_contact_force'][k]):.0f} N, "
-        f"medial facet {100 * float(own['medial_share'][k]):.0f} % of the load"
+        f"peak contact force {float(best_estimate['peak_contact_force'][k]):.0f} N, "
+        f"medial facet {100 * float(best_estimate['medial_share'][k]):.0f} % of the load"
     )
 assert risk[0] == 1.0
 assert risk[-1] == 0.0
-assert np.all(np.diff(own["largest_shift"].values) < 5e-4)  # farther medially, never farther laterally
+assert np.all(np.diff(best_estimate["largest_shift"].values) < 5e-4)  # farther medially, never farther laterally
 
 # %%
 outcome_figure(data)
 
 # %% [markdown]
-# ## The smallest one that is safe
+# ## The smallest safe transfer
 #
-# Least change is least harm. The search finds the smallest transfer with which the button stays 3 mm from
-# dislocating, for the estimate itself and in nine of ten draws. **Draws are not knees**: of 14 plants of the virtual
-# rig the transfer found so, by a quick fit, was safe in 5. 95 % bands are too narrow likewise: those of case 1,
-# predicted from fits of case 2, held the truth in 4 % (tilt), 46 % (peak contact force) and 88 % (lateral offset) of
-# repeated experiments. A posterior that is trained with what the twin lacks ([notebook 3](03_fit_tendons.ipynb)) does
-# better: its transfers were safe in 67 of 73 synthetic plants.
+# A smaller change does less harm. The search finds the smallest transfer that keeps the button 3 mm from dislocating,
+# for the estimate itself and in nine of ten draws. **Draws are not knees**: the transfer found this way from a quick
+# fit was safe in 5 of 14 plants of the virtual rig. The 95 % bands are also too narrow: those of case 1, predicted from
+# fits of case 2, contained the true value in 4 % (tilt), 46 % (peak contact force) and 88 % (lateral offset) of
+# repeated experiments. A posterior that includes what the twin lacks ([notebook 3](03_fit_tendons.ipynb)) does better:
+# its transfers were safe in 67 of 73 synthetic plants.
 
 # %%
 margin = Limit("dislocation_margin", at_least=0.003)
@@ -115,8 +117,8 @@ assert plan.met
 assert plan.outcomes["dislocation_margin"] >= 0.003 - 1e-6
 
 # %% [markdown]
-# A little less would not do, and that is checked by simulation rather than by the search's own word, with steps so
-# short that the path is within 0.01 mm:
+# Is a slightly smaller transfer enough? The next cell simulates one that is a millimetre smaller, with steps so short
+# that the path is accurate to 0.01 mm:
 
 # %%
 best = float(plan.treatment.values[0])
@@ -127,7 +129,7 @@ for amount in (best - 0.001, best):
 # %% [markdown]
 # ## Two amounts at once
 #
-# Fulkerson's osteotomy moves the tuberosity medially and forward. Two hundred combinations:
+# Fulkerson's osteotomy moves the tuberosity medially and anteriorly. Here are 196 combinations:
 
 # %%
 steps_m, steps_a = np.linspace(0.0, 0.020, 14), np.linspace(0.0, 0.015, 14)
@@ -155,9 +157,10 @@ with mpl.rc_context(STYLE):
 figure
 
 # %% [markdown]
-# ## Before and after, as a clinician would look
+# ## Before and after, as a clinician sees it
 #
-# Indices as radiologists read them, where the scene has the landmarks for them; the others say what is missing.
+# These are the indices that radiologists read, where the scene has the landmarks for them. The others name the
+# landmarks that are missing.
 
 # %%
 after = tibial_tuberosity_transfer(knee, medialisation=best)
@@ -179,18 +182,18 @@ against_flexion(runs, strokes="together")
 # ## Was it right?
 #
 # Case 1 of the rig is this knee after the operation, with its tuberosity 16 mm medially. Its measurements (synthetic)
-# were not used. The prediction of that transfer, with springs fitted to the untreated knee alone, beside them:
+# were not used. The figure compares them with the prediction, which uses the springs fitted to the untreated knee:
 
 # %%
 operated, seen = pftwin.rig.case(1, contact="P5"), pftwin.rig.measured(1)
-foretold = pftwin.simulate(estimate.apply(operated), tolerance="0.05 mm")
-print(f"predicted: {foretold.dislocations().describe()}")
-print(f"mean distance from the (synthetic) measurements: {pftwin.validate(foretold, seen).mean_distance:.2f} mm")
-assert not foretold.dislocations().events
-foretold.plot.compared(seen, title="Case 1 foretold with the springs of case 2 (synthetic measurements)")
+predicted = pftwin.simulate(estimate.apply(operated), tolerance="0.05 mm")
+print(f"predicted: {predicted.dislocations().describe()}")
+print(f"mean distance from the (synthetic) measurements: {pftwin.validate(predicted, seen).mean_distance:.2f} mm")
+assert not predicted.dislocations().events
+predicted.plot.compared(seen, title="Case 1, predicted with springs fitted to case 2 (synthetic measurements)")
 
 # %% [markdown]
 # ## Where next
 #
 # [Treatments and clinical indices](../docs/treatments.md) lists every treatment, outcome and index. `pftwin treat` and
-# `pftwin optimise` do the same from the command line, `pftwin app` lets you drag the amounts.
+# `pftwin optimise` do the same from the command line; `pftwin app` has sliders for the amounts.

@@ -15,15 +15,15 @@
 # %% [markdown]
 # # Bring your own knee
 #
-# From a laboratory's files to a simulated, fitted patella. You will get:
+# This notebook goes from a laboratory's files to a simulated patella with fitted tendons. You will get:
 #
-# 1. a scene file and a laboratory's files (markers, forces, mesh of the implant), as `pftwin init` writes them: put
-#    yours in their place;
-# 2. a look at the recording before anything is computed: gaps, residuals;
-# 3. a surface of contact fitted to the mesh, and how good it is;
-# 4. the simulation beside the measurements, and a fit of the tendons;
-# 5. what mistakes look like: each names the file, the line and the field;
-# 6. where its data are at hand, the same with a real implant: the knee of subject DM.
+# 1. a scene file and a laboratory's files (markers, forces, mesh of the implant), as `pftwin init` writes them; replace
+#    them with yours;
+# 2. a check of the recording before any simulation: gaps, residuals;
+# 3. a contact surface fitted to the mesh, and the error of that fit;
+# 4. the simulation compared with the measurements, and a fit of the tendons;
+# 5. the messages for common mistakes, which name the file, the line and the field;
+# 6. if you have its data, a real implant: the knee of subject DM.
 #
 # The example's files are those of case 1 of the virtual rig: **motion, forces and markers are synthetic**, and every
 # figure says so.
@@ -60,21 +60,21 @@ mpl.rcParams["figure.dpi"] = 72  # small files
 # %% [markdown]
 # ## A laboratory's files
 #
-# `pftwin init knee` does this from the command line.
+# `pftwin init knee` writes the same files from the command line.
 
 # %%
-kept = tempfile.TemporaryDirectory()  # goes with the notebook
-folder = Path(kept.name) / "knee"
+temporary = tempfile.TemporaryDirectory()  # removed when the notebook ends
+folder = Path(temporary.name) / "knee"
 for path in write_example(folder, case=1):
     print(f"{path.relative_to(folder.parent)}  {path.stat().st_size / 1e3:.0f} kB")
 text = (folder / "scene.toml").read_text()
 print("\n" + "\n".join(text.splitlines()[:40]))
 
 # %% [markdown]
-# ## Look at the recording first
+# ## Check the recording first
 #
-# A marker that was hidden is missing, not zero, and a rigid segment's markers keep their distances: what is left over
-# when a frame is laid through a cluster says how good the recording is.
+# A hidden marker is missing, not zero. The markers of a rigid segment keep their distances, so the residual of a rigid
+# fit to each cluster shows how good the recording is.
 
 # %%
 markers = read_trc(next(folder.glob("*.trc")))
@@ -83,14 +83,14 @@ print(f"{len(names)} markers, {markers.times.size} frames, {len(find_gaps(marker
 for body, cluster in (("tibia", geometry.TIBIA_MARKERS), ("patella", geometry.PATELLA_MARKERS)):
     own = [names.index(n) for n in cluster]
     poses = cluster_poses(markers.positions[:, own], list(cluster.values()), markers.times, names=list(cluster))
-    print(f"{body}: its {len(own)} markers fit its frame within {1e3 * poses.residual_rms.max():.2f} mm rms")
+    print(f"{body}: rms residual of its {len(own)} markers at most {1e3 * poses.residual_rms.max():.2f} mm")
     assert poses.residual_rms.max() < 2e-3
 
 # %% [markdown]
-# ## A surface to slide on
+# ## A contact surface
 #
-# The trochlea is found on the mesh, and a polynomial patch is fitted to it: smooth, and fast to touch. What it costs
-# in shape is told.
+# pftwin finds the trochlea on the mesh and fits a polynomial patch to it. The patch is smooth, and contact with it is
+# fast to compute. Each line below states the error in shape.
 
 # %%
 mesh = load_mesh(folder / "femoral_component.stl", units="m")
@@ -108,8 +108,8 @@ figure
 # %% [markdown]
 # ## Simulate and compare
 #
-# The scene file names all of that, and `load_scene_file` does it: filter, frames, surface, measurements. What it had
-# to decide by itself it says in its notes.
+# The scene file names all inputs. `load_scene_file` filters the markers, computes the frames, fits the surface, and
+# reads the measurements. Its notes state what it decided itself.
 
 # %%
 loaded = load_scene_file(folder / "scene.toml")
@@ -126,7 +126,8 @@ result.plot.compared(loaded.measured)
 # %% [markdown]
 # ## Fit the tendons
 #
-# Stiffness and slack length of both, from the motion and one force. [Notebook 3](03_fit_tendons.ipynb) has the rest.
+# The fit estimates stiffness and slack length of both tendons from the motion and one force. [Notebook
+# 3](03_fit_tendons.ipynb) explains it.
 
 # %%
 estimate = fitting.fit_tendons(loaded.scene, loaded.measured, use=("position", "quadriceps"), starts=8)
@@ -137,16 +138,17 @@ print(f"mean distance from the synthetic measurements: {before:.2f} mm before, {
 assert after < before
 
 # %% [markdown]
-# ## What mistakes look like
+# ## Mistakes and their messages
 #
-# Nothing is guessed in silence, and no mistake ends in a traceback from deep inside. Four that happen to everybody:
+# pftwin does not guess silently, and an input error does not end in a traceback from deep inside the code. Here are
+# four common mistakes:
 
 # %%
 MISTAKES = {
-    "a unit forgotten": ("stiffness_N_per_m", "stiffness"),
-    "a number that cannot be": ("mass_kg = ", "mass_kg = -"),
-    "a marker that is not in the file": (f"{next(iter(geometry.TIBIA_MARKERS))} = [", "KNEE9 = ["),
-    "a file that is not there": ("femoral_component.stl", "femoral_component_v2.stl"),
+    "a forgotten unit": ("stiffness_N_per_m", "stiffness"),
+    "an impossible number": ("mass_kg = ", "mass_kg = -"),
+    "a marker that the file lacks": (f"{next(iter(geometry.TIBIA_MARKERS))} = [", "KNEE9 = ["),
+    "a missing file": ("femoral_component.stl", "femoral_component_v2.stl"),
 }
 for what, (right, wrong) in MISTAKES.items():
     (folder / "mistake.toml").write_text(text.replace(right, wrong, 1))
@@ -160,15 +162,15 @@ for what, (right, wrong) in MISTAKES.items():
 # %% [markdown]
 # ## A real implant
 #
-# The knee of subject DM of the sixth Grand Challenge competition, as published with OpenSim JAM: an instrumented
-# total knee replacement whose passive flexion that code simulated. The geometry is real, the motion is not measured.
-# `examples/dm_knee.py` reads it, step by step as [Bring your own knee](../docs/bring_your_own_knee.md) explains. Its
-# data are not part of pftwin: this cell runs where the variable PFTWIN_DATA names their folder.
+# This is the knee of subject DM of the sixth Grand Challenge competition, as published with OpenSim JAM: an
+# instrumented total knee replacement whose passive flexion JAM simulated. The geometry is real; the motion is
+# simulated, not measured. `examples/dm_knee.py` reads it, as [Bring your own knee](../docs/bring_your_own_knee.md)
+# explains step by step. Its data are not part of pftwin: this cell runs if the variable PFTWIN_DATA names their folder.
 
 # %%
 data = os.environ.get("PFTWIN_DATA")
 if data is None:
-    print("no data of the DM knee here")
+    print("the data of the DM knee are not available here")
 else:
     sys.path.append(str(Path(pftwin.__file__).resolve().parents[1] / "examples"))
     import dm_knee
@@ -185,9 +187,9 @@ if data is not None:
         flexion = np.degrees(simulated.knee.flexion)
         for k, axis in enumerate(("proximal", "lateral", "anterior")):
             left.plot(flexion, 1e3 * compared.offset[:, k], color=COLOURS[k], label=axis)
-        left.set(xlabel="knee flexion [deg]", ylabel="simulated less recorded [mm]", title="Button's centre")
+        left.set(xlabel="knee flexion [deg]", ylabel="simulated minus recorded [mm]", title="Button's centre")
         left.legend()
-        for k, name in enumerate(("simulated", "demanded by the recorded tensions")):
+        for k, name in enumerate(("simulated", "required by the recorded tensions")):
             right.plot(flexion, compared.force[:, k], color=COLOURS[k], label=name)
         right.set(xlabel="knee flexion [deg]", ylabel="contact force [N]", title="Contact force")
         right.legend()
@@ -197,7 +199,7 @@ if data is not None:
 # %% [markdown]
 # ## Where next
 #
-# [A patient](../docs/worked_knees.md#an-implant-as-a-patient) fits two tendons to that simulated recording and compares forces
-# with its own. The scene file's reference ("Scene files, field by field" on the documentation site) has all that a
-# scene can hold: ligaments of many strands, toe regions, friction, meshes. `pftwin doctor-mesh femur.stl` says what is
-# wrong with a mesh, `pftwin import model.osim` begins from an OpenSim model.
+# The [worked patient](../docs/worked_patient.md) fits two tendons to that simulated recording and compares the forces
+# with the recorded ones. "Scene files, field by field" on the documentation site lists all that a scene can contain:
+# ligaments of many strands, toe regions, friction, meshes. `pftwin doctor-mesh femur.stl` reports defects of a mesh.
+# `pftwin import model.osim` starts from an OpenSim model.

@@ -15,16 +15,15 @@
 # %% [markdown]
 # # Hard cases, and what the statuses mean
 #
-# A number that comes out of a simulation is worth what is known of its reliability. You will get:
+# A simulated value is useful only if you know how reliable it is. You will get:
 #
-# 1. six scenes that break simulators of contact, run and drawn: a slow touch, a bounce, a saddle, a dislocation
+# 1. six scenes that break contact simulators, simulated and drawn: a slow touch, a bounce, a saddle, a dislocation
 #    across the edge of the surface, steps that are too long, and input that is refused;
-# 2. the words in which pftwin says how far a run is to be trusted, all of them, from the code;
-# 3. a slice of the matrix that judges such scenes by what must hold of every run.
+# 2. all statuses with which pftwin reports how far to trust a result, listed from the code;
+# 3. a part of the matrix that judges such scenes by conditions that every simulation must meet.
 #
-# All scenes here are made up: this is about the method, not about a patient.
-# Statements about figures are followed by an `assert`, which stops the notebook should one become wrong; times are
-# shown but never checked.
+# All scenes here are invented: this is about the method, not about a patient. Statements about figures are followed by
+# an `assert`, which stops the notebook if one is wrong; times are shown but never checked.
 
 # %%
 # %matplotlib inline
@@ -54,8 +53,8 @@ def table(head, rows):
 # %% [markdown]
 # ## The scenes
 #
-# Nine of them come from the catalogue (`pftwin hard-cases --list` shows all). Others are made here of what is there,
-# by replacing numbers: the bounce with shorter steps.
+# Nine scenes come from the catalogue (`pftwin hard-cases --list` shows all). Two more repeat the bounce with shorter
+# steps.
 
 # %%
 NAMES = (
@@ -77,12 +76,11 @@ for step in ("0.1 ms", "0.01 ms"):
 table(["scene", "what is hard about it"], [[c.name, c.about] for c in cases])
 
 # %% [markdown]
-# All run with the contact of a sphere on a polynomial patch (P5), first with the default integrator
-# `linear_implicit`, in steps of 1 ms where nothing else is said, then with `symplectic_euler`, an explicit method, in
-# steps of 0.1 ms or less.
+# All use the contact of a sphere on a polynomial patch (P5). They are simulated twice: with `linear_implicit` in steps
+# of 1 ms unless the scene states others, and with `symplectic_euler`, an explicit method, in steps of 0.1 ms or less.
 #
-# What comes back for each scene is a result, or the error that it was refused with. Every frame of a result has a
-# **status**: nothing, or flags with words.
+# Each scene returns a result, or the error with which it was refused. Every frame of a result has a **status**: "ok",
+# or flags that say in words what happened.
 
 # %%
 INTEGRATORS = ("linear_implicit", "symplectic_euler")
@@ -91,21 +89,20 @@ default = ran["linear_implicit"]
 
 
 def said(found):
-    """What a run, or a refusal, says of itself."""
+    """Status of a result, or message of a refusal."""
     return f"refused: {found}" if isinstance(found, pftwin.InputError) else found.status.describe()
 
 
-table(["scene", "what the run by linear_implicit says of itself"], [[name, said(f)] for name, f in default.items()])
+table(["scene", "status of the simulation with linear_implicit"], [[name, said(f)] for name, f in default.items()])
 
 # %% [markdown]
-# "The run did not start from a converged equilibrium" is said wherever a scene lets the patella go in mid-air: that
-# is what was asked for. A run of a knee starts from its static equilibrium and must not say it.
+# "The run did not start from a converged equilibrium" appears wherever the scene starts the patella in mid-air, as
+# intended. A simulation of a knee starts from its static equilibrium and must not have this flag.
 #
 # ## A slow touch
 #
-# A button is let go a nanometre above a plate. Contact laws with damping divide by the speed of approach, which is
-# nearly nothing here, and many codes answer with an infinite force. The force has to rise to the weight and stay
-# there.
+# A button is released a nanometre above a plate. Contact laws with damping divide by the approach speed, which is
+# nearly zero here, and many codes then return an infinite force. The force must rise to the weight and stay there.
 
 # %%
 touch = default["slow_touch"]
@@ -119,13 +116,14 @@ assert force.max() < 1.5 * weight
 # %% [markdown]
 # ## A bounce
 #
-# Dropped by 3 mm with a coefficient of restitution of 0.5, a button has to rebound to about a quarter of that height,
-# 0.75 mm, then to a sixteenth, and so on to rest. The impact lasts about a millisecond.
+# A button is dropped by 3 mm with a coefficient of restitution of 0.5. It should rebound to about a quarter of that
+# height, 0.75 mm, then to a sixteenth, and so on until it rests. The impact lasts about a millisecond.
 #
-# The figure shows height above the plate (left) and kinetic and stored energy together (right). Dots are frames, 10
-# ms apart; the impact itself falls between two of them. In steps of 1 ms the default method damps the impact away:
-# the button lands and stays. It comes to the right rest with the right force, but **it does not bounce**. Shorter
-# steps let it bounce ever more as it should; the explicit method gets there sooner.
+# The figure shows the height above the plate (left) and the kinetic plus stored energy (right). Markers are frames, 10
+# ms apart; the impact itself falls between two of them. In steps of 1 ms `linear_implicit` damps the impact away: the
+# button lands and stays. It reaches the right rest position with the right force, but **it does not bounce**. Shorter
+# steps make the rebound higher, towards what it should be. The explicit method rebounds higher than the implicit one in
+# steps of the same length.
 
 # %%
 SHOWN = (
@@ -148,13 +146,14 @@ with mpl.rc_context(STYLE):
     energy.set(title="kinetic and stored energy above rest", xlabel="time [ms]", ylabel="[mJ]")
     handles, labels = height.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=4)
-    figure.suptitle("bounce_to_rest (made up): dropped by 3 mm, restitution 0.5")
+    figure.suptitle("bounce_to_rest (invented): dropped by 3 mm, restitution 0.5")
 figure
 
 # %% [markdown]
-# How would you know, without a second run to compare with? By the **energy budget**, which every result has: it tells
-# the heat of damping apart from what the steps themselves took, or gave. Here the drop was worth 3.5 mJ. And
-# `pftwin.simulate` remarks on impacts that its steps are too long for, with the rebound that they can give.
+# How would you notice this without a second simulation to compare with? Every result has an **energy budget**, which
+# separates the heat of damping from the energy that the time steps themselves removed or added. Here the drop released
+# 3.5 mJ. `pftwin.simulate` also warns of impacts for which its steps are too long, and reports the restitution that
+# they can give.
 
 # %%
 bounced, heat, taken = {}, {}, {}
@@ -168,7 +167,7 @@ for name, scene in (*SHOWN, ("symplectic_euler", "bounce in 0.1 ms")):
     assert np.all(np.diff(left) < 1e-6)  # [J] no energy from nowhere
 
 table(
-    ["integrator", "step, ms", "highest frame after landing, mm", "heat, mJ", "taken by the steps, mJ"],
+    ["integrator", "step, ms", "highest frame after landing, mm", "heat, mJ", "removed by the steps, mJ"],
     [[name, f"{step:g}", *(f"{x[name, step]:.2f}" for x in (bounced, heat, taken))] for name, step in bounced],
 )
 
@@ -181,17 +180,17 @@ assert taken["linear_implicit", 1.0] > 1.5 > 4 * taken["linear_implicit", 0.01]
 assert abs(taken["symplectic_euler", 0.01]) < 0.1
 
 # %% [markdown]
-# A patella that glides under load has no such impacts. Where they matter, take short steps, and look at the budget.
+# A patella that glides under load has no such impacts. Where impacts matter, take short steps and check the energy
+# budget.
 #
 # ## A saddle
 #
-# A ball on a crest may stay for ever or fall to either side. Exactly on the crest nothing tells left from right, and
-# a simulation that drifts off has an error that leans to one side. A micrometre beside it, it has to fall to that
-# side, at a rate that mechanics gives: the distance grows like exp(t / T), here with T near 0.1 s.
+# A ball on a crest may stay there or fall to either side. Exactly on the crest nothing distinguishes left from right,
+# so a simulation that drifts off has an error with a preferred side. A micrometre beside the crest, the ball must fall
+# to that side, at the rate that mechanics gives: the distance grows like exp(t / T), with T near 0.1 s here.
 #
-# The figure shows the distance from the middle plane on a logarithmic axis; a straight line is exponential growth. On
-# the crest there is nothing but the rounding of the computer's numbers, far smaller than an atom, and that grows at
-# the same rate.
+# The figure shows the distance from the middle plane on a logarithmic axis, on which exponential growth is a straight
+# line. On the crest there is only rounding error, far smaller than an atom, and it grows at the same rate.
 
 # %%
 with mpl.rc_context(STYLE):
@@ -205,7 +204,7 @@ with mpl.rc_context(STYLE):
             run.times[1:], 1e3 * np.abs(run.center[1:, 1]), color=COLOURS[k], marker="os"[k], markersize=3, label=label
         )
     axes.set(yscale="log", ylim=(1e-17, 10), xlabel="time [s]", ylabel="from the middle plane [mm]")
-    axes.set_title("A button on a ridge (made up)")
+    axes.set_title("A button on a ridge (invented)")
     figure.legend(loc="outside lower center", ncols=2)
 figure
 
@@ -213,24 +212,24 @@ figure
 beside, on = default["ridge_left_of_the_crest"], default["sphere_on_a_ridge"]
 late = beside.times > 0.2
 rate, _ = np.polyfit(beside.times[late], np.log(np.abs(beside.center[late, 1])), 1)
-print(f"grows {abs(beside.center[-1, 1] / beside.center[0, 1]):.0f} times in half a second, by e in {1 / rate:.3f} s")
+print(f"grows {abs(beside.center[-1, 1] / beside.center[0, 1]):.0f} times in half a second, T = {1 / rate:.3f} s")
 assert np.abs(on.center[:, 1]).max() < 1e-12  # [m] a crest has no side
 assert np.all(beside.center[:, 1] < 0)  # to the side where it began
 assert 0.06 < 1 / rate < 0.1
 
 # %% [markdown]
-# Whether an equilibrium is a saddle is told by the stiffness across it, which `pftwin.equilibrium(scene).eigenvalues`
-# has: one of them is negative.
+# The stiffness across an equilibrium shows whether it is a saddle: one of `pftwin.equilibrium(scene).eigenvalues` is
+# then negative.
 #
 # ## A dislocation across the edge
 #
-# A surface that was fitted to a patch of bone ends somewhere. A patella that is pulled sideways over that edge meets
-# the patch's continuation along its tangent: the motion stays smooth, and each frame in which the button bears on it
-# is flagged.
+# A surface that was fitted to a part of the bone ends somewhere. Beyond its edge the patch continues along its tangent.
+# A patella that is pulled sideways over the edge therefore moves smoothly, and each frame in which the button bears on
+# the continuation is flagged.
 #
-# Left: the path of the button's centre across the groove, which overshoots and then circles the point that the tendon
-# pulls it to; right: the contact force. Filled dots are frames whose status says that a loaded contact is beyond the
-# edge. Those frames are not to be believed as anatomy, only as "it went over".
+# Left: the path of the button's centre across the groove, which overshoots and then circles the point towards which the
+# tendon pulls. Right: the contact force. Filled dots are frames whose status says that a loaded contact lies beyond the
+# edge. In those frames, believe only that the patella went over the edge, not the anatomy.
 
 # %%
 over = default["dislocation_across_the_edge"]
@@ -254,7 +253,7 @@ with mpl.rc_context(STYLE):
     load.set(title="contact force", xlabel="time [s]", ylabel="[N]")
     handles, labels = place.get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=2)
-    figure.suptitle("dislocation_across_the_edge (made up)")
+    figure.suptitle("dislocation_across_the_edge (invented)")
 figure
 
 # %%
@@ -267,13 +266,12 @@ assert y[beyond].min() > 0
 # %% [markdown]
 # ## Steps that are too long
 #
-# A contact a hundred times harder than usual vibrates at some 10 kHz. An explicit method in steps of 0.1 ms cannot
-# follow it: the energy explodes within a few steps. The implicit default, in steps ten times as long, is not
-# troubled.
+# A contact a hundred times stiffer than usual vibrates at about 10 kHz. An explicit method in steps of 0.1 ms cannot
+# follow it: the energy explodes within a few steps. The implicit method copes with steps ten times as long.
 #
-# What matters is that the bad run **says so before the first number that is not finite**. The figure shows kinetic
-# energy; crosses are frames with a flag that refuses the run, and where its curve ends the numbers do. The implicit
-# run comes to rest for a moment at 0.45 s, where the tibia turns back.
+# What matters is that the bad simulation **says so before the first value that is not finite**. The figure shows
+# kinetic energy. Crosses are frames with a flag that refuses the result; a curve ends where the values stop being
+# finite. The implicit simulation comes to rest for a moment at 0.45 s, where the tibia turns back.
 
 # %%
 REFUSES = pftwin.Status.STEP_TOO_LONG | pftwin.Status.NOT_FINITE | pftwin.Status.ENERGY_FROM_NOWHERE
@@ -289,15 +287,15 @@ with mpl.rc_context(STYLE):
         axes.plot(run.times[bad], np.maximum(1e3 * kinetic[bad], 1e-6), "x", color="black", markersize=7,
                   label="flagged: not to be trusted" if bad.any() else None)  # fmt: skip
     axes.set(yscale="log", xlabel="time [s]", ylabel="kinetic energy [mJ]")
-    axes.set_title("contact_hard (made up): the lower curve is right, the upper one says that it is not")
+    axes.set_title("contact_hard (invented): the lower curve is right, the upper one is flagged as wrong")
     figure.legend(loc="outside lower center", ncols=3)
 figure
 
 # %%
 bad, good = ran["symplectic_euler"]["contact_hard"], default["contact_hard"]
 refused = np.flatnonzero(bad.flags & REFUSES)
-print(f"the explicit run: {said(bad)}")
-print(f"the implicit one: {said(good)}")
+print(f"explicit: {said(bad)}")
+print(f"implicit: {said(good)}")
 lost = np.flatnonzero(~np.isfinite(bad.center).all(axis=1))
 assert refused.size
 assert not lost.size or refused[0] <= lost[0]
@@ -306,8 +304,8 @@ assert not good.status & REFUSES
 # %% [markdown]
 # ## Input that is refused
 #
-# The cheapest wrong run is the one that never starts. Impossible numbers are refused in words that name the field,
-# say what was found, and what was expected.
+# The cheapest wrong simulation is the one that never starts. Impossible values are refused with a message that names
+# the field, what was found, and what was expected.
 
 # %%
 refusals = {name: found for name, found in default.items() if isinstance(found, pftwin.InputError)}
@@ -320,10 +318,10 @@ for name, words in refusals.items():
 # %% [markdown]
 # ## What the statuses mean
 #
-# This table is made from the code: every flag that a frame can have, its words, and which of the runs above had it. A
-# frame with none of them is clean ("ok"). They are of three kinds: what happened (nothing touches, the patch was
-# left, it snapped), what to be careful about (a deep indentation, a start that is no equilibrium), and what not to
-# believe (the rest).
+# This table is generated from the code: every flag that a frame can have, its text, and which of the simulations above
+# had it. A frame with no flag is clean ("ok"). There are three kinds of flags: what happened (no contact, the patch was
+# left, the patella snapped), what to be careful about (a deep indentation, a start that is no equilibrium), and what
+# not to believe (the others).
 
 # %%
 rows = []
@@ -341,17 +339,18 @@ assert len(rows) == len(pftwin.Status) - (pftwin.Status.OK in list(pftwin.Status
 table(["flag", "in words", "runs above that have it"], rows)
 
 # %% [markdown]
-# `result.summary()` counts the frames of each, `result.flags` has them frame by frame, and they are in every file
-# that is written.
+# `result.summary()` counts the frames with each flag, `result.flags` has them frame by frame, and every file that you
+# write contains them.
 #
-# ## A slice of the matrix
+# ## A part of the matrix
 #
-# Looking at curves does not scale. `pftwin hard-cases` runs all cases with contact models, integrators and float
-# types, and judges each run by what must hold of any: numbers are finite, no energy comes from nowhere, there is no
-# force at a distance and no missed contact (by an exhaustive search that shares no code with the simulator's), flags
-# are right, and a run that is off a converged one says so. A cell **passes**, **fails**, or is **refused**: the
-# run itself says in time that it is not to be trusted. Here is the slice of the scenes above that are the
-# catalogue's; the whole is in [docs/hard_cases.md](../docs/hard_cases.md).
+# Looking at curves does not scale. `pftwin hard-cases` simulates all cases with all contact models, integrators and
+# floating-point types, and judges each simulation by conditions that every one must meet: values are finite, no energy
+# appears from nowhere, there is no force at a distance and no missed contact (checked by an exhaustive search that
+# shares no code with the simulator), flags are right, and a simulation that differs from a converged one says so. Each
+# cell of the matrix **passes**, **fails**, or is **refused**: the simulation itself reports in time that it must not be
+# trusted. The table below has the catalogue's scenes from above; the full matrix is in
+# [docs/hard_cases.md](../docs/hard_cases.md).
 
 # %%
 JUDGED = ("linear_implicit", "linear_implicit_bdf2", "symplectic_euler")
@@ -373,8 +372,9 @@ for c in cells:
         print(f"{c.case}, {c.integrator}: {c.outcome}: {c.reason}")
 assert tables.counts(cells)["fail"] == 0
 assert outcome["contact_hard", "symplectic_euler"] == "refused"
-assert outcome["dislocation_across_the_edge", "linear_implicit"] == "refused"  # its steps are too long, and it says so
+assert outcome["dislocation_across_the_edge", "linear_implicit"] == "refused"  # it reports that its steps are too long
 
 # %% [markdown]
-# **In short.** Read the status before the figures, and take a method that fits the question: impacts want short steps.
-# What may be left out of a scene, and what should be put in: [what effects are worth](08_what_effects_are_worth.ipynb).
+# **In short.** Read the status before the results, and choose a method that suits the question: impacts need short
+# steps. To decide what to omit from a scene and what to add, see [what effects cost and
+# change](08_what_effects_are_worth.ipynb).

@@ -47,7 +47,8 @@ def main(arguments: list[str] | None = None) -> int:
             given.out.mkdir(parents=True, exist_ok=True)
             write_text(given.out / "audit.csv", to_csv(table(found)))
             save_dataset(dataset(found), given.out / "audit.nc")
-            save_figure(audit_figure(found, f"{found.scene}: what each effect is worth"), given.out / "audit")
+            title = f"{found.scene} (recording simulated by OpenSim JAM): what each effect is worth"
+            save_figure(audit_figure(found, title), given.out / "audit")
     except PftwinError as error:
         print(f"error: {error}", file=sys.stderr)
         return 2

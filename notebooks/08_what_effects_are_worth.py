@@ -13,13 +13,13 @@
 # ---
 
 # %% [markdown]
-# # Only the effects that a scene calls for
+# # What effects cost and change
 #
-# Friction, inertia, damping, toe regions: every effect takes time and wants parameters, and some change nothing. You
-# will get, for a knee of the virtual rig:
+# Friction, inertia, damping, toe regions: every effect takes computing time and needs parameters, and some do not
+# change the result. For a knee of the virtual rig, this notebook shows:
 #
 # 1. what each effect **costs** (`explain`): operations, share of the time, stiffness, energy moved;
-# 2. what each is **worth** (`audit`): how far the patella's path moves when it is left out, or put in.
+# 2. what each effect **changes** (`audit`): how far the patella's path moves when you omit it, or add it.
 #
 # The rig's motion is **synthetic**: this is about the method, not about a patient. Statements about figures are
 # followed by an `assert`; times are shown but never checked.
@@ -40,11 +40,11 @@ from pftwin.studies.audit.report import audit_figure, audit_sheet, explanation_s
 pftwin.configure(cache_dir=default_cache_dir())  # double precision and fast code, kept for the next time
 
 # %% [markdown]
-# ## What it costs
+# ## What effects cost
 #
-# A model can have too little in it, and too much. Case 2 of the virtual rig (synthetic) has weight, two tendons,
-# contact and a drag on the patella; it dislocates. `explain` says what each of them **costs**: how many equations it
-# adds to a step and what share of a step's time goes with it, whether it is stiff, and the energy that it moved.
+# Case 2 of the virtual rig (synthetic) has weight, two tendons, contact, and a drag on the patella. Its patella
+# dislocates. `explain` reports for each effect how many equations it adds to a time step, what share of the step's time
+# it takes, whether it is stiff, and how much energy it moved.
 
 # %%
 knee = pftwin.rig.case(2, contact="P5")
@@ -53,14 +53,18 @@ Markdown(explanation_sheet(explained).markdown())
 
 # %%
 work = sum(part.work for part in explained.parts if part.of is None)
-print(f"works add up to {1e3 * work:.2f} mJ, kinetic energy changed by {1e3 * explained.kinetic_change:.2f} mJ")
+print(f"work adds up to {1e3 * work:.2f} mJ, kinetic energy changed by {1e3 * explained.kinetic_change:.2f} mJ")
 assert abs(explained.energy_gap) < 1e-3  # [J] of some 3 J moved
 assert [part.name for part in explained.parts if part.stiff] == ["contact"]
 assert max(explained.parts, key=lambda part: part.equations).name == "contact"
 
 # %% [markdown]
-# Only the contact is stiff: an explicit method would have to take steps of less than a tenth of a millisecond because
-# of it alone. Its search for the nearest points is also most of the work.
+# Only the contact is stiff: it alone would force an explicit method to take steps of less than a tenth of a
+# millisecond. Its search for the nearest points also makes up most of the computation.
+#
+# Shares of time are less certain than the ± suggests, because the compiler may optimise one of the compared programs
+# differently. On a busy machine, two of three runs of this notebook gave one tendon a share of -32 or -56 %. Repeat the
+# measurement if a share is strongly negative.
 
 # %%
 with mpl.rc_context(STYLE):
@@ -69,16 +73,14 @@ with mpl.rc_context(STYLE):
     parts = [part for part in explained.parts if part.of is None]
     axes.barh([part.name for part in parts], [part.equations for part in parts], color=COLOURS[0])
     axes.invert_yaxis()
-    axes.set(
-        xlabel="operations of a step that go with it", title="Case 2 of the virtual rig (synthetic): what effects add"
-    )
+    axes.set(xlabel="equations per step that it adds", title="Case 2 of the virtual rig (synthetic): what effects add")
 figure
 
 # %% [markdown]
-# ## What it is worth
+# ## What effects change
 #
-# `audit` says what an effect is **worth**: it runs the scene without it, or with one that it lacks, and compares.
-# Some rows are chosen here, to save time; `audit(knee)` or `pftwin audit --case 2` makes all of them
+# `audit` simulates the scene without an effect, or with one that it lacks, and compares the two. To save time, this
+# cell chooses some rows; `audit(knee)` or `pftwin audit --case 2` computes all of them
 # ([docs/audit.md](../docs/audit.md)).
 
 # %%
@@ -94,19 +96,19 @@ weighed = audit(knee, only=ROWS)
 Markdown(audit_sheet(weighed).markdown())
 
 # %% [markdown]
-# The bars: how far the button's path moves (bar: rms over the motion; thin line: to the largest), how much the
-# contact force changes, and the time that the change takes. Note the logarithmic axes. The dashed line is the
-# tolerance below which an effect could go. The grey bar is the yardstick: what a step half as long changes. Bars
-# shorter than it say nothing.
+# The panels show how far the button's path moves, how much the contact force changes, and the computing time of the
+# change. Bars are rms over the motion, and thin lines extend to the largest value. Note the logarithmic axes. The
+# dashed line is the tolerance: you can omit an effect whose largest change is below it. The grey bar is the yardstick:
+# the change when the step is halved. Ignore changes smaller than that.
 
 # %%
-audit_figure(weighed, "Case 2 of the virtual rig (synthetic): what each effect is worth")
+audit_figure(weighed, "Case 2 of the virtual rig (synthetic): what each effect changes")
 
 # %% [markdown]
-# Friction, which the scene does not have, would move the path by 4 mm rms, more than any other row here: so this
-# scene's figures hold for a joint that slides freely. The drag is worth two centimetres where the patella dislocates. A
-# patella twice as heavy to accelerate moves it by two millimetres there: the knee moves slowly, and inertia matters
-# little.
+# The scene has no friction. Adding it would move the path by 4 mm rms, more than any other row here, so this scene's
+# results hold for a joint that slides freely. Omitting the drag moves the path by up to two centimetres where the
+# patella dislocates. Doubling the patella's inertia moves it by two millimetres there: the knee moves slowly, so
+# inertia matters little.
 
 # %%
 worth = {row.name: row for row in weighed.rows}
@@ -123,5 +125,5 @@ assert largest["patella inertia x 2"] < 3
 assert "dislocation" in weighed.tracking
 
 # %% [markdown]
-# **In short.** Leave out what the audit says is worth less than your tolerance, and put in what it says is worth more.
-# `pftwin explain scene.toml` and `pftwin audit scene.toml --out audit` do it for a knee of your own.
+# **In short.** Omit effects that change less than your tolerance, and add those that change more. Use `pftwin explain
+# scene.toml` and `pftwin audit scene.toml --out audit` for your own knee.

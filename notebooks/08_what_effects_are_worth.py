@@ -62,9 +62,10 @@ assert max(explained.parts, key=lambda part: part.equations).name == "contact"
 # Only the contact is stiff: it alone would force an explicit method to take steps of less than a tenth of a
 # millisecond. Its search for the nearest points also makes up most of the computation.
 #
-# Shares of time are less certain than the ± suggests, because the compiler may optimise one of the compared programs
-# differently. On a busy machine, two of three runs of this notebook gave one tendon a share of -32 or -56 %. Repeat the
-# measurement if a share is strongly negative.
+# Times are less certain than the ± suggests, probably because the compiler does not always optimise the compared
+# programs alike. This notebook was run four times, on a busy machine, and the last run is shown. In two of the others
+# one tendon had a share of -32 or -56 %, and in the third friction, below, took 86 % more time. Repeat the measurement
+# if a time looks wrong.
 
 # %%
 with mpl.rc_context(STYLE):

@@ -1,1 +1,1 @@
-"""Geometry of the articulating surfaces."""
+"""Geometry of the articulating surfaces: meshes, their trees, fitted patches, contact, wrapping and synthetic bones."""

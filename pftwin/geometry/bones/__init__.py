@@ -1,1 +1,1 @@
-"""Femur, patella and tibia as smooth bodies made from anatomical numbers."""
+"""Femur, patella and tibia as smooth bodies, generated from anatomical parameters."""

@@ -1,9 +1,9 @@
-"""The anatomy of a natural knee as named numbers, each with the range in which knees have been measured.
+"""Anatomical parameters of a natural knee, with the ranges measured in knees.
 
-Angles and lengths are as a radiologist reads them, in the units of their names. Four numbers make the trochlea's axial
-section at the height of the trochlear axis, some 3 cm above the joint line: with the deepest point in the origin, the
-lateral facet climbs to its ridge at `lateral_inclination_deg`, the medial one at what is left of 180 deg less the
-sulcus angle; the facets' widths are as `facet_ratio` says, and the mean height of both ridges is the depth.
+Angles and lengths are those of radiology, in the units of their names. Four parameters define the trochlea's axial
+section at the height of the trochlear axis, some 3 cm above the joint line: from the deepest point the lateral facet
+rises to its ridge at `lateral_inclination_deg`, the medial one at 180 deg less this and the sulcus angle. `facet_ratio`
+is the ratio of the facets' widths, and the trochlear depth the mean height of both ridges.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from typing import Any
 
 from pftwin.base.errors import InputError
 
-EPICONDYLE = 2.0  # by which they stand out beside the condyles [mm]
-RIDGE_TO_SIDE = 4.0  # at the least, from a ridge of the trochlea to the condyle's side [mm]
+EPICONDYLE = 2.0  # protrusion of the epicondyles beside the condyles [mm]
+RIDGE_TO_SIDE = 4.0  # smallest distance from a ridge of the trochlea to the condyle's side [mm]
 
 
 def _number(default: float, low: float, high: float, source: str) -> Any:
@@ -26,13 +26,13 @@ def _number(default: float, low: float, high: float, source: str) -> Any:
 
 @dataclass(frozen=True)
 class Anatomy:
-    """A knee's anatomy; the defaults are those of a normal adult knee. A number outside its range is refused.
+    """A knee's anatomy; the defaults are those of a normal adult knee.
 
-    Ranges hold what has been measured in normal and in dysplastic knees; some are choices. `Anatomy.ranges()` gives
+    Ranges cover values measured in normal and in dysplastic knees; some are assumptions. `Anatomy.ranges()` returns
     them with their sources.
 
     Raises:
-        InputError: a number outside its range, or numbers that make no trochlea.
+        InputError: a parameter outside its range, or parameters that give no valid trochlea.
     """
 
     sulcus_angle_deg: float = _number(138.0, 115.0, 179.0, "138 (6) Merchant 1974; 146 (5.5) Shih 2004")
@@ -67,7 +67,7 @@ class Anatomy:
                 where="sulcus_angle_deg",
                 expected=f"less than {180 - self.lateral_inclination_deg:g} deg",
             )
-        room = 0.5 * self.epicondylar_width_mm - EPICONDYLE - RIDGE_TO_SIDE  # the lateral facet is never the narrower
+        room = 0.5 * self.epicondylar_width_mm - EPICONDYLE - RIDGE_TO_SIDE  # the lateral facet is the wider one
         if self.lateral_facet_mm > room:
             deepest = self.trochlear_depth_mm * room / self.lateral_facet_mm
             raise InputError(
@@ -79,7 +79,7 @@ class Anatomy:
 
     @staticmethod
     def ranges() -> dict[str, tuple[float, float, str]]:
-        """Of each number: lowest, highest, and where they come from."""
+        """Lowest and highest value of each parameter, and their sources."""
         found = dataclasses.fields(Anatomy)
         return {f.name: (f.metadata["low"], f.metadata["high"], f.metadata["source"]) for f in found}
 
@@ -87,12 +87,12 @@ class Anatomy:
     def dejour(kind: str) -> Anatomy:
         """A dysplastic trochlea of Dejour's type A, B, C or D.
 
-        A is shallow; B flat with a prominence; C asymmetric, its medial facet hypoplastic; D both, without its cliff.
-        (D. Dejour & Le Coultre 2007, Sports Med Arthrosc 15:39.) The numbers are choices by these words and by the
-        limits of dysplasia named in the ranges; they are no means of patients.
+        A is shallow; B flat with a prominence; C asymmetric with a hypoplastic medial facet; D combines B and C, but
+        without the cliff of this type (D. Dejour & Le Coultre 2007, Sports Med Arthrosc 15:39). The values are
+        assumptions from this description and the limits of dysplasia in `ranges`; they are not means of patients.
 
         Raises:
-            InputError: no such type.
+            InputError: an unknown type.
         """
         if kind not in _DEJOUR:
             raise InputError(f"no type {kind!r} of trochlear dysplasia", expected=f"one of: {', '.join(_DEJOUR)}")
@@ -101,7 +101,7 @@ class Anatomy:
 
     @property
     def medial_inclination_deg(self) -> float:
-        """Of the medial facet: what the sulcus angle and the lateral facet leave."""
+        """Inclination of the medial facet, from the sulcus angle and the lateral facet."""
         return 180 - self.sulcus_angle_deg - self.lateral_inclination_deg
 
     @property
@@ -117,17 +117,17 @@ class Anatomy:
 
     @property
     def lateral_height_mm(self) -> float:
-        """Of the lateral ridge above the groove's deepest point."""
+        """Height of the lateral ridge above the groove's deepest point."""
         return self.lateral_facet_mm * _slope(self.lateral_inclination_deg)
 
     @property
     def medial_height_mm(self) -> float:
-        """Of the medial ridge."""
+        """Height of the medial ridge above the groove's deepest point."""
         return self.medial_facet_mm * _slope(self.medial_inclination_deg)
 
     @property
     def tendon_length_mm(self) -> float:
-        """Of the patellar tendon."""
+        """Length of the patellar tendon."""
         return self.insall_salvati * self.patella_height_mm
 
 
@@ -135,7 +135,7 @@ def _slope(inclination_deg: float) -> float:
     return math.tan(math.radians(inclination_deg))
 
 
-# Of each type: sulcus angle, lateral inclination, facet ratio, trochlear depth, prominence.
+# For each type: sulcus angle, lateral inclination, facet ratio, trochlear depth, prominence.
 _DEJOUR = {
     "A": (150.0, 15.0, 0.6, 2.8, -0.8),
     "B": (165.0, 8.0, 0.6, 1.6, 4.0),

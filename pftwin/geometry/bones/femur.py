@@ -1,8 +1,8 @@
-"""The distal femur as a smooth body: a trochlea that runs into two condyles with a notch between them, and a shaft.
+"""The distal femur as a smooth body: a trochlea, two condyles with a notch between them, and a shaft.
 
 Femoral axes (x proximal, y lateral, z anterior), origin on the trochlear axis, millimetres. Behind and below the axis
-the surface is a radius over the angle about it, above it a height over the proximal coordinate; across, each facet
-rises from the groove to its ridge, and beyond falls to the condyle's side. Curvature is continuous in the trochlea.
+the surface is a radius as a function of the angle about it, above it a height as a function of x. Across, each facet
+rises from the groove to its ridge and falls beyond it to the condyle's side. Curvature is continuous in the trochlea.
 """
 
 from __future__ import annotations
@@ -18,43 +18,43 @@ from pftwin.geometry.bones.implicit import largest, smallest, smooth_step
 
 SHAFT_LENGTH = 110.0  # above the trochlear axis [mm]
 SHAFT_WIDTH, SHAFT_DEPTH = 28.0, 27.0  # of the shaft [mm]
-# Of the condyles' circles, on which the tibia turns: below and behind the trochlear axis (x, z) [mm]. A choice.
+# Centre (x, z) of the condyles' circles, about which the tibia rotates, from the trochlear axis [mm]. An assumption.
 FLEXION_AXIS = -5.0, -8.0
-NOTCH_FLOOR = 9.0  # of the notch from the axis [mm]
-# Distal of anterior, where they begin and over how much: the groove sinks into the notch, the ridges' heights become
-# those of the condyles, and the ridges part towards the condyles' crests [deg].
+NOTCH_FLOOR = 9.0  # distance of the notch's floor from the axis [mm]
+# Start and length of transitions, as angles distal of anterior [deg]: the groove sinks into the notch, the ridges'
+# heights become those of the condyles, and the ridges diverge to the condyles' crests.
 TO_NOTCH, TO_CONDYLE, TO_CREST = (45.0, 60.0), (30.0, 65.0), (50.0, 60.0)
 CONDYLE_HALF_WIDTH = 13.0  # from a condyle's crest to its side [mm]
-GROOVE_ROUNDING, RIDGE_ROUNDING = 0.30, 0.25  # share of a facet's width in which it bends at either end
-SIDE_POWER = 2.5  # of the superellipse from ridge to side: no curvature where it begins
-BLEND = 1.5  # of trochlea and shaft: below a micrometre where the patella runs [mm]
-TROCHLEA_TOP = 32.0  # where the facets have run out, above the axis [mm]
+GROOVE_ROUNDING, RIDGE_ROUNDING = 0.30, 0.25  # shares of a facet's width that are curved, at either end
+SIDE_POWER = 2.5  # exponent of the superellipse from ridge to side: no curvature at the ridge
+BLEND = 1.5  # length of the blend of trochlea and shaft; its effect where the patella tracks is below 1 um [mm]
+TROCHLEA_TOP = 32.0  # height above the axis at which the facets end [mm]
 
 
 class _Profile(NamedTuple):
-    """Of sections across, at each point."""
+    """Parameters of the transverse section at each point [mm]."""
 
-    floor: Floats  # of the groove: radius, or height above the axis
-    lateral: Floats  # of the ridges, likewise
-    medial: Floats
-    lateral_at: Floats  # of the ridges, from the groove
-    medial_at: Floats
+    floor: Floats  # the groove's radius, or height above the axis
+    lateral: Floats  # the lateral ridge's radius or height
+    medial: Floats  # the medial ridge's
+    lateral_at: Floats  # the lateral ridge's distance from the groove
+    medial_at: Floats  # the medial ridge's
     half_width: Floats  # of the condyles
 
 
 class FemurShape:
-    """Positive inside the femur."""
+    """The femur's implicit function, positive inside."""
 
     def __init__(self, anatomy: Anatomy) -> None:
         self.anatomy = anatomy
 
     def __call__(self, points: Floats) -> Floats:
-        """At points (n, 3) [mm]."""
+        """Value (n,) [mm] at points (n, 3) [mm]."""
         with np.errstate(over="ignore", under="ignore"):
             return largest(self._joint(points), self._shaft(points), blend=BLEND)
 
     def box(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-        """Corners of a box that holds it."""
+        """Corners of a bounding box [mm]."""
         a = self.anatomy
         ridges = a.trochlear_radius_mm + max(a.lateral_height_mm, a.medial_height_mm)
         reach = max(a.condyle_radius_mm - FLEXION_AXIS[0], ridges) + 8
@@ -79,7 +79,7 @@ class FemurShape:
         return smallest(within, TROCHLEA_TOP + 2 - x, blend=0.5 * BLEND)
 
     def _profile(self, angle: Floats, x: Floats, back: NDArray[np.bool_]) -> _Profile:
-        """By the angle from anterior over distal to posterior [deg], and the height above the axis."""
+        """Section at an angle from anterior over distal to posterior [deg], and a height above the axis [mm]."""
         a = self.anatomy
         radius, half = a.trochlear_radius_mm, 0.5 * a.epicondylar_width_mm - EPICONDYLE
         receding = self.recession(x)
@@ -107,7 +107,7 @@ class FemurShape:
         return _Profile(floor, ridge(a.lateral_height_mm), ridge(a.medial_height_mm), lateral, medial, width)
 
     def recession(self, x: Floats) -> Floats:
-        """How far the groove's floor lies behind its foremost point, above the axis: circular at first [mm]."""
+        """Distance of the groove's floor behind its most anterior point at a height x above the axis [mm]."""
         a = self.anatomy
         t = np.clip(x / TROCHLEA_TOP, 0.0, 1.0)
         round_off = 0.5 * TROCHLEA_TOP**2 / a.trochlear_radius_mm * t**2 * (1 - t) ** 3
@@ -129,14 +129,14 @@ class FemurShape:
 
 
 def _distance_to_circle(angle: Floats, radius: float) -> Floats:
-    """From the trochlear axis to the condyles' circle, at an angle from anterior over distal [deg]."""
+    """Distance [mm] from the trochlear axis to the condyles' circle, at an angle from anterior over distal [deg]."""
     x, z = FLEXION_AXIS
     along = -x * np.sin(np.radians(angle)) + z * np.cos(np.radians(angle))
     return along + np.sqrt(radius**2 - x * x - z * z + along**2)
 
 
 def facet(t: Floats) -> Floats:
-    """Height from the groove (0) to the ridge (1): flat at both ends, straight between, with continuous curvature."""
+    """Profile from groove (0) to ridge (1): flat at the ends, straight between, with continuous curvature."""
     a, b = GROOVE_ROUNDING, RIDGE_ROUNDING
     x, y = np.clip(t / a, 0.0, 1.0), np.clip((t - 1 + b) / b, 0.0, 1.0)
     straight = np.clip(t, a, 1 - b) - a

@@ -1,8 +1,8 @@
-"""Closed triangle meshes of smooth bodies given as functions that are positive inside.
+"""Closed triangle meshes of smooth bodies given as implicit functions (positive inside).
 
-Surface nets (Gibson 1998, MERL TR 98-11): a regular grid, one vertex in each cube that the surface crosses, one
-quadrilateral across each grid edge whose ends are on different sides. The vertices are then brought onto the surface
-itself by Newton's method along the gradient, so that the mesh is as exact as its triangles are small.
+Surface nets (Gibson 1998, MERL TR 98-11) on a regular grid: one vertex in each cube that the surface crosses, and one
+quadrilateral across each grid edge whose ends are on different sides. The vertices are then moved onto the surface by
+Newton's method along the gradient, so that only the triangles' size limits the accuracy.
 """
 
 from __future__ import annotations
@@ -20,40 +20,40 @@ from pftwin.geometry.mesh.mesh import SurfaceMesh
 Body = Callable[[Floats], Floats]  # (n, 3) [mm] -> (n,) [mm], positive inside
 
 _CORNERS = np.stack(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij"), axis=-1).reshape(-1, 3)
-_STEP = 1e-3  # of central differences [mm]
+_STEP = 1e-3  # step of central differences [mm]
 _NEWTON_STEPS = 8
-_LONGEST = 0.5  # of a Newton step, by the spacing
-_CLOSE = 1e-5  # [mm] a vertex is on the surface
+_LONGEST = 0.5  # longest Newton step, in grid spacings
+_CLOSE = 1e-5  # tolerance of vertices on the surface [mm]
 
 
 def smallest(*values: Floats, blend: float) -> Floats:
-    """A smooth minimum: bodies intersect. Below it by at most `blend` times the logarithm of their number."""
+    """Smooth minimum, the intersection of bodies; at most `blend` * log(number of bodies) below the minimum."""
     least = np.min(values, axis=0)
     return least - blend * np.log(np.sum([np.exp((least - v) / blend) for v in values], axis=0))
 
 
 def largest(*values: Floats, blend: float) -> Floats:
-    """A smooth maximum: bodies unite."""
+    """Smooth maximum, the union of bodies."""
     return -smallest(*(-v for v in values), blend=blend)
 
 
 def smooth_step(x: Floats) -> Floats:
-    """From 0 below 0 to 1 above 1, with continuous curvature."""
+    """Smooth step from 0 (x below 0) to 1 (x above 1), with continuous second derivative."""
     t = np.clip(x, 0.0, 1.0)
     return t**3 * (10 - 15 * t + 6 * t * t)
 
 
 def mesh_of(body: Body, low: tuple[float, ...], high: tuple[float, ...], spacing: float, source: str) -> SurfaceMesh:
-    """The surface of a body [m], closed, its triangles about as large as the spacing.
+    """Meshes the surface of a body; the mesh is closed, in metres, its triangles about as large as the spacing.
 
     Args:
-        body: positive inside, smooth near its surface [mm].
-        low, high: corners of a box that holds it with room to spare [mm].
+        body: implicit function, positive inside, smooth near the surface [mm].
+        low, high: corners of a box that contains the body with a margin [mm].
         spacing: edge of the grid's cubes [mm].
-        source: what the mesh is called.
+        source: name of the mesh.
 
     Raises:
-        InputError: a body that reaches out of the box, or that is too fine for the spacing.
+        InputError: a body that extends beyond the box, or that has details too fine for the spacing.
     """
     axes = [np.arange(a, b + spacing, spacing) for a, b in zip(low, high, strict=True)]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
@@ -74,13 +74,13 @@ def mesh_of(body: Body, low: tuple[float, ...], high: tuple[float, ...], spacing
 def _vertices(
     value: Floats, inside: NDArray[np.bool_], axes: list[Floats], spacing: float
 ) -> tuple[Floats, NDArray[np.int64]]:
-    """In each cube that is crossed the mean of where its edges are; and the number of each cube's vertex, or -1."""
+    """One vertex per crossed cube, the mean of its edges' crossing points; and each cube's vertex number, or -1."""
     shape = tuple(n - 1 for n in inside.shape)
     corner = [value[tuple(slice(c, c + n) for c, n in zip(place, shape, strict=True))] for place in _CORNERS]
     total, count = np.zeros((*shape, 3)), np.zeros(shape)
     for a, b in combinations(range(8), 2):
         if np.abs(_CORNERS[a] - _CORNERS[b]).sum() != 1:
-            continue  # no edge of the cube
+            continue  # not an edge of the cube
         crossed = (corner[a] > 0) != (corner[b] > 0)
         gap = np.where(crossed, corner[a] - corner[b], 1.0)
         at = _CORNERS[a] + (corner[a] / gap)[..., None] * (_CORNERS[b] - _CORNERS[a])
@@ -94,7 +94,7 @@ def _vertices(
 
 
 def _faces(inside: NDArray[np.bool_], number: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Two triangles for each grid edge that is crossed, turning counter-clockwise seen from outside."""
+    """Two triangles for each crossed grid edge, counter-clockwise seen from outside."""
     faces = []
     for axis in range(3):
         other = [(axis + 1) % 3, (axis + 2) % 3]
@@ -114,7 +114,7 @@ def _faces(inside: NDArray[np.bool_], number: NDArray[np.int64]) -> NDArray[np.i
 
 
 def _projected(body: Body, points: Floats, spacing: float) -> Floats:
-    """The points moved onto the surface along its normals."""
+    """Moves points onto the surface along its normals."""
     for _ in range(_NEWTON_STEPS):
         value = body(points)
         if np.abs(value).max() < _CLOSE:
@@ -127,6 +127,6 @@ def _projected(body: Body, points: Floats, spacing: float) -> Floats:
 
 
 def gradient(body: Body, points: Floats) -> Floats:
-    """By central differences (n, 3)."""
+    """Gradient (n, 3) of a body's function by central differences."""
     change = [body(points + _STEP * e) - body(points - _STEP * e) for e in np.eye(3)]
     return np.stack(change, axis=1) / (2 * _STEP)

@@ -1,4 +1,4 @@
-"""Closed surfaces of femur, patella and tibia of an anatomy, and the parts of them that articulate."""
+"""Closed surfaces of the femur, patella and tibia of an anatomy, and the articulating parts of them."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ class Bones(NamedTuple):
 
 @lru_cache(maxsize=16)
 def bones(anatomy: Anatomy, resolution_mm: float = 1.5) -> Bones:
-    """The surfaces of an anatomy.
+    """Meshes the bones of an anatomy.
 
     Args:
-        anatomy: its numbers.
+        anatomy: the anatomical parameters.
         resolution_mm: size of the triangles, 0.4 to 5 mm; the patella's are half as large.
 
     Raises:
-        InputError: a resolution out of range, or too coarse for the anatomy; an anatomy that makes no patella.
+        InputError: a resolution out of range, or too coarse for the anatomy; an anatomy without a valid patella.
     """
     if not 0.4 <= resolution_mm <= 5:
         raise InputError(f"found {resolution_mm!r}", where="resolution_mm", expected="0.4 to 5 mm")
@@ -51,7 +51,7 @@ def bones(anatomy: Anatomy, resolution_mm: float = 1.5) -> Bones:
 
 
 def articular(made: Bones) -> tuple[SurfaceMesh, SurfaceMesh]:
-    """Of femur and patella what can touch: trochlea, condyles and the front of the shaft; the patella's back."""
+    """Articulating parts of femur (trochlea, condyles, front of the shaft) and patella (back)."""
     femur, patella = made.femur, made.patella
     x, _, z = femur.vertices[femur.faces].mean(axis=1).T
     angle = np.degrees(np.arctan2(x, z))

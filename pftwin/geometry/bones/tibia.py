@@ -1,6 +1,6 @@
-"""The proximal tibia as a smooth body: a plateau, a tuberosity where the patellar tendon ends, and a shaft.
+"""The proximal tibia as a smooth body: a plateau, a tuberosity where the patellar tendon inserts, and a shaft.
 
-Tibial axes: the femur's in full extension, origin there, millimetres.
+The tibial frame coincides with the femoral frame in full extension; units are millimetres.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from pftwin.geometry.bones.femur import FLEXION_AXIS
 from pftwin.geometry.bones.implicit import largest, smallest, smooth_step
 
 GAP = 5.0  # between condyles and plateau: cartilage and menisci [mm]
-TUBEROSITY_BELOW = 22.0  # the plateau [mm]
-TUBEROSITY_BEFORE = 24.0  # the trochlear axis [mm]
+TUBEROSITY_BELOW = 22.0  # distance below the plateau [mm]
+TUBEROSITY_BEFORE = 24.0  # distance anterior of the trochlear axis [mm]
 TUBEROSITY_HALF_WIDTH = 14.0  # [mm]
 LENGTH = 120.0  # below the plateau [mm]
 SHAFT_WIDTH = 27.0  # [mm]
@@ -22,7 +22,7 @@ BLEND = 1.5  # [mm]
 
 
 class TibiaShape:
-    """Positive inside the tibia."""
+    """The tibia's implicit function, positive inside."""
 
     def __init__(self, anatomy: Anatomy) -> None:
         self.anatomy = anatomy
@@ -30,17 +30,17 @@ class TibiaShape:
 
     @property
     def tuberosity(self) -> tuple[float, float, float]:
-        """Where the patellar tendon ends: as far lateral of the groove as TT-TG says [mm]."""
+        """Insertion of the patellar tendon, lateral of the groove by TT-TG [mm]."""
         return self.plateau - TUBEROSITY_BELOW, self.anatomy.tt_tg_mm, TUBEROSITY_BEFORE
 
     def __call__(self, points: Floats) -> Floats:
-        """At points (n, 3) [mm]."""
+        """Value (n,) [mm] at points (n, 3) [mm]."""
         x, y, z = points.T
         with np.errstate(over="ignore", under="ignore"):
             return largest(self._shaft(x, y, z), self._bump(x, y, z), blend=2 * BLEND)
 
     def box(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-        """Corners of a box that holds it."""
+        """Corners of a bounding box [mm]."""
         wide = max(0.5 * self.anatomy.epicondylar_width_mm, self.anatomy.tt_tg_mm + TUBEROSITY_HALF_WIDTH) + 6
         return (self.plateau - LENGTH - 6, -wide, -40.0), (self.plateau + 8, wide, TUBEROSITY_BEFORE + 8)
 

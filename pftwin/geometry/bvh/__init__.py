@@ -1,1 +1,1 @@
-"""Bounding volume hierarchies of triangle meshes: built on the host, searched in JAX."""
+"""Bounding volume hierarchies (BVH) of triangle meshes: built with NumPy on the host, searched in JAX."""

@@ -1,7 +1,7 @@
-"""A mesh's corners with their outward normals, in a tree of discs and spherical shells.
+"""A bounding volume hierarchy of a mesh's corners (vertices) and normals, bounded by discs and spherical shells.
 
-A shell tells how far inside another body a corner can be much better than a flat slab does: pieces of a button are
-nearly spherical, however large.
+A shell bounds the depth of corners in another body much more tightly than a flat slab: pieces of a button are nearly
+spherical, however large.
 """
 
 from __future__ import annotations
@@ -20,16 +20,16 @@ from pftwin.base.spatial import Pose, Scalar, Vec3
 from pftwin.geometry.bvh.tree import ROUNDING, depth_for, fit_discs, median_order
 from pftwin.geometry.bvh.triangle import Triangle
 
-ROUGH = 1e-7  # [m]: several times the rounding of single precision
-FLAT = 0.2  # [m]: largest radius of a shell that single precision resolves
+ROUGH = 1e-7  # [m] margin: several times the rounding error of single precision
+FLAT = 0.2  # [m] largest radius of a shell that single precision resolves
 
 
 class CornerTree(eqx.Module):
-    """One corner in each leaf of a complete tree; arrays are leaves of the pytree."""
+    """A complete binary tree with one corner in each leaf (place); arrays are leaves of the pytree."""
 
     points: Array  # (places, 3) [m]
     normals: Array  # (places, 3) unit, outward
-    index: Array  # (places,) int32: which vertex of the mesh; an empty place repeats another
+    index: Array  # (places,) int32: vertex of the mesh; an empty place repeats the one before it
     levels: tuple[Array, ...]  # (2^l, 14) float32: a disc (8) and a shell (6) around each node's corners
 
     @property
@@ -39,7 +39,7 @@ class CornerTree(eqx.Module):
 
 
 def corner_tree(points: Floats, normals: Floats) -> CornerTree:
-    """The tree of corners (n, 3) [m] with unit outward normals (n, 3)."""
+    """Builds the tree of corners (n, 3) [m] with unit outward normals (n, 3)."""
     index, levels = cached(_arrays, points, normals, files=())
     dtype = canonicalize_dtype(float)
     p, n = (jax.device_put(x[index].astype(dtype)) for x in (points, normals))
@@ -57,7 +57,7 @@ def _arrays(points: Floats, normals: Floats) -> tuple[NDArray[np.int32], tuple[N
     for level in range(depth + 1):
         v, out = (x.reshape(1 << level, -1, 3) for x in (p, n))
         middle, mean = v.mean(axis=1), out.mean(axis=1)
-        # A single corner has a normal but no curvature: that of the two around it.
+        # A single corner has no curvature: its parent's is used.
         radius = _radius(v - middle[:, None], out - mean[:, None]) if level < depth else np.repeat(radius, 2)
         shell = _shell(v, out, middle - radius[:, None] * mean, np.sign(radius), margin)
         levels.append(np.concatenate([fit_discs(v, out, margin), shell], axis=1))
@@ -65,7 +65,7 @@ def _arrays(points: Floats, normals: Floats) -> tuple[NDArray[np.int32], tuple[N
 
 
 def _radius(away: Floats, turn: Floats) -> Floats:
-    """Of the sphere whose normals turn by what corners' do, at as far from their middle; negative where they open."""
+    """Radius (nodes,) of the sphere fitted to corners and normals, both less their means; negative where concave."""
     radius = (away * turn).sum(axis=(1, 2)) / np.maximum((turn * turn).sum(axis=(1, 2)), 1e-12)
     return np.where((np.abs(radius) < FLAT) & (radius != 0), radius, FLAT)
 
@@ -73,8 +73,8 @@ def _radius(away: Floats, turn: Floats) -> Floats:
 def _shell(v: Floats, n: Floats, middle: Floats, sign: Floats, margin: float) -> NDArray[np.float32]:
     """Spherical shells (nodes, 6) around corners (nodes, k, 3) with unit normals: middle, radius, half thickness, tilt.
 
-    The radius is negative where the middle is outside; the tilt is one less the least cosine between a corner's normal
-    and the sphere's.
+    The radius is negative if the middle is outside the body. The tilt is 1 - the smallest cosine between a corner's
+    normal and the sphere's.
     """
     arms = v - middle[:, None]
     lengths = np.linalg.norm(arms, axis=2)
@@ -85,16 +85,16 @@ def _shell(v: Floats, n: Floats, middle: Floats, sign: Floats, margin: float) ->
     return np.concatenate([middle, own], axis=1).astype(np.float32)
 
 
-EDGE = 1e-12  # share of a triangle by which a ray may miss its edge and still count
+EDGE = 1e-12  # tolerance, as a share of the triangle, within which a ray that misses its edge still hits
 
 
 def ray_depth(corner: Vec3, normal: Vec3, t: Triangle) -> tuple[Scalar, Array]:
-    """How far from a corner, against its normal, a ray leaves through a triangle; and whether it does (bool)."""
+    """Distance [m] along the ray from a corner, against its normal, to a triangle; and whether it exits there, bool."""
     across = t.area_vector()
     steep = -normal.dot(across)
     leaves = steep > 0
     depth = (t.a - corner).dot(across) / jnp.where(leaves, steep, 1)
-    # Signed volumes: the ray passes all edges on the same side.
+    # Signed volumes: a ray that hits passes all edges on the same side.
     a, b, c = t.a - corner, t.b - corner, t.c - corner
     sides = [normal.dot(q.cross(p)) for p, q in ((a, b), (b, c), (c, a))]
     least = -EDGE * steep
@@ -102,11 +102,11 @@ def ray_depth(corner: Vec3, normal: Vec3, t: Triangle) -> tuple[Scalar, Array]:
 
 
 def may_leave(a: Array, b: Array, X: Pose, deepest: Array) -> Array:
-    """Which of single corners' rays may leave through discs and be longer than the longest so far, bool.
+    """Whether the rays of single corners may exit through discs and be longer than the longest so far, bool.
 
     Args:
-        a, b: nodes' rows, a component a row; a single corner's disc has it as its middle, and its normal.
-        X: of b's frame in a's, single precision.
+        a, b: discs and single corners, one component per row; a corner's disc has the corner as its middle.
+        X: pose of b's frame in a's, single precision.
         deepest: length of the longest ray so far [m].
     """
     rotation = X.orientation.rotation()
@@ -119,6 +119,6 @@ def may_leave(a: Array, b: Array, X: Pose, deepest: Array) -> Array:
     beside = (away - middle * normal).squared_norm()
     reach = a[6] + half + ROUGH
     passes = (middle + half > jnp.maximum(deepest, 0)) & (beside <= reach * reach)
-    # Against a thin disc's normal no ray leaves; a thick one's triangles may look anywhere.
+    # No ray exits against a thin disc's normal; the triangles in a thick disc may face anywhere.
     back = (slope < -0.1) & (a[7] < 0.1 * a[6])
     return jnp.where(steep, passes, ~back)

@@ -1,9 +1,9 @@
-"""The deepest corner of a mesh inside another: its depth along its own normal below the other's surface.
+"""Finds the corner of a mesh that is deepest inside another mesh, measured along the corner's normal.
 
-From a corner v of one mesh, with outward unit normal n there, a ray v - t n leaves the other body through one of its
-triangles at t: its depth. The largest is looked for on every facet of the other mesh. Both trees are gone down, some
-levels with all pairs of nodes, the rest depth first from the most promising pair; pairs that cannot be deeper than the
-deepest ray found so far are dropped. So the answer is that of all corners against all triangles.
+The depth of a corner v with outward unit normal n is the t at which the ray v - t n exits the other body through one
+of its triangles. The search finds the largest depth on each facet of the other mesh. It descends both trees, the first
+levels breadth first, the rest depth first from the most promising pair of nodes (branch and bound: pairs that cannot
+exceed the deepest ray so far are dropped), so the result is that of testing all corners against all triangles.
 """
 
 from __future__ import annotations
@@ -24,44 +24,44 @@ from pftwin.geometry.bvh.tree import CANCELLED
 from pftwin.geometry.bvh.triangle import Triangle
 from pftwin.geometry.contact.contact_mesh import ContactMesh
 
-NODES = 1024  # pairs of nodes that there is room for, where steps down in both trees leave many behind
-LAST = 3  # last steps, taken depth first
-ABOVE = 2  # levels of the triangles' tree that are left out: rays are tried on sixteen triangles at once
+NODES = 1024  # capacity for pairs of nodes in the breadth-first steps
+LAST = 3  # number of last steps, taken depth first
+ABOVE = 2  # lowest levels of the triangles' tree that are skipped: a ray is tested on sixteen triangles at once
 
 
 class Deepest(NamedTuple):
     """The deepest corner on each facet of the other mesh."""
 
-    place: Array  # (facets,) int32: in its tree, of the triangle that the ray leaves through
-    corner: Array  # (facets,) int32: the corner's place in its tree
-    found: Array  # (facets,) bool: whether there is any
-    overflow: Array  # () bool: pairs were lost
+    place: Array  # (facets,) int32: place, in its tree, of the triangle through which the ray exits
+    corner: Array  # (facets,) int32: place of the corner in its tree
+    found: Array  # (facets,) bool: whether any corner is inside
+    overflow: Array  # () bool: a list was full and pairs were lost
 
 
 class DepthSearch(eqx.Module):
-    """A mesh and another's corners, laid out for searches: made once, before a loop."""
+    """The search for the deepest corners in a mesh; make it once, before a loop."""
 
-    onto: ContactMesh
-    corners: CornerTree
+    onto: ContactMesh  # the mesh that the corners may be inside
+    corners: CornerTree  # of the other mesh
     descent: Descent
-    limit: Scalar  # rays longer than this do not count [m]
+    limit: Scalar  # longer rays do not count [m]
 
     def __call__(self, X: Pose) -> Deepest:
-        """With the corners' mesh at a pose in the frame of `onto`. Jit and vmap apply; not differentiated."""
+        """Searches at a pose X of the corners' mesh in the frame of `onto`. Supports jit and vmap; no derivatives."""
         return member_by_member(_search)(self, X)
 
 
 def depth_search(onto: ContactMesh, corners: CornerTree, limit: Scalar) -> DepthSearch:
-    """The search for the corners that are deepest inside `onto`, up to a depth [m]."""
+    """Makes the search for the deepest corners inside `onto`, up to a depth `limit` [m]."""
     single = jnp.asarray(limit).astype(jnp.float32)
     discs = triangle_nodes(onto.tree.levels[: 1 + onto.tree.depth - ABOVE], single)
     return DepthSearch(onto, corners, descent(discs, corner_nodes(corners.levels, single)), limit)
 
 
 class _Stack(NamedTuple):
-    """Pairs of nodes still to be searched, with bounds on the depth of their corners."""
+    """Pairs of nodes still to be searched, with upper bounds on the depth of their corners."""
 
-    pairs: Queue  # pair times four, plus the number of steps that are left
+    pairs: Queue  # packed pair times four, plus the number of steps left
     bounds: Queue  # float32 [m]
 
     @property
@@ -69,16 +69,16 @@ class _Stack(NamedTuple):
         return self.pairs.count
 
     def top(self) -> tuple[Array, Array, Array, _Stack]:
-        """Pair, steps left and bound of the last entry, and the stack without it."""
+        """Pops the last entry: pair, steps left, bound, and the stack without it."""
         at = jnp.maximum(self.count - 1, 0)
         entry, bound = (jax.lax.dynamic_index_in_dim(q.entries, at, 0, keepdims=False) for q in self)
         return entry >> 2, (entry & 3).astype(jnp.int32), bound, _Stack(*(q._replace(count=at) for q in self))
 
 
 class _Best(NamedTuple):
-    """The deepest ray of every facet so far."""
+    """The deepest ray so far on each facet."""
 
-    depth: Array  # (facets,) -1 where there is none [m]
+    depth: Array  # (facets,) [m], -1 if there is none
     place: Array  # (facets,) int32
     corner: Array  # (facets,) int32
 
@@ -127,8 +127,8 @@ def _search(search: DepthSearch, X: Pose) -> Deepest:
 def _stack_capacity(descent: Descent) -> tuple[int, int]:
     """The number of steps taken depth first, and the capacity for pairs of nodes before them.
 
-    A mesh of a few large triangles takes only one or two steps, from all corners at once: then there
-    is room for all pairs.
+    A mesh of a few large triangles takes only one or two steps, from all corners at once: then the capacity is that for
+    all pairs.
     """
     alone, together = descent.steps
     last = min(LAST, len(together))
@@ -139,7 +139,7 @@ def _stack_capacity(descent: Descent) -> tuple[int, int]:
 
 
 def _facet(search: DepthSearch, pair: Array, left: Array | int) -> Array:
-    """The facet of a pair of nodes, so many steps above the leaves."""
+    """Facet of a pair of nodes that is `left` steps above the leaves."""
     if search.onto.facets == 1:
         return jnp.zeros((), jnp.int32)
     a, b = search.descent.depths
@@ -147,11 +147,11 @@ def _facet(search: DepthSearch, pair: Array, left: Array | int) -> Array:
 
 
 def _expand_top(search: DepthSearch, most: Callable[[Array, Array], Array], stack: _Stack, deepest: Array) -> _Stack:
-    """The top pair of nodes replaced by those of its descendants that may be deeper than the deepest ray so far."""
+    """Replaces the top pair of nodes by its descendants that may be deeper than the deepest ray so far."""
     pair, left, bound, stack = stack.top()
     below = search.descent.below(pair, left)
     sure = deepest[_facet(search, pair, left)].astype(jnp.float32)
-    highest = most(below.a, below.b)  # (4, 4): flattened here, XLA would make no vectors of it
+    highest = most(below.a, below.b)  # (4, 4): if flattened here, XLA does not vectorize it
     yes = (highest > sure) & (bound > sure)
     code = (left - 1).astype(pair.dtype)
     pairs = pushed_where(stack.pairs, yes, lambda lane: below.pair(lane) * 4 + code)
@@ -159,7 +159,7 @@ def _expand_top(search: DepthSearch, most: Callable[[Array, Array], Array], stac
 
 
 def _rays_tried(search: DepthSearch, X: Pose, stack: _Stack, best: _Best) -> tuple[_Stack, _Best]:
-    """The top pair's rays: those that pass through a node's disc are tried on its triangles."""
+    """Pops the top pair and tests its rays: those that pass through a node's disc are tested on its triangles."""
     pair, left, bound, rest = stack.top()
     below = search.descent.below(pair, jnp.ones((), jnp.int32))
     sure = best.depth[_facet(search, pair, 1)].astype(jnp.float32)
@@ -173,7 +173,7 @@ def _rays_tried(search: DepthSearch, X: Pose, stack: _Stack, best: _Best) -> tup
 
 
 def _ray(search: DepthSearch, X: Pose, pair: Array, best: _Best) -> _Best:
-    """The ray of a corner through the sixteen triangles of a node."""
+    """Tests the ray of a corner on the sixteen triangles of a node."""
     corners, rotation = search.corners, X.orientation.rotation()
     i, j = unpacked(pair, corners.depth)
     rows = jax.lax.dynamic_slice_in_dim(search.onto.tree.triangles, i * LANES, LANES).T
@@ -193,23 +193,24 @@ def _ray(search: DepthSearch, X: Pose, pair: Array, best: _Best) -> _Best:
     )
 
 
-# Along its own normal a corner of a sphere is as deep as the point where its ray leaves is nearer to the sphere's
-# middle than the radius; a normal tilted against the sphere's makes that a little more. So a shell around a node's
-# corners and a disc around a node's triangles bound the depth; both nodes' discs tell whether one is over the other.
+# The depth of a sphere's corner along the sphere's normal is the radius less the distance from the sphere's middle to
+# the ray's exit; a normal tilted against the sphere's adds a little. So a shell around a node's corners and a disc
+# around a node's triangles bound the depth; both nodes' discs show whether one is over the other.
 
 
-MOST_TILT = 0.4  # tilt of normals against a shell's above which it gives no bound
+MOST_TILT = 0.4  # tilt of normals against a shell's normals above which the shell gives no bound
 
 
 def triangle_nodes(discs: Sequence[Array], limit: Array) -> list[Array]:
-    """Rows (9): a disc (8), and how far above it corners may be that are deep by the limit [m] at most."""
-    # Rays leave outward: corners are below, but for what triangles are inclined to their disc.
+    """Rows (9) per level: a disc (8), and how far above it a corner within the depth limit [m] can be [m]."""
+    # Rays exit outward, so corners are below the disc, except as far as triangles are inclined to it.
     return [_single(d, d[:, 7] + ROUGH + limit * jnp.minimum(4 * d[:, 7] / d[:, 6], 1.0)) for d in discs]
 
 
 def corner_nodes(levels: Sequence[Array], limit: Array) -> list[Array]:
-    """Rows (15): a disc (8), a sphere's middle (3), 1 or -1 where corners look outward or inward, p and q for which
-    p - q d bounds the depth [m] at a distance d from the middle, and the sine of the most that a normal turns.
+    """Rows (15) per level: disc (8); sphere's middle (3); 1 where normals point away from the middle, else -1; p and q,
+    where p - q d bounds the depth [m] of a ray that exits at a distance d from the middle; bound on the sine of the
+    angle between normals and the disc's.
     """
     rows = []
     for level in levels:
@@ -219,7 +220,7 @@ def corner_nodes(levels: Sequence[Array], limit: Array) -> list[Array]:
         bounded = (tilt < MOST_TILT) & (jnp.abs(radius) > 2 * limit)
         stretch = jnp.where(bounded, 1 / (1 - 2 * jnp.minimum(tilt, MOST_TILT)), 0.0)
         most = jnp.where(bounded, stretch * (radius + half + ROUGH), limit)
-        # Across the disc the sphere's normal turns by the disc's radius over its own.
+        # Across the disc the sphere's normal turns by the ratio of the disc's radius to the sphere's.
         turn = disc[:, 6] / jnp.maximum(jnp.abs(radius) - half, 1e-6)
         sine = jnp.minimum(turn + jnp.sqrt(2 * jnp.minimum(tilt, 0.5)), 1.0)
         rows.append(_single(disc, middle, way, most, way * stretch, sine))
@@ -227,12 +228,12 @@ def corner_nodes(levels: Sequence[Array], limit: Array) -> list[Array]:
 
 
 def most_depth(a: Array, b: Array, rotation: Rotation, position: Vec3, limit: Array) -> Array:
-    """Bounds [m] (m, n) on the depth of corners below nodes b (15, m, n) whose rays leave through what is below nodes a
-    (9, m, n); -1 where there can be none.
+    """Upper bounds (m, n) [m] on the depth of corners in nodes b (15, m, n) whose rays exit through triangles in nodes
+    a (9, m, n); -1 if no ray can.
 
     Args:
-        a, b: of `triangle_nodes` and `corner_nodes`, a component a row.
-        rotation, position: of b's frame in a's.
+        a, b: rows of `triangle_nodes` and `corner_nodes`, one component per row.
+        rotation, position: pose of b's frame in a's.
         limit: longer rays do not count [m].
     """
     disc, axis, radius, half = Vec3(*a[:3]), Vec3(*a[3:6]), a[6], a[7]
@@ -246,7 +247,7 @@ def most_depth(a: Array, b: Array, rotation: Rotation, position: Vec3, limit: Ar
     normal = rotation.apply(Vec3(*b[3:6]))
     away = rotation.apply(Vec3(*b[:3])) + position - disc
     along, wide = away.dot(normal), radius + half
-    # A ray starts within b's disc and leaves it sideways by the turn of the normals at most.
+    # A ray starts within b's disc; the angle between normals bounds how far it moves sideways.
     reach = wide + b[6] + jnp.where(highest < limit, highest, limit) * sine
     aside = away.squared_norm() - along * along
     facing = normal.dot(axis)

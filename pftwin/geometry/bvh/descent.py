@@ -1,9 +1,9 @@
-"""Descends two trees together to the pairs of leaves that pass a test.
+"""Simultaneous breadth-first descent of two trees to the pairs of leaves that pass a test.
 
-A pair of nodes is replaced by the sixteen pairs of their descendants, two levels further down in both trees; where one
-tree is much deeper, first four levels down in that one alone. All sixteen are tested at once; those that pass are
-queued. One pair of nodes at a time, and one component of their descendants' volumes a row of sixteen, is what a CPU
-does best: some 80 ns for sixteen tests. All steps two levels down share one table and one loop, compiled once.
+A step replaces a pair of nodes by sixteen pairs of their descendants, two levels down in both trees; if one tree is
+much deeper, the first steps go four levels down in that tree alone. The sixteen pairs are tested together, and those
+that pass are queued. Taking one pair of nodes at a time, each component of the sixteen volumes in one row, is fastest
+on a CPU: about 80 ns for sixteen tests. All two-level steps share one table and one loop, which is compiled once.
 """
 
 from __future__ import annotations
@@ -19,20 +19,20 @@ from jaxtyping import Array
 
 from pftwin.geometry.bvh.loops import Queue, pushed_where, queue_of
 
-Blocks = Array  # (parents, components, children): the volumes of nodes' descendants, a component a row
-Test = Callable[[Array, Array], Array]  # both nodes' descendants (components, m, n) -> (m, n) bool
-TWO = 2  # levels of a step in both trees
+Blocks = Array  # (parents, components, children): volumes of nodes' descendants, one component per row
+Test = Callable[[Array, Array], Array]  # volumes of both nodes' descendants, (components, m, n) each -> (m, n) bool
+TWO = 2  # levels per step in both trees
 
 
 class LevelStep(NamedTuple):
-    """Levels of the two trees before and after a step; sixteen pairs of descendants each."""
+    """Levels of the two trees before and after a step; a pair of nodes has sixteen pairs of descendants."""
 
     start: tuple[int, int]
     end: tuple[int, int]
 
     @property
     def many(self) -> tuple[int, int]:
-        """Descendants of a node of either tree."""
+        """Numbers of descendants of one node, in each tree."""
         return 1 << (self.end[0] - self.start[0]), 1 << (self.end[1] - self.start[1])
 
 
@@ -40,29 +40,29 @@ class Descendants(NamedTuple):
     """The sixteen pairs below a pair of nodes."""
 
     a: Array  # (components, m, n)
-    b: Array
-    pair: Callable[[Array], Array]  # which one is in a lane
+    b: Array  # same shape
+    pair: Callable[[Array], Array]  # packed pair of a lane
 
 
 class Descent(eqx.Module):
-    """The volumes of two trees, arranged for descent: made once, before a loop."""
+    """The volumes of two trees, arranged for descent; make it once, before a loop."""
 
-    alone: tuple[tuple[Blocks, Blocks], ...]  # of the first steps, four levels down in one tree
-    together: tuple[Blocks, Blocks]  # of all further steps, one after the other
-    depths: tuple[int, int] = eqx.field(static=True)
+    alone: tuple[tuple[Blocks, Blocks], ...]  # for the first steps, four levels down in one tree
+    together: tuple[Blocks, Blocks]  # for all further steps, concatenated
+    depths: tuple[int, int] = eqx.field(static=True)  # levels below the roots
 
     @property
     def steps(self) -> tuple[list[LevelStep], list[LevelStep]]:
-        """Steps down in one tree, then in both."""
+        """Steps in one tree alone, and the steps in both trees that follow."""
         return steps_down(self.depths)
 
     @property
     def code(self) -> jnp.dtype:
-        """An integer type that holds a packed pair and two bits."""
+        """Integer type that can hold a packed pair and two bits."""
         return jnp.dtype(jnp.int32 if sum(self.depths) <= 29 else jnp.int64)
 
     def below(self, pair: Array, left: Array) -> Descendants:
-        """The descendants of a pair of nodes that is a given number of steps (1 or more) above the leaves."""
+        """Descendants of a packed pair of nodes that is `left` (1 or more) steps above the leaves."""
         b_level = (self.depths[1] - TWO * left).astype(pair.dtype)
         i, j = pair >> b_level, pair & ((jnp.ones((), pair.dtype) << b_level) - 1)
         _, steps = self.steps
@@ -81,7 +81,7 @@ class Descent(eqx.Module):
 
 
 def steps_down(depths: tuple[int, int]) -> tuple[list[LevelStep], list[LevelStep]]:
-    """From few pairs of nodes to all pairs of leaves: steps down in the deeper tree alone, then in both."""
+    """Steps from the top to the leaves of trees of these depths: in the deeper tree alone, then in both."""
     together: list[LevelStep] = []
     a, b = depths
     while a >= TWO and b >= TWO:
@@ -96,7 +96,7 @@ def steps_down(depths: tuple[int, int]) -> tuple[list[LevelStep], list[LevelStep
 
 
 def descent(a: Sequence[Array], b: Sequence[Array]) -> Descent:
-    """Arranges the volumes of two trees' levels, each (2^l, components), for descent."""
+    """Arranges the volumes of two trees for descent; level l of a tree is (2^l, components)."""
     depths = len(a) - 1, len(b) - 1
     alone, together = steps_down(depths)
     blocks = [[_blocks(x[s.end[k]], s.many[k]) for s in (*alone, *together)] for k, x in enumerate((a, b))]
@@ -111,9 +111,9 @@ def _blocks(level: Array, many: int) -> Blocks:
 
 
 def side_by_side(a: Array, b: Array) -> tuple[Array, Array]:
-    """Components (k, m) and (l, n) of the descendants of two nodes as (k, m, n) and (l, m, n).
+    """Broadcasts components (k, m) and (l, n) of two nodes' descendants to (k, m, n) and (l, m, n).
 
-    Held back from fusion: written out once, the test that follows runs on rows of sixteen.
+    The optimization barrier prevents fusion, so that the test that follows runs on rows of sixteen.
     """
     shape = a.shape[1], b.shape[1]
     wide = jnp.broadcast_to(a[:, :, None], (a.shape[0], *shape)), jnp.broadcast_to(b[:, None, :], (b.shape[0], *shape))
@@ -121,18 +121,18 @@ def side_by_side(a: Array, b: Array) -> tuple[Array, Array]:
 
 
 def unpacked(pair: Array, b_level: int) -> tuple[Array, Array]:
-    """The nodes of both trees from packed pairs: a's node times the number of b's nodes at the level, plus b's."""
+    """Nodes of both trees from packed pairs: a's node times the number of b's nodes at its level, plus b's node."""
     return (pair >> b_level).astype(jnp.int32), (pair & ((1 << b_level) - 1)).astype(jnp.int32)
 
 
 def go_down(descent: Descent, test: Test, width: int, stop: int = 0) -> tuple[Queue, Array]:
-    """Pairs of nodes, packed, that pass the test at every step, and whether any was lost.
+    """Packed pairs of nodes that pass the test at every step, and whether any was lost for want of capacity.
 
     Args:
         descent: both trees.
-        test: of sixteen pairs of volumes.
-        width: pairs that there is room for, at any level.
-        stop: steps that are left out at the end; 0 goes down to the leaves.
+        test: for sixteen pairs of volumes.
+        width: capacity for pairs, at any level.
+        stop: number of last steps to omit; 0 descends to the leaves.
     """
     alone, together = descent.steps
     top = (alone[0] if alone else together[0]).start if alone or together else descent.depths
@@ -162,7 +162,7 @@ def go_down(descent: Descent, test: Test, width: int, stop: int = 0) -> tuple[Qu
 
 
 def _one_down(step: LevelStep, blocks: tuple[Blocks, Blocks], queue: Queue, test: Test, width: int) -> Queue:
-    """A step of any shape: four levels down in one tree."""
+    """One step four levels down in one tree."""
     of_a, of_b = blocks
     n, below = step.many[1], step.end[1]
     shift = n.bit_length() - 1

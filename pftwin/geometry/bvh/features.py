@@ -1,8 +1,8 @@
-"""Outward normals at a triangle's face, edges and corners, and which of them lie on the rim or the facets' seam.
+"""Pseudo-normals at triangles' faces, edges and corners, and which of these lie on the rim or on the facets' seam.
 
-The seven features of a triangle are numbered as in `pftwin.geometry.bvh.triangle`. Out at an edge is the mean of its
-two triangles' normals, at a corner that of all its triangles' by their angles: the only choice for which the side of
-the nearest point is always the side of the surface (Baerentzen and Aanaes 2005).
+The seven features of a triangle are numbered as in `pftwin.geometry.bvh.triangle`. An edge's normal is the mean of its
+two triangles' normals, a corner's the angle-weighted mean of its triangles' normals: with these the sign of the
+distance at the nearest point is always right (Baerentzen and Aanaes 2005).
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ from pftwin.geometry.mesh.topology import Edges, edges_of
 
 
 class Features(NamedTuple):
-    """Of every triangle's face, three edges and three corners, in this order."""
+    """Properties of each triangle's face, three edges and three corners, in this order."""
 
-    outward: NDArray[np.float64]  # (m, 7, 3) unit
+    outward: NDArray[np.float64]  # (m, 7, 3) unit outward pseudo-normals
     rim: NDArray[np.bool_]  # (m, 7) on the boundary of an open mesh
     seam: NDArray[np.bool_]  # (m, 7) shared with a triangle of another label
 
 
 def features_of(mesh: SurfaceMesh, label: NDArray[np.int64]) -> Features:
-    """The features of a mesh whose triangles bear labels (m,), one for each facet."""
+    """Computes the features of a mesh; `label` (m,) holds the facet of each triangle."""
     faces, n = mesh.faces, len(mesh.vertices)
     normals = mesh.area_vectors / np.maximum(mesh.face_areas, 1e-300)[:, None]
     edges = edges_of(faces)
@@ -41,14 +41,14 @@ def features_of(mesh: SurfaceMesh, label: NDArray[np.int64]) -> Features:
 
 
 def _marked_features(faces: NDArray, edges: Edges, marked: NDArray) -> NDArray[np.bool_]:
-    """(m, 7) from marks on edges: their ends are marked too, faces never."""
+    """Features (m, 7) on marked edges (e,): the edges and their ends, never faces."""
     ends = np.zeros(edges.corners.max() + 1, dtype=bool)
     ends[edges.corners[marked]] = True
     return np.concatenate([np.zeros((len(faces), 1), bool), marked[edges.of_face], ends[faces]], axis=1)
 
 
 def _label_borders(edges: Edges, label: NDArray) -> NDArray[np.bool_]:
-    """Which edges have triangles of different labels (m,)."""
+    """Which edges, (e,), have triangles of different labels (m,)."""
     lowest, highest = np.full(len(edges.corners), label.max()), np.full(len(edges.corners), label.min())
     np.minimum.at(lowest, edges.of_face.ravel(), np.repeat(label, 3))
     np.maximum.at(highest, edges.of_face.ravel(), np.repeat(label, 3))
@@ -56,7 +56,7 @@ def _label_borders(edges: Edges, label: NDArray) -> NDArray[np.bool_]:
 
 
 def border_edges(mesh: SurfaceMesh, label: NDArray) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The edges (k, 6) where triangles of different labels (m,) meet, and those of an open mesh's boundary."""
+    """End points (k, 6) of the edges between triangles of different labels (m,), and of an open mesh's boundary."""
     edges = edges_of(mesh.faces)
     marked = _label_borders(edges, label), edges.count == 1
     seam, rim = (mesh.vertices[edges.corners[m]].reshape(-1, 6) for m in marked)

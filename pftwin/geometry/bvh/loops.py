@@ -1,8 +1,8 @@
-"""Lists that grow by up to sixteen entries at a time, for loops that a compiler makes one function of.
+"""Lists of fixed capacity for JAX loops, which grow by up to sixteen entries at a time (stream compaction).
 
-Which of sixteen answers are yes is packed into two bytes; a table turns a byte into the places of its ones, which are
-written in one go, and the next write overwrites what was too much. One array a list: with several written in one loop
-XLA's CPU compiler may copy them whole at every turn.
+Sixteen conditions are packed into two bytes. A table gives the positions of a byte's ones; eight entries are written
+at once, and the next write overwrites the surplus. Each list is a single array: if a loop writes several arrays, XLA's
+CPU compiler may copy them whole in every iteration.
 """
 
 from __future__ import annotations
@@ -23,36 +23,36 @@ LANES = 16
 _BYTE = 8
 
 
-# For every byte its bits, the places of its ones in order, and their number.
+# For every byte: its bits, the positions of its ones in order, and their number.
 _BITS = (np.arange(256)[:, None] >> np.arange(_BYTE)) & 1
 _PLACES, _COUNT = np.argsort(1 - _BITS, axis=1, kind="stable").astype(np.int32), _BITS.sum(axis=1).astype(np.int32)
 _WEIGHTS = (1 << np.arange(_BYTE)).astype(np.int32)
 
 
 class Queue(NamedTuple):
-    """Entries up to the count; later ones are meaningless."""
+    """A list of fixed capacity; entries past the count are meaningless."""
 
-    entries: Array  # (width + 8,) integers
-    count: Array  # () int32: how many were added, which may exceed the capacity
+    entries: Array  # (width + 8,)
+    count: Array  # () int32: number of entries added, which may exceed the capacity
 
     @property
     def width(self) -> int:
-        """Entries that there is room for."""
+        """Capacity."""
         return self.entries.shape[0] - _BYTE
 
     @property
     def length(self) -> Array:
-        """Entries that can be read, () int32."""
+        """Number of valid entries, () int32."""
         return jnp.minimum(self.count, jnp.asarray(self.width, jnp.int32))
 
     @property
     def overflow(self) -> Array:
-        """Whether some were lost."""
+        """Whether entries were lost."""
         return self.count > self.width
 
 
 def queue_of(width: int, first: Array | None = None, dtype: jnp.dtype = jnp.int32) -> Queue:
-    """A queue that is empty, or holds the `first` entries (n,)."""
+    """Makes a queue of a capacity, empty or with the entries `first` (n,)."""
     n = 0 if first is None else first.shape[0]
     entries = jnp.zeros(max(width, n) + _BYTE, dtype)
     if first is not None:
@@ -61,12 +61,12 @@ def queue_of(width: int, first: Array | None = None, dtype: jnp.dtype = jnp.int3
 
 
 def pushed_where(queue: Queue, yes: Array, value_of: Callable[[Array], Array]) -> Queue:
-    """The queue with the values of those of sixteen lanes that are true at its end.
+    """Appends the values of those of sixteen lanes whose condition is true.
 
     Args:
-        queue: to write to.
-        yes: (16,) bool.
-        value_of: the values (8,) of lanes (8,), int32.
+        queue: to append to.
+        yes: condition of each lane, sixteen bool of any shape.
+        value_of: function from lane numbers (8,) int32 to values (8,).
     """
     return Queue(*written_where(queue.entries, queue.count, queue.width, yes, value_of))
 
@@ -74,9 +74,9 @@ def pushed_where(queue: Queue, yes: Array, value_of: Callable[[Array], Array]) -
 def written_where(
     entries: Array, at: Array, last: int, yes: Array, value_of: Callable[[Array], Array]
 ) -> tuple[Array, Array]:
-    """A list with the values of those of sixteen lanes that are true from a place on, and the place after them.
+    """Writes the values of those of sixteen lanes whose condition is true to a list from position `at` on.
 
-    Past the place `last` nothing of use is written; the list has eight more.
+    Returns the list and the position after the last value. `last` is the capacity; the list is eight entries longer.
     """
     bits = yes.reshape(LANES).astype(jnp.int32)
     end, places, counts = (jnp.asarray(x, jnp.int32) for x in (last, _PLACES, _COUNT))
@@ -88,15 +88,15 @@ def written_where(
     return entries, at
 
 
-# A loop that ends when its own list does is fast alone. Mapped over a batch it turns to the slowest member's end, and
-# every turn works on all members with masks. So on a CPU members take turns; elsewhere a batch runs at once.
-# Answers are stacked as one array for each type of number: with several, XLA's CPU compiler joins what writes them to
-# one piece of code that goes over all members' answers for every member.
+# Under vmap a loop runs as long as its slowest element needs, and every iteration works on all elements with masks. So
+# on a CPU the elements of a batch run one after the other; elsewhere the batch runs at once. Results are stacked as one
+# array per dtype: with more arrays, XLA's CPU compiler fuses their writes into code that for every element goes over
+# all elements' results.
 
 
 @custom_vmap
 def most_in_batch(count: Array) -> Array:
-    """The largest of a batch's counts (), the same for every member: what depends on it alone needs no masks."""
+    """Largest count () in the batch, the same for all its elements, so that what depends on it alone needs no masks."""
     return count
 
 
@@ -105,11 +105,11 @@ def _most_of_all(_size: int, _is_batched: Any, counts: Array) -> tuple[Array, bo
     return most_in_batch(jnp.max(counts, axis=0)), False
 
 
-Packed = dict[str, Array]  # by the type of number
+Packed = dict[str, Array]  # by dtype
 
 
 def member_by_member(search: Callable[..., Any]) -> Callable[..., Any]:
-    """A search whose answer is not differentiated, and which in a batch on a CPU runs for one member at a time."""
+    """Wraps a search: its result has no derivatives, and on a CPU vmap runs it for one element at a time."""
     if jax.default_backend() == "cpu":
         search = _in_turns(search)
     return lambda *args: search(*stop_gradient(args))
@@ -133,7 +133,7 @@ def _in_turns(search: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _pack_leaves(answer: Any) -> Packed:
-    """All leaves of one type as one array."""
+    """Concatenates all leaves of one dtype."""
     kinds: dict[str, list[Array]] = {}
     for x in jax.tree.leaves(answer):
         kinds.setdefault(x.dtype.name, []).append(x.reshape(-1))

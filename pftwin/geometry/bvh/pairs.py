@@ -1,7 +1,7 @@
-"""Which triangles of two meshes meet: the brute force's answer, by going down both trees.
+"""Finds the pairs of triangles of two meshes that intersect, by descending both trees.
 
-Bounding volumes and planes are looked at in single precision, with room for its rounding; whether two triangles meet is
-decided in full precision, on the few that are left.
+The result is that of testing all pairs. Bounding volumes and planes are tested in single precision, with a margin for
+rounding; the remaining pairs of triangles are tested in full precision.
 """
 
 from __future__ import annotations
@@ -21,48 +21,48 @@ from pftwin.geometry.bvh.triangle import Triangle, triangles_cross
 
 LEAF = 4  # triangles in a leaf: sixteen pairs of triangles in a pair of leaves
 NODES = 2048  # capacity for pairs of nodes
-CANDIDATES = 8192  # capacity for triangles that may meet
-MEETING = 512  # capacity for triangles that do
+CANDIDATES = 8192  # capacity for pairs of triangles that may intersect
+MEETING = 512  # capacity for pairs of triangles that do
 
 
 class Pairs(NamedTuple):
-    """Pairs of triangles, by their places in the two trees."""
+    """Pairs of triangles that intersect."""
 
-    a: Array  # (width,) int32
-    b: Array  # (width,) int32
-    count: Array  # () int32: entries that count, from the start
-    overflow: Array  # () bool: pairs were lost
+    a: Array  # (width,) int32: places in the first tree
+    b: Array  # (width,) int32: places in the second tree
+    count: Array  # () int32: number of valid entries, at the start
+    overflow: Array  # () bool: a list was full and pairs were lost
 
 
 class PairListLengths(NamedTuple):
     """Capacities of the lists of a search."""
 
-    nodes: int
-    candidates: int
-    meeting: int = MEETING
+    nodes: int  # pairs of nodes
+    candidates: int  # pairs of triangles that may intersect
+    meeting: int = MEETING  # pairs of triangles that do
 
 
 class PairSearch(eqx.Module):
-    """Two trees, arranged for searches: made once, before a loop."""
+    """The search for intersecting triangles of two trees; make it once, before a loop."""
 
     a: MeshTree
     b: MeshTree
     descent: Descent
-    triangles: tuple[Array, Array]  # of both trees' leaves (leaves, 13, 4): with their planes
-    near: Scalar  # distance within which a triangle counts as reaching a plane [m]
-    room: PairListLengths = eqx.field(static=True)
+    triangles: tuple[Array, Array]  # both trees' leaves (leaves, 13, 4): triangles and their planes
+    near: Scalar  # distance within which a triangle is taken to reach a plane [m]
+    room: PairListLengths = eqx.field(static=True)  # capacities
 
     def meeting(self, X_AB: Pose) -> Pairs:
-        """The triangles that meet with b's mesh at a pose in a's frame. Jit and vmap apply; not differentiated."""
+        """Pairs that intersect with b at a pose in a's frame. Supports jit and vmap; no derivatives."""
         return member_by_member(_leaves_that_meet)(self, X_AB)
 
 
 def pair_search(a: MeshTree, b: MeshTree, room: PairListLengths | None = None) -> PairSearch:
-    """The search for pairs of two trees.
+    """Makes the search for intersecting triangles of two trees.
 
     Args:
-        a, b: trees with four triangles a leaf.
-        room: None: more than an implant and a button need.
+        a, b: trees with four triangles per leaf.
+        room: capacities; None: more than an implant and a button need.
     """
     if (a.leaf, b.leaf) != (LEAF, LEAF):
         raise TypeError(f"leaves of {a.leaf} and {b.leaf} triangles: expected {LEAF}")
@@ -86,12 +86,12 @@ def _leaves_that_meet(search: PairSearch, X_AB: Pose) -> Pairs:
 
 
 def _pair_and_lane(leaves: Queue, entries: Array) -> tuple[Array, Array]:
-    """Pair of leaves and lane of an entry: the pair's place in its list times sixteen, plus the lane."""
+    """Pair of leaves and lane of an entry, which is the pair's position in its list times sixteen, plus the lane."""
     return leaves.entries[entries // LANES], entries % LANES
 
 
 def _candidates(search: PairSearch, X: Pose, leaves: Queue) -> Queue:
-    """Triangles that reach each other's planes."""
+    """Pairs of triangles that reach each other's planes."""
 
     def body(k: Array, found: Queue) -> Queue:
         i, j = unpacked(jax.lax.dynamic_index_in_dim(leaves.entries, k, 0, keepdims=False), search.b.depth)
@@ -106,7 +106,7 @@ def _candidates(search: PairSearch, X: Pose, leaves: Queue) -> Queue:
 
 
 def _exact(search: PairSearch, X: Pose, leaves: Queue, candidates: Queue) -> Queue:
-    """Of the candidates those that meet, sixteen at a time."""
+    """The candidates that intersect, tested sixteen at a time."""
     b_depth = search.b.depth
     lanes = jnp.arange(LANES, dtype=jnp.int32)
 
@@ -127,16 +127,16 @@ def _exact(search: PairSearch, X: Pose, leaves: Queue, candidates: Queue) -> Que
     return jax.lax.while_loop(lambda s: s[0] < candidates.length, body, start)[1]
 
 
-# Two triangles meet only where each reaches the other's plane. Planes are made in full precision, so that single
-# precision tells heights above them to some ten nanometres; a triangle too narrow even for that reaches everything.
+# Two triangles intersect only if each reaches the other's plane. Planes are computed in full precision, so that heights
+# above them are right to some ten nanometres in single precision; a triangle too narrow for that passes every test.
 
 
-SLACK = 1e-5  # share of a mesh's size by which single precision is certainly not off
-Rows = Array  # (13, 4): components of three corners, of a unit normal, and the plane's height above the origin
+SLACK = 1e-5  # upper bound on the error of single precision, as a share of the mesh's size
+Rows = Array  # (13, 4): components of three corners and of a unit normal, and the plane's height above the origin
 
 
 def leaves_with_planes(tree: MeshTree) -> Array:
-    """Of every leaf (leaves, 13, 4) float32; NaN, which reaches nothing, where a place is empty."""
+    """Triangles and planes of every leaf (leaves, 13, 4), float32; NaN, which fails every test, in an empty place."""
     t = Triangle.of_rows(tree.triangles)
     normal, ab, ac = t.area_vector(), t.b - t.a, t.c - t.a
     square, long = normal.squared_norm(), ab.squared_norm() + ac.squared_norm()
@@ -151,10 +151,10 @@ def leaves_with_planes(tree: MeshTree) -> Array:
 
 
 def triangles_within_reach(of_a: Rows, of_b: Rows, X_AB: Pose, room: Scalar) -> Array:
-    """Which triangles of two leaves reach each other's planes, or `room` [m] short of them, (4, 4) bool."""
+    """Which triangles of two leaves reach each other's planes, or come within `room` [m] of them, (4, 4) bool."""
     rotation, position = X_AB.orientation.rotation(), X_AB.position
     (corners_a, normal_a, height_a), (corners_b, normal_b, height_b) = (_parts(r) for r in (of_a, of_b))
-    # Planes are brought into the other's frame, not corners: they are fewer.
+    # Planes are moved into the other's frame, not corners: there are fewer.
     b_in_a = rotation.apply(normal_b)
     first = _straddles(corners_a, 0, b_in_a, height_b + b_in_a.dot(position), room)
     second = _straddles(corners_b, 1, rotation.unapply(normal_a), height_a - normal_a.dot(position), room)
@@ -166,7 +166,7 @@ def _parts(rows: Rows) -> tuple[list[Vec3], Vec3, Array]:
 
 
 def _straddles(corners: list[Vec3], axis: int, normal: Vec3, height: Array, room: Scalar) -> Array:
-    """Whether corners (4,), along one axis of the answer, are on both sides of planes (4,) along the other, or near."""
+    """Whether corners (4,), along one axis of the result, are on both sides of planes (4,) along the other, or near."""
     down, across = (slice(None), None), (None, slice(None))
     of_corner, of_plane = (down, across) if axis == 0 else (across, down)
     n, h = Vec3(*(x[of_plane] for x in (normal.x, normal.y, normal.z))), height[of_plane]
@@ -176,7 +176,7 @@ def _straddles(corners: list[Vec3], axis: int, normal: Vec3, height: Array, room
 
 
 def _lesser(x: Array, y: Array) -> Array:
-    # One instruction; `minimum`, which must hand on NaN, is four. Here NaN is in all corners or in none.
+    # One instruction; `minimum`, which must propagate NaN, takes four. Here all corners are NaN or none is.
     return jnp.where(x < y, x, y)
 
 

@@ -1,10 +1,10 @@
-"""A triangle mesh with its tree of discs, as a pytree; and how it is built.
+"""A triangle mesh with its bounding volume hierarchy of discs, as a pytree, and the functions that build it.
 
-The tree is complete: level l has 2^l nodes, the children of node i are 2 i and 2 i + 1 of the next level, and the
-triangles of the leaf i are in the places from i * leaf on. Every split halves a node's triangles, to within one, along
-the axis in which their middles reach farthest, so a node's triangles and its descendants at any level are neighbours in
-memory. Discs are single precision and hold their triangles with room for its rounding; triangles are in JAX's default
-float type.
+The tree is a complete binary tree: level l has 2^l nodes, the children of node i are nodes 2 i and 2 i + 1 of the next
+level. A "place" is a slot for a triangle; leaf i has the places from i * leaf on. A split halves a node's triangles, to
+within one, along the axis in which their centroids extend farthest. So a node's triangles, and its descendants at any
+level, are contiguous in memory. Discs are single precision and contain their triangles with a margin for rounding;
+triangles have JAX's default float type.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ from pftwin.base.spatial import Rotation, Vec3
 from pftwin.base.text_files import MESH_TRIANGLES
 from pftwin.geometry.mesh.mesh import SurfaceMesh
 
-ROUNDING = 32 * float(np.finfo(np.float32).eps)  # of the largest coordinate: what single precision may be off
+ROUNDING = 32 * float(np.finfo(np.float32).eps)  # bound on single precision's error, as a share of the coordinates
 CANCELLED = 1e-6  # rounding of a difference of squares in single precision, with a margin
 
 
 class MeshTree(eqx.Module):
-    """A mesh and its tree. Arrays are leaves: a moved or another mesh of the same size re-uses the compiled program."""
+    """A mesh and its tree. All arrays are pytree leaves, so another mesh of the same size reuses compiled programs."""
 
-    triangles: Array  # (places, 9) corners a, b, c [m]
-    index: Array  # (places,) int32: which triangle; in an empty place, which holds a copy, -1 - its original
+    triangles: Array  # (places, 9) corners a, b, c [m]; an empty place has a copy of another triangle
+    index: Array  # (places,) int32: the triangle's index in the mesh; in an empty place, -1 - the copied one's index
     levels: tuple[Array, ...]  # (2^l, 8) float32 discs, the root first
 
     @property
@@ -44,21 +44,21 @@ class MeshTree(eqx.Module):
 
     @property
     def leaf(self) -> int:
-        """Places in a leaf."""
+        """Places per leaf."""
         return self.index.shape[-1] >> self.depth
 
     def source_index(self) -> Array:
-        """Which triangle of the mesh is in each place, copies included, (places,)."""
+        """Index of the mesh's triangle in each place, including copies, (places,)."""
         return jnp.where(self.index < 0, -1 - self.index, self.index)
 
 
 def build_tree(mesh: SurfaceMesh, *, leaf: int = 4, depth: int | None = None) -> MeshTree:
-    """The tree of a mesh, from the cache where one of the same content was built before.
+    """Builds the tree of a mesh, or reads it from the cache if it was built before.
 
     Args:
         mesh: open or closed [m].
-        leaf: most triangles in a leaf.
-        depth: levels below the root, if more than the mesh needs.
+        leaf: largest number of triangles in a leaf.
+        depth: levels below the root; None: as many as the mesh needs.
 
     Raises:
         InputError: a leaf of no triangles; a depth too small; a mesh with no triangles, too many, or not finite.
@@ -76,7 +76,7 @@ def build_tree(mesh: SurfaceMesh, *, leaf: int = 4, depth: int | None = None) ->
 
 
 def check_searchable(mesh: SurfaceMesh) -> None:
-    """Refuse a mesh of no triangles, of too many, or with coordinates that are not finite."""
+    """Raises InputError for a mesh with no triangles, with too many, or with coordinates that are not finite."""
     if not 0 < len(mesh.faces) <= MESH_TRIANGLES:
         raise InputError(f"{len(mesh.faces)} triangles", where=mesh.source, expected=f"1 to {MESH_TRIANGLES}")
     if not np.isfinite(mesh.vertices).all():
@@ -84,9 +84,9 @@ def check_searchable(mesh: SurfaceMesh) -> None:
 
 
 def joined_tree(trees: Sequence[MeshTree]) -> MeshTree:
-    """One tree with two of the same depth and leaf below its root; or the only one as it is.
+    """Joins two trees of the same depth and leaf size below a new root; a single tree is returned as it is.
 
-    The triangles of the second tree come after those of the first; `index` stays each tree's own.
+    The second tree's triangles follow the first's; `index` still refers to each tree's own mesh.
     """
     if len(trees) == 1:
         return trees[0]
@@ -100,10 +100,10 @@ def joined_tree(trees: Sequence[MeshTree]) -> MeshTree:
 def tree_arrays(
     corners: NDArray[np.float64], leaf: int, depth: int
 ) -> tuple[NDArray[np.float64], NDArray[np.int32], tuple[NDArray[np.float32], ...]]:
-    """A tree's triangles, index and levels from corners (n, 3, 3)."""
+    """Triangles, index and levels of the tree (see `MeshTree`) of triangles with corners (n, 3, 3)."""
     index = median_order(corners.mean(axis=1), leaf, depth)
     placed = index.reshape(-1, leaf)
-    # A leaf without any triangle (a tree deeper than it needs to be) repeats the one before it.
+    # A leaf without triangles (in a tree deeper than necessary) repeats the leaf before it.
     full = np.maximum.accumulate(np.where(placed[:, 0] >= 0, np.arange(len(placed)), 0))
     places = np.where(placed >= 0, placed, placed[full, :1])
     triangles = corners[places.ravel()]
@@ -113,24 +113,24 @@ def tree_arrays(
 
 
 def _discs(triangles: NDArray[np.float64], level: int) -> NDArray[np.float32]:
-    """The discs (2^level, 8) of a tree's triangles (places, 3, 3)."""
+    """Discs (2^level, 8) of one level around a tree's triangles (places, 3, 3)."""
     margin = ROUNDING * float(np.abs(triangles).max())
     vectors = 0.5 * np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     return fit_discs(triangles.reshape(2**level, -1, 3), vectors.reshape(2**level, -1, 3), margin)
 
 
 def depth_for(n: int, leaf: int) -> int:
-    """Levels below the root of a complete tree whose leaves hold at most `leaf` of n triangles."""
+    """Levels below the root of a complete tree of n triangles with at most `leaf` in each leaf."""
     return max(0, math.ceil(math.log2(n / leaf)))
 
 
 def median_order(middles: NDArray[np.float64], leaf: int, depth: int) -> NDArray[np.int64]:
-    """Which triangle is in which place, -1 in the empty ones: (2^depth * leaf,).
+    """Triangle in each place of the tree, -1 if empty, (2^depth * leaf,).
 
     Args:
-        middles: (n, 3) of the triangles.
-        leaf: places in a leaf.
-        depth: of the tree, at least `depth_for` the triangles.
+        middles: the triangles' centroids (n, 3).
+        leaf: places per leaf.
+        depth: of the tree, at least `depth_for(n, leaf)`.
     """
     n = len(middles)
     rows, counts = np.arange(n)[None], np.array([n])
@@ -143,7 +143,7 @@ def median_order(middles: NDArray[np.float64], leaf: int, depth: int) -> NDArray
 
 
 def _split(middles: NDArray, rows: NDArray, counts: NDArray) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Every row's triangles in two rows; beyond its count a row holds copies of its first."""
+    """Splits the triangles of each row into two rows; entries beyond a row's count are copies of its first."""
     n_rows, width = rows.shape
     p = middles[rows]
     axis = np.argmax(np.ptp(p, axis=1), axis=1)
@@ -159,16 +159,16 @@ def _split(middles: NDArray, rows: NDArray, counts: NDArray) -> tuple[NDArray[np
     return halves.reshape(2 * n_rows, half), np.stack([left, right], axis=1).ravel()
 
 
-# A disc is a flat round slab along the surface: middle, unit normal, radius, half thickness (8). It turns with the
-# surface, and so tells apart facets that face and nearly follow each other, where boxes along fixed axes overlap.
+# A disc is a flat round slab along the surface: middle, unit normal, radius, half thickness (8). It follows the
+# surface's direction and so separates facets that face each other closely, where axis-aligned boxes would overlap.
 
 
 def fit_discs(corners: NDArray[np.float64], vectors: NDArray[np.float64], margin: float) -> NDArray[np.float32]:
-    """The discs (nodes, 8) of the points (nodes, k, 3), across the mean of area vectors (nodes, m, 3)."""
+    """Discs (nodes, 8) around points (nodes, k, 3), normal to the mean of area vectors (nodes, m, 3)."""
     normal = vectors.sum(axis=1)
     size = np.linalg.norm(normal, axis=1, keepdims=True)
     normal = np.where(size > 0, normal / np.where(size > 0, size, 1), np.array([0.0, 0.0, 1.0]))
-    normal = normal.astype(np.float32).astype(np.float64)  # as it is stored
+    normal = normal.astype(np.float32).astype(np.float64)  # rounded as it is stored
     least = np.eye(3)[np.argmin(np.abs(normal), axis=1)]
     u = np.cross(normal, least)
     u /= np.linalg.norm(u, axis=1, keepdims=True)
@@ -184,7 +184,7 @@ def fit_discs(corners: NDArray[np.float64], vectors: NDArray[np.float64], margin
 
 
 def disc_distances(rows: Array, point: Array) -> Array:
-    """The least distances (...) that a point (3,) may have from the surface in discs (..., 8) [m]."""
+    """Lower bounds (...) on the distance from a point (3,) to the surface in discs (..., 8) [m]."""
     away = Vec3(*(point[i] - rows[..., i] for i in range(3)))
     height = jnp.abs(away.dot(Vec3(*(rows[..., 3 + i] for i in range(3)))))
     beside = jnp.sqrt(jnp.maximum(away.squared_norm() - height * height, 0))
@@ -194,10 +194,10 @@ def disc_distances(rows: Array, point: Array) -> Array:
 
 
 def discs_overlap(a: Array, b: Array, rotation: Rotation, position: Vec3) -> Array:
-    """Whether discs a (8, ...) and b (8, ...), a component a row, may touch.
+    """Whether discs a (8, ...) and b (8, ...), one component per row, may overlap.
 
-    They do not where a direction separates them: either's normal, or the line between their middles. b's frame in a's
-    is given by rotation and position.
+    They do not if a separating axis is found: either's normal, or the line between their middles. `rotation` and
+    `position` are those of b's frame in a's.
     """
     m, n = Vec3(*a[3:6]), rotation.apply(Vec3(*b[3:6]))
     away = rotation.apply(Vec3(*b[:3])) + position - Vec3(*a[:3])
@@ -206,11 +206,11 @@ def discs_overlap(a: Array, b: Array, rotation: Rotation, position: Vec3) -> Arr
     tilted = jnp.abs(1 - along * along) + CANCELLED  # square of the sine of the angle between them
     along = jnp.abs(along)
     over_a, over_b, square = jnp.abs(away.dot(m)), jnp.abs(away.dot(n)), away.squared_norm()
-    # Radii stand with roots, so squares are compared: x > r sqrt(s) where x > 0 and x^2 > r^2 s.
+    # Squares are compared to avoid roots: x > r sqrt(s) if x > 0 and x^2 > r^2 s.
     beyond_a, beyond_b = over_a - ta - tb * along, over_b - tb - ta * along
     apart = _exceeds_root(beyond_a, rb * rb * tilted) | _exceeds_root(beyond_b, ra * ra * tilted)
-    # Along the middles' line, times its length, discs reach r sqrt(s) each; (ra sqrt(s_a) + rb sqrt(s_b))^2 is at most
-    # (ra + rb) (ra s_a + rb s_b), and hardly less where both discs lie alike.
+    # Along the line between the middles, times its length, each disc extends r sqrt(s). (ra sqrt(s_a) + rb sqrt(s_b))^2
+    # is at most (ra + rb) (ra s_a + rb s_b), and nearly equal to it if both discs have similar directions.
     lost = CANCELLED * square
     aside_a, aside_b = (jnp.abs(square - over * over) + lost for over in (over_a, over_b))
     between = square - ta * over_a - tb * over_b
@@ -218,5 +218,5 @@ def discs_overlap(a: Array, b: Array, rotation: Rotation, position: Vec3) -> Arr
 
 
 def _exceeds_root(length: Array, square: Array) -> Array:
-    """Whether a length, which may be negative, is more than the root of a square."""
+    """Whether a length, which may be negative, exceeds the root of a square."""
     return (length > 0) & (length * length > square)

@@ -1,9 +1,9 @@
-"""The point of a triangle nearest to a point, in closed form, with the derivatives of its face, edge or corner.
+"""Triangles: nearest point, and the segment in which two triangles intersect, in closed form and differentiable.
 
-Where it lies (C. Ericson, Real-Time Collision Detection, section 5.1.5) is decided without derivatives; from there the
-point is a projection onto the face or the edge, or the corner itself, which is differentiable with respect to all. The
-distance's derivative is then the unit vector between the two points, as the envelope theorem says, and none is ever
-infinite: at a vertex, on an edge, or on the triangle itself.
+The feature that the nearest point lies on (C. Ericson, Real-Time Collision Detection, section 5.1.5) is chosen without
+derivatives. The point is then a projection onto the face or edge, or the corner itself, which is differentiable with
+respect to all inputs. By the envelope theorem the distance's derivative is the unit vector between the two points. No
+derivative is ever infinite, not even at a vertex, on an edge, or on the triangle itself.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from jaxtyping import Array
 from pftwin.base.spatial import Scalar, Vec3
 
 T = TypeVar("T")
-FACE = 0  # of a triangle's features: then come the edges ab, bc, ca and the corners a, b, c
+FACE = 0  # number of the face among a triangle's features; 1 to 3: edges ab, bc, ca; 4 to 6: corners a, b, c
 
 
 class Triangle(eqx.Module):
-    """A triangle, or a batch of them; counter-clockwise seen from outside."""
+    """A triangle or a batch of triangles; corners counter-clockwise seen from outside."""
 
     a: Vec3
     b: Vec3
@@ -31,7 +31,7 @@ class Triangle(eqx.Module):
 
     @staticmethod
     def of_rows(rows: Array) -> Triangle:
-        """From arrays (..., 9): corners a, b, c."""
+        """Makes triangles from arrays (..., 9): corners a, b, c."""
         return Triangle(*(Vec3(*(rows[..., 3 * k + i] for i in range(3))) for k in range(3)))
 
     def area_vector(self) -> Vec3:
@@ -43,18 +43,18 @@ class OnTriangle(NamedTuple):
     """The nearest point of a triangle."""
 
     point: Vec3
-    square: Scalar  # of the distance [m^2]
+    square: Scalar  # squared distance [m^2]
     feature: Array  # int32: 0 the face, 1 to 3 an edge, 4 to 6 a corner
 
 
 def closest_on_triangle(t: Triangle, p: Vec3) -> OnTriangle:
-    """The point of a triangle nearest to p, for batches of one shape. A triangle without area counts as its edges."""
+    """Nearest point of a triangle to p; both may be batches of one shape. A degenerate triangle is its edges."""
     ab, bc, ca = t.b - t.a, t.c - t.b, t.a - t.c
     ap, bp, cp = p - t.a, p - t.b, p - t.c
     normal = ab.cross(-ca)
     twice = normal.squared_norm()
     over = 1 / jnp.where(twice > 0, twice, 1)
-    # Inside the prism over the triangle, on whose sides the edges' normals stand.
+    # Whether p is in the prism over the triangle.
     inside = (normal.cross(ab).dot(ap) > 0) & (normal.cross(bc).dot(bp) > 0) & (normal.cross(ca).dot(cp) > 0)
     inside = inside & (twice > 0)
     height = ap.dot(normal)
@@ -68,39 +68,38 @@ def closest_on_triangle(t: Triangle, p: Vec3) -> OnTriangle:
 
 
 def _on_edge(start: Vec3, way: Vec3, arm: Vec3, p: Vec3, edge: int) -> tuple[Vec3, Scalar, Array]:
-    """The nearest point of an edge, the square of its distance, and whether it is the edge or one of its corners."""
+    """Nearest point of an edge, its squared distance, and the number of its feature: the edge or an end."""
     length = way.squared_norm()
     share = arm.dot(way) / jnp.where(length > 0, length, 1)
     before, beyond = share <= 0, share >= 1
-    share = jnp.where(before, 0.0, jnp.where(beyond, 1.0, share))  # its derivative ends at the corners
+    share = jnp.where(before, 0.0, jnp.where(beyond, 1.0, share))  # no derivative beyond the ends
     at = start + share * way
     corner = jnp.where(before, 4 + edge, jnp.where(beyond, 4 + (edge + 1) % 3, 1 + edge))
     return at, (p - at).squared_norm(), corner.astype(jnp.int32)
 
 
 def half_extent(corners: Array) -> Scalar:
-    """Half the largest extent along an axis of triangles given by their corners (n, 9) [m]."""
+    """Half the largest extent of triangles along a coordinate axis, from their corners (n, 9) [m]."""
     points = corners.reshape(-1, 3)
     return 0.5 * jnp.max(jnp.max(points, axis=0) - jnp.min(points, axis=0))
 
 
 class Segment(NamedTuple):
-    """Where two triangles cross, from `start` to `end` along the cross product of their normals."""
+    """The intersection of two triangles, from `start` to `end` along the cross product of their normals."""
 
     start: Vec3
     end: Vec3
-    # int32 bits: the edges (1, 2, 4: ab, bc, ca) of the first triangle, and of the second, that an end is on; each is
-    # on an edge of one of them
+    # int32 bits: edges (1, 2, 4: ab, bc, ca) of the first and of the second triangle that the end is on (one of both)
     start_edges: tuple[Array, Array]
     end_edges: tuple[Array, Array]
-    crossing: Array  # bool
+    crossing: Array  # bool: whether they intersect
 
 
 def triangles_cross(s: Triangle, t: Triangle) -> Array:
-    """Whether two triangles cross: an edge of one pierces the other. Triangles in one plane do not count.
+    """Whether two triangles cross: an edge of one pierces the other. Coplanar triangles do not count.
 
-    With signed volumes of tetrahedra alone, no division; for batches of one shape. An edge passes all of a triangle's
-    edges on the same side, or it misses; the nine volumes of two edges each serve both triangles.
+    For batches of one shape. Uses only signed volumes of tetrahedra, no division: an edge that pierces a triangle
+    passes all its edges on the same side. The nine volumes, of an edge of each triangle, serve both.
     """
     turns = [_volumes(p, q, t) for p, q in _edges(s)]
     hit = jnp.zeros_like(s.a.x, dtype=bool)
@@ -112,7 +111,7 @@ def triangles_cross(s: Triangle, t: Triangle) -> Array:
 
 
 def crossing(s: Triangle, t: Triangle) -> Segment:
-    """The segment in which two triangles cross; for batches of one shape. Differentiable wherever they do."""
+    """The segment in which two triangles cross; for batches of one shape. Differentiable where they cross."""
     along = s.area_vector().cross(t.area_vector())
     ends = []
     for own, other in ((s, t), (t, s)):
@@ -130,12 +129,12 @@ def crossing(s: Triangle, t: Triangle) -> Segment:
 
 
 def _edge_crossings(own: Triangle, other: Triangle) -> tuple[tuple[Vec3, Vec3], tuple[Array, Array], Array]:
-    """Where a triangle's edges pass the other's plane: two points, their edges' bits, and whether it does."""
+    """Where a triangle's edges cross the other's plane: two points, the bits of their edges, and whether they do."""
     normal = other.area_vector()
     corners = own.a, own.b, own.c
     heights = [(p - other.a).dot(normal) for p in corners]
     above = [stop_gradient(h > 0) for h in heights]
-    # The corner that is alone on its side; both edges from it pass through the plane.
+    # The corner that is alone on its side of the plane; both its edges cross the plane.
     lone_a = (above[0] != above[1]) & (above[0] != above[2])
     lone_b = (above[1] != above[0]) & (above[1] != above[2])
     cuts = (above[0] != above[1]) | (above[1] != above[2])
@@ -157,7 +156,7 @@ def _edge_crossings(own: Triangle, other: Triangle) -> tuple[tuple[Vec3, Vec3], 
 
 
 def select(first: Array, p: T, q: T) -> T:
-    """One structure of arrays where a condition holds, the other elsewhere."""
+    """Elementwise choice between two pytrees: p where `first` is true, else q."""
     return jax.tree.map(lambda x, y: jnp.where(first, x, y), p, q)
 
 
@@ -166,13 +165,13 @@ def _edges(t: Triangle) -> tuple[tuple[Vec3, Vec3], ...]:
 
 
 def _volumes(start: Vec3, end: Vec3, t: Triangle) -> list[Scalar]:
-    """Of an edge with each of a triangle's edges, six times, signed."""
+    """Six times the signed volumes of the tetrahedra of an edge and each of a triangle's edges."""
     way, a, b, c = end - start, t.a - start, t.b - start, t.c - start
     return [way.dot(p.cross(q)) for p, q in ((a, b), (b, c), (c, a))]
 
 
 def _edges_through(edges: Triangle, face: Triangle) -> list[Array]:
-    """Which of a triangle's edges have ends on both sides of another's plane."""
+    """Which edges of a triangle have their ends on different sides of another's plane."""
     normal = face.area_vector()
     above = [(p - face.a).dot(normal) > 0 for p in (edges.a, edges.b, edges.c)]
     return [above[k] != above[(k + 1) % 3] for k in range(3)]

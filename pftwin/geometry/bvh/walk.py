@@ -1,7 +1,7 @@
-"""Visits every leaf of a tree that may be nearer than a limit, which the leaves may lower.
+"""Depth-first traversal of the leaves of a tree that may be nearer than a limit, which visited leaves may lower.
 
-One node after the other, as in C: XLA makes a single function of such a loop on a CPU. Under vmap it would run to the
-slowest member and lose that; see `pftwin.geometry.bvh.loops`.
+It visits one node after the other: XLA compiles such a loop to a single function on a CPU. Under vmap it would run as
+long as the slowest element needs; see `pftwin.geometry.bvh.loops`.
 """
 
 from __future__ import annotations
@@ -19,22 +19,22 @@ from pftwin.base.spatial import Vec3
 from pftwin.geometry.bvh.loops import written_where
 from pftwin.geometry.bvh.tree import ROUNDING, depth_for, disc_distances, tree_arrays
 
-FAN = 16  # children of a node
+FAN = 16  # children per node
 T = TypeVar("T")
 SearchTree = tuple[Array, Array, Array]
-STACK = 11 * FAN  # of ten fans on top of each other, for two million triangles; and what a write of eight may spill
-SLACK = 1e-5  # share of a distance by which single precision may be off
+STACK = 11 * FAN  # ten nested fans, for two million triangles, and room for the surplus of a write of eight
+SLACK = 1e-5  # bound on the relative error of distances in single precision
 
 
 def walk(tree: SearchTree, point: Vec3, limit: Callable[[T], Array], at_leaf: Callable[[T, Array], T], start: T) -> T:
-    """Folds `at_leaf` over the leaves within the limit, from `start`; the nearest child of a node comes first.
+    """Folds `at_leaf` over the leaves within a limit of a point, a node's nearest child first; returns the last state.
 
     Args:
-        tree: bounds of each node's children (nodes, 8, 16), the same child after child (16 nodes, 8), and `Fans.first`.
-        point: that the limit is about [m].
-        limit: nodes farther away are left out, as far as is known when they are looked at; finite.
-        at_leaf: from what is known and a leaf's number to what is known then.
-        start: what is known.
+        tree: bounds of each node's children (nodes, 8, 16), the same one child per row (16 nodes, 8), and `Fans.first`.
+        point: from which distances are measured [m].
+        limit: function of the state; nodes farther away than this [m] are skipped; finite.
+        at_leaf: function of the state and a leaf's number that returns the new state.
+        start: initial state.
     """
     (bounds, rows, first), at = tree, point.array().astype(jnp.float32)
     inner = jnp.int32(first.shape[0])
@@ -45,7 +45,7 @@ def walk(tree: SearchTree, point: Vec3, limit: Callable[[T], Array], at_leaf: Ca
     def open_fan(stack: Array, top: Array, known: T, node: Array) -> tuple[Array, Array, T]:
         away = disc_distances(jax.lax.dynamic_index_in_dim(bounds, node, keepdims=False).T, at)
         near = within(away, known)
-        # The nearest last, so that it is looked at first.
+        # The nearest is pushed last, so that it is visited first.
         best = jnp.argmin(away).astype(jnp.int32)
         others = near & (jnp.arange(FAN, dtype=jnp.int32) != best)
         stack, top = written_where(stack, top, STACK - FAN // 2, others, lambda lane: FAN * node + lane)
@@ -71,44 +71,44 @@ def walk(tree: SearchTree, point: Vec3, limit: Callable[[T], Array], at_leaf: Ca
     return jax.lax.while_loop(lambda now: now[1] > 0, step, begin)[2]
 
 
-STRIDE = 4  # binary levels in a fan
-FAR = 1e15  # [m] where dead lanes are
+STRIDE = 4  # levels of the binary tree per fan
+FAR = 1e15  # [m] coordinate of unused lanes
 
 
 class Fans(NamedTuple):
-    """A complete binary tree (see `bvh.tree`), every fourth level of it kept."""
+    """A sixteen-way tree: every fourth level of a complete binary tree (see `bvh.tree`)."""
 
-    bounds: NDArray[np.float32]  # (nodes with children, 8, 16) of the children: discs, or balls (4 numbers)
-    first: NDArray[np.int32]  # (nodes with children,) the first child's number
-    places: NDArray[np.int32]  # (leaves, lanes) which triangle; -1 - the original in an empty lane, which holds a copy
+    bounds: NDArray[np.float32]  # (inner nodes, 8, 16) of the children: discs, or balls (4 rows instead of 8)
+    first: NDArray[np.int32]  # (inner nodes,) number of the first child
+    places: NDArray[np.int32]  # (leaves, lanes) triangle; in an empty lane, which holds a copy, -1 - the copied one
 
 
 def fans_of(corners: NDArray[np.float64], lanes: int, balls: bool) -> Fans:
-    """The tree of triangles (n, 3, 3) [m] with at most `lanes` in a leaf.
+    """Builds the tree of triangles.
 
     Args:
-        corners: of the triangles.
-        lanes: most triangles in a leaf; as many lanes are used as the fullest needs.
-        balls: bounds are balls about the triangles' centroids: middle and radius; else discs about their corners.
+        corners: of the triangles, (n, 3, 3) [m].
+        lanes: largest number of triangles in a leaf; leaves have as many lanes as the fullest needs.
+        balls: bound the triangles' centroids by balls (middle and radius); else their corners by discs.
     """
     depth = depth_for(len(corners), lanes)
-    used = -(-len(corners) // 2**depth)  # in the fullest leaf: splits halve to within one
+    used = -(-len(corners) // 2**depth)  # triangles in the fullest leaf: splits halve to within one
     triangles, index, discs = tree_arrays(corners, used, depth)
     margin = ROUNDING * float(np.abs(corners).max())
     middles = triangles.reshape(-1, 3, 3).mean(axis=1)
     tables = [_balls(middles.reshape(2**k, -1, 3), margin) if balls else discs[k] for k in kept_levels(depth)]
     bounds = blocks_of(tables)
-    below = 1 + len(tables[0]) + FAN * np.arange(len(bounds) - 1)  # of the root, which is node 0, 1
+    below = 1 + len(tables[0]) + FAN * np.arange(len(bounds) - 1)  # first children; the root is node 0, its own is 1
     return Fans(bounds, np.concatenate([[1], below]).astype(np.int32), index.reshape(-1, used))
 
 
 def kept_levels(depth: int) -> range:
-    """Of a binary tree, every fourth level down to the leaves."""
+    """Every fourth level of a binary tree of a depth, including the leaves."""
     return range(depth % STRIDE or min(STRIDE, depth), depth + 1, STRIDE)
 
 
 def blocks_of(levels: list[NDArray[np.float32]]) -> NDArray[np.float32]:
-    """Bounds (nodes, 8 or 4, 16) of nodes' children, level by level, from those of kept levels (2^l, 8 or 4)."""
+    """Bounds (nodes, 8 or 4, 16) of nodes' children, level by level, from those of the kept levels (2^l, 8 or 4)."""
     top = np.tile(nowhere(levels[0].shape[1]), (FAN, 1))
     top[: len(levels[0])] = levels[0]
     blocks = np.concatenate([level.reshape(-1, FAN, level.shape[1]) for level in (top, *levels[1:])])
@@ -116,17 +116,17 @@ def blocks_of(levels: list[NDArray[np.float32]]) -> NDArray[np.float32]:
 
 
 def nowhere(size: int) -> NDArray[np.float32]:
-    """A bound (size,) that no search comes to."""
+    """A bound (size,) so far away that no search reaches it."""
     return FAR * np.eye(1, size, dtype=np.float32)[0]
 
 
 def rows_of(fans: Fans) -> NDArray[np.float32]:
-    """The bounds child after child, (16 nodes, 8 or 4)."""
+    """The bounds, one child per row, (16 nodes, 8 or 4)."""
     return np.ascontiguousarray(fans.bounds.swapaxes(1, 2)).reshape(-1, fans.bounds.shape[1])
 
 
 def _balls(points: NDArray[np.float64], margin: float) -> NDArray[np.float32]:
-    """Middle and radius (nodes, 4) of points (nodes, k, 3)."""
+    """Middle and radius (nodes, 4) of balls around points (nodes, k, 3)."""
     middle = 0.5 * (points.min(axis=1) + points.max(axis=1))
     middle = middle.astype(np.float32)
     radius = np.linalg.norm(points - middle[:, None].astype(np.float64), axis=2).max(axis=1) + margin

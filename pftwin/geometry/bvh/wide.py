@@ -1,7 +1,7 @@
-"""A tree in blocks of sixteen, for searches that test all descendants of a node at once.
+"""A sixteen-way tree of a mesh, with searches for the nearest triangle and for the triangles inside a ball.
 
-XLA makes one function of a whole loop on a CPU: a loop over nodes, with the sixteen discs of a node's descendants in as
-many lanes, tests a disc in a few nanoseconds. In a batch the members take turns (see `members`).
+On a CPU XLA compiles a whole loop to one function: a loop over nodes, with the discs of a node's sixteen descendants in
+as many lanes, tests a disc in a few nanoseconds. Batches run one element at a time (see `pftwin.geometry.bvh.loops`).
 """
 
 from __future__ import annotations
@@ -24,41 +24,41 @@ from pftwin.geometry.bvh.walk import FAN, SLACK, blocks_of, kept_levels, nowhere
 
 
 class WideTree(eqx.Module):
-    """A mesh's tree of discs down to its single triangles, as blocks.
+    """A mesh's tree of discs, down to single triangles, in blocks of sixteen.
 
-    Nodes are numbered level by level, the `first` ones at the top; the sixteen below node i start at 16 i + first.
-    Numbers from `n_inner` on are triangles', in the order of their places.
+    Nodes are numbered level by level; the top level has `first` nodes, and the sixteen children of node i start at
+    16 i + first. Numbers from `n_inner` on are triangles, in the order of their places.
     """
 
-    blocks: Array  # (nodes + 1, 8, 16) float32: discs' components by lanes, below nowhere (the top), node 0, node 1 ...
+    blocks: Array  # (nodes + 1, 8, 16) float32: discs (component, lane) of the top level, then of nodes' children
     first: int = eqx.field(static=True)  # nodes at the top
     n_levels: int = eqx.field(static=True)
 
     @property
     def n_inner(self) -> int:
-        """Nodes above the triangles."""
+        """Number of inner nodes, which precede the triangles."""
         return self.first * (FAN ** (self.n_levels - 1) - 1) // (FAN - 1)
 
     def node_sums(self, values: Array) -> Array:
-        """Sums of values (places, k), one row a triangle, over each node: (nodes, k), the triangles' own included."""
+        """Sums of triangles' values (places, k) over each node, triangles included, (nodes, k)."""
         rows = [values]
         for _ in range(self.n_levels - 1):
             rows.append(rows[-1].reshape(-1, FAN, values.shape[-1]).sum(axis=1))
         return jnp.concatenate(rows[::-1])
 
     def lateral(self) -> NDArray[np.float64]:
-        """Which nodes are in the second half of the places, (nodes,), 1 or 0."""
+        """1 for nodes in the second half of the places (the lateral facet), else 0, (nodes,)."""
         sizes = [self.first * FAN**k for k in range(self.n_levels)]
         return np.concatenate([(2 * np.arange(n) >= n).astype(np.float64) for n in sizes])
 
     def below(self, node: Array) -> tuple[Array, Array]:
-        """The block (8, 16) below a node, or of the top below -1, and the number of its first lane."""
+        """Block (8, 16) of a node's children, or of the top level for node -1, and the number of its first lane."""
         block = jax.lax.dynamic_index_in_dim(self.blocks, node + 1, keepdims=False)
         return block, jnp.where(node < 0, 0, FAN * node + self.first)
 
 
 def wide_tree(tree: MeshTree) -> WideTree:
-    """The blocks of a tree of single triangles. The copies that fill its empty places are found by no search.
+    """Makes the blocks of a tree with one triangle per leaf. No search finds the copies that fill its empty places.
 
     Raises:
         TypeError: a tree with more than one triangle in a leaf.
@@ -66,12 +66,12 @@ def wide_tree(tree: MeshTree) -> WideTree:
     if tree.leaf != 1:
         raise TypeError(f"{tree.leaf} triangles a leaf: expected 1")
     levels = [np.array(tree.levels[k]) for k in kept_levels(tree.depth)]
-    levels[-1][np.asarray(tree.index) < 0] = nowhere(8)  # copies, which fill empty places
+    levels[-1][np.asarray(tree.index) < 0] = nowhere(8)  # copies
     return WideTree(jax.device_put(blocks_of(levels)), len(levels[0]), len(levels))
 
 
 def squared_distance_bounds(block: Array, point: Array) -> tuple[Array, Array]:
-    """Bounds (16,) on the squared distances from a point (3,) to what is in the discs (8, 16): at least, at most."""
+    """Lower and upper bounds (16,) on the squared distances from a point (3,) to the surface in discs (8, 16) [m^2]."""
     away = Vec3(*point) - Vec3(*block[:3])
     square, height = away.squared_norm(), jnp.abs(away.dot(Vec3(*block[3:6])))
     beside, lost = square - height * height, jnp.float32(CANCELLED) * square
@@ -81,11 +81,11 @@ def squared_distance_bounds(block: Array, point: Array) -> tuple[Array, Array]:
     return nearest * nearest + low * low, farthest * farthest + high * high
 
 
-# The nearest triangle, level after level: of a node's sixteen descendants those stay whose least distance is not above
-# the smallest of all largest ones met so far. Of the triangles that are left the nearest is taken, in full precision.
+# The search for the nearest triangle goes level by level. It keeps the nodes whose lower bound does not exceed the
+# smallest upper bound so far, and compares the remaining triangles in full precision.
 
 
-WIDTH = 1024  # capacity for candidate nodes and triangles: some ten times an implant's need
+WIDTH = 1024  # capacity for candidate nodes and triangles: about ten times what an implant needs
 LAST = 16  # triangles compared in full precision at a time
 
 
@@ -93,17 +93,17 @@ class NearestTriangle(NamedTuple):
     """The nearest triangle."""
 
     place: Array  # () int32, in the tree
-    overflow: Array  # () bool: more were in the race than there was room for; the answer may be wrong
+    overflow: Array  # () bool: the list of candidates was full; the result may be wrong
 
 
 def nearest_wide(tree: WideTree, triangles: Array, point: Vec3, half: int | None = None) -> NearestTriangle:
-    """The triangle nearest to a point of the mesh's frame. Nothing here is differentiated.
+    """Finds the triangle nearest to a point. Supports jit and vmap; no derivatives.
 
     Args:
         tree: of the mesh.
         triangles: (places, 9) in the tree's order [m].
         point: in the mesh's frame [m].
-        half: 0 or 1: of all triangles those in the first or the second half of the places.
+        half: 0 or 1: search only the first or the second half of the places; None: all.
     """
     return member_by_member(partial(_search_nearest, half))(tree, triangles, point.array())
 
@@ -139,7 +139,7 @@ def _search_nearest(half: int | None, tree: WideTree, rows: Array, point: Array)
 
 
 def _nearest_in_stretch(rows: Array, point: Array, places: Array, first: Array, end: Array) -> Array:
-    """The place of the nearest triangle of a stretch of a list."""
+    """Place of the nearest triangle among list entries from `first` to `end`."""
 
     def compare(state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
         i, best, square = state
@@ -155,39 +155,39 @@ def _nearest_in_stretch(rows: Array, point: Array, places: Array, first: Array, 
     return jax.lax.while_loop(lambda s: s[0] < end, compare, start)[1]
 
 
-# What is inside a ball: a node that lies wholly in it counts as one, with its sums, and only triangles along the ball's
-# rim are looked at one by one. So the price grows with the length of a contact's outline, not with its area.
+# A node wholly inside the ball is listed as one, with its sums; only triangles that the ball's surface may cut are
+# listed individually. So the cost grows with the length of a contact's outline, not with its area.
 
 
 class BallListLengths(NamedTuple):
-    """Capacities of the lists."""
+    """Capacities of the lists of `InBall`."""
 
     cut: int  # triangles that the ball's surface may cut
     inside: int  # nodes wholly inside
 
 
 class InBall(NamedTuple):
-    """Lists of fixed length; entries past the counts mean nothing."""
+    """Triangles cut by a ball and nodes inside it, in lists of fixed length; entries past the count are meaningless."""
 
     cut: Array  # (room.cut,) int32: places of the triangles that the ball's surface may cut
-    n_cut: Array  # () int32, may be more than the list holds
+    n_cut: Array  # () int32, may exceed the capacity
     inside: Array  # (room.inside,) int32: numbers of the nodes wholly inside
     n_inside: Array  # () int32
 
     def overflow(self) -> Array:
-        """Whether some were lost."""
+        """Whether entries were lost, () bool."""
         return (self.n_cut > self.cut.shape[0]) | (self.n_inside > self.inside.shape[0])
 
 
 def in_ball(tree: WideTree, center: Vec3, radius: Scalar, room: BallListLengths) -> InBall:
-    """What is inside a ball about a point of the mesh's frame [m]. Nothing here is differentiated."""
+    """Finds what is inside a ball, its centre [m] in the mesh's frame. Supports jit and vmap; no derivatives."""
     ball = jnp.stack([jnp.asarray(a, jnp.float32) for a in (center.x, center.y, center.z, radius)])
     return member_by_member(partial(_search_ball, room))(tree, ball)
 
 
 def _search_ball(room: BallListLengths, tree: WideTree, ball: Array) -> InBall:
-    # One array for both lists, nodes inside behind those to look at: XLA copies a second one in every round.
-    shelf = 2 * room.cut + 2 * FAN  # half of it for inner nodes on the way
+    # One array for both lists, nodes inside after those still to visit: XLA copies a second array in every iteration.
+    shelf = 2 * room.cut + 2 * FAN  # half of it for inner nodes
     size = shelf + room.inside + FAN
     reach = ball[3] * ball[3]
 
@@ -210,7 +210,7 @@ def _search_ball(room: BallListLengths, tree: WideTree, ball: Array) -> InBall:
     start = (zero, jnp.full(size, -1, jnp.int32), zero + 1, zero + shelf)
     head, lists, end, inside_end = jax.lax.while_loop(more, look, start)
     cut = jax.lax.dynamic_slice_in_dim(lists, head, room.cut) - tree.n_inner
-    # Where inner nodes took all the room on the way, the triangles that came in first are not all there are.
+    # If inner nodes filled the list, triangles are missing from it.
     n_cut = jnp.where(end > shelf - FAN, room.cut + 1, end - head)
     kept = jnp.arange(room.cut, dtype=jnp.int32) < n_cut
     n_inside = inside_end - shelf

@@ -1,17 +1,17 @@
-r"""The part of a triangle inside a ball: area, depth and their moments over it, in closed form.
+r"""Closed-form integrals over the part of a triangle inside a ball: area, depth and their moments.
 
-With the ball of radius R about the origin, the depth of a point q of the surface is its power,
+For a ball of radius R about the origin, the depth of a point q of the surface is its power,
 
     depth(q) = (R^2 - |q|^2) / (2 R),
 
-which next to the ball's surface is the distance to it. On a triangle's plane, at the height h from the origin, that is
-(rho^2 - r^2) / (2 R) with r counted from the normal's foot and rho^2 = R^2 - h^2. By the divergence theorem every
-integral becomes a sum over the three edges: of each the stretch inside the circle rho, by a quadratic equation, and the
-angle under which the foot sees the rest of it. Nothing is assumed of the triangle's size: a ball that dips into the
-middle of a large one, or swallows it, is treated as exactly as one that cuts its edges.
+which near the ball's surface is the distance to it. On a triangle's plane, at a height h from the origin, the depth is
+(rho^2 - r^2) / (2 R), where r is the distance from the foot of the normal and rho^2 = R^2 - h^2. By the divergence
+theorem every integral is a sum over the three edges: for each edge the part inside the circle rho, from a quadratic
+equation, and the angle that the rest subtends at the foot. This is exact for triangles of any size, whether the ball
+dips into the middle of a large one, cuts its edges or contains it.
 
-Moving the ball by dc changes the depth by (q . dc) / R, so the slope of the volume with respect to the centre is the
-first moment of the area over R: its boundary, where the depth is zero, adds nothing.
+Moving the ball by dc changes the depth by (q . dc) / R, so the gradient of the volume with respect to the centre is the
+first moment of the area over R; the boundary, where the depth is zero, contributes nothing.
 """
 
 from __future__ import annotations
@@ -32,27 +32,27 @@ class BallCut(NamedTuple):
     """Integrals over the part of a surface inside a ball about the origin."""
 
     area: Scalar  # [m^2]
-    doubled: Scalar  # of R^2 - |q|^2: 2 R times the volume between the surface and the ball [m^4]
-    moment: Vec3  # of the position q [m^3]
-    flux: Scalar  # of q through the area; negative where the origin is on the outer side [m^3]
+    doubled: Scalar  # integral of R^2 - |q|^2: 2 R times the volume between the surface and the ball [m^4]
+    moment: Vec3  # integral of the position q [m^3]
+    flux: Scalar  # flux of q through the area; negative if the origin is on the outer side [m^3]
 
 
 class BallArcs(NamedTuple):
-    """Integrals over the outline's arcs, each divided by its circle's radius: the slopes of area and moment."""
+    """Integrals over the arcs of the outline, each over its circle's radius: the slopes of area and moment."""
 
     turned: Scalar  # angle of the arcs [rad]
-    moment: Vec3  # of q [m]
-    product: tuple[Vec3, Vec3, Vec3]  # of q q^T, by rows [m^2]
+    moment: Vec3  # integral of q [m]
+    product: tuple[Vec3, Vec3, Vec3]  # rows of the integral of q q^T [m^2]
 
 
 class _Cut(NamedTuple):
-    """A triangle's plane in the ball, and its three edges in the circle."""
+    """A triangle's plane relative to the ball, and its three edges relative to the circle."""
 
     normal: Vec3
     height: Scalar
     circle: Scalar  # rho^2
-    apart: Array  # bool
-    edges: list[tuple[Vec3, Vec3, Vec3, Scalar, _Edge]]  # start, way, normal into the triangle, arm, shares
+    apart: Array  # bool: no overlap
+    edges: list[tuple[Vec3, Vec3, Vec3, Scalar, _Edge]]  # start, vector, inward normal, arm (see `_edge`), contribution
 
 
 def _cut(t: Triangle, radius: Scalar) -> _Cut:
@@ -70,12 +70,15 @@ def _cut(t: Triangle, radius: Scalar) -> _Cut:
         arm = q.dot(inward)
         edges.append((q, way, inward, arm, _edge(q, way, arm, circle, radius)))
     inside, turned = (sum(x[4][k] for x in edges) for k in range(2))
-    # Out of reach, sums are zero but for rounding, which must not pass for a touch; or the whole circle is within.
+    # Out of reach, sums are zero except for rounding, which must not count as contact; unless the circle is all inside.
     return _Cut(n, height, circle, flat | ((inside <= 0) & (turned < math.pi)), edges)
 
 
 def ball_cut(t: Triangle, radius: Scalar) -> BallCut:
-    """The parts of triangles inside the ball; zero for triangles without area or out of reach."""
+    """Integrals over the parts of triangles inside a ball about the origin of a radius [m].
+
+    Zero for triangles without area or out of reach.
+    """
     n, height, circle, apart, edges = _cut(t, radius)
     zero = jnp.zeros_like(height)
     turned, swept, bulge, moment = zero, zero, zero, Vec3(zero, zero, zero)
@@ -90,10 +93,10 @@ def ball_cut(t: Triangle, radius: Scalar) -> BallCut:
 
 
 def ball_arcs(t: Triangle, radius: Scalar) -> BallArcs:
-    """The arcs of the ball's surface on triangles.
+    """Integrals over the arcs in which a ball's surface intersects triangles.
 
-    The point r on the circle turns into n x r. So the integral of r is n times (cross) what the edges' stretches inside
-    add up to, and that of 2 r r^T - rho^2 (1 - n n^T) the difference of r (n x r)^T, made symmetric, over the ends.
+    Along the circle r has the derivative n x r. So the integral of r is n x (sum of the edges' parts inside), and that
+    of 2 r r^T - rho^2 (1 - n n^T) is the difference of the symmetric part of r (n x r)^T between the arcs' ends.
     """
     n, height, circle, apart, edges = _cut(t, radius)
     zero = jnp.zeros_like(height)
@@ -101,7 +104,7 @@ def ball_arcs(t: Triangle, radius: Scalar) -> BallArcs:
     rows = [Vec3(zero, zero, zero)] * 3
     for q, way, inward, _, e in edges:
         turned, across = turned + e.turned, across + e.inside * inward
-        # From where the edge enters to where it leaves, of the symmetric product of r and n x r.
+        # Difference of the symmetric product of r and n x r between the points where the edge enters and leaves.
         start, both = q - height * n, 0.5 * (e.leave + e.enter)
         middle = start + both * way
         for one, two in ((middle, inward), (way, n.cross(middle))):
@@ -110,7 +113,7 @@ def ball_arcs(t: Triangle, radius: Scalar) -> BallArcs:
                 row + (share * a) * two + (share * b) * one
                 for row, a, b in zip(rows, (one.x, one.y, one.z), (two.x, two.y, two.z), strict=True)
             ]
-    # With q = height n + r.
+    # Back from r to q = height n + r.
     half = 0.5 * circle * turned
     along = (height * height * turned - half) * n + height * across
     up = height * n
@@ -131,29 +134,29 @@ class _Edge(NamedTuple):
     """The contribution of one directed edge."""
 
     inside: Scalar  # share of its length inside the circle
-    turned: Scalar  # angle under which the foot sees the rest [rad]
+    turned: Scalar  # angle that the rest subtends at the foot [rad]
     stretch: Scalar  # integral of rho^2 - r^2 over the share inside [m^2]
-    enter: Scalar  # where that share begins, and where it ends
-    leave: Scalar
+    enter: Scalar  # start of the part inside, as a share of the length
+    leave: Scalar  # its end
 
 
 def _edge(q: Vec3, way: Vec3, arm: Scalar, circle: Scalar, radius: Scalar) -> _Edge:
-    """One directed edge in the circle.
+    """The contribution of one directed edge.
 
     Args:
-        q, way: its start, and the way to its end.
-        arm: how far the start lies from the foot along the edge's inward normal, times the edge's length.
+        q, way: its start, and the vector to its end.
+        arm: component of q along the edge's inward normal, times the edge's length.
         circle, radius: rho^2, and R.
     """
     length, half, excess = way.squared_norm(), q.dot(way), q.squared_norm() - radius * radius
     over = 1 / jnp.where(length > 0, length, 1.0)
     root = half * half - length * excess
     spread = safe_sqrt(jnp.where(root > 0, root, 0.0))
-    # Where the edge enters and leaves the circle, as shares of its length; the same where it does not.
+    # Where the edge enters and leaves the circle, as shares of its length; equal if it does not meet the circle.
     enter, leave = (jnp.clip((sign * spread - half) * over, 0.0, 1.0) for sign in (-1.0, 1.0))
     inside, both = leave - enter, enter + leave
     stretch = -inside * (excess + half * both + length * (both * both - enter * leave) * (1 / 3))
-    # The angles before and after it as one: the product of two complex numbers.
+    # Sum of the angles before and after the part inside, as the argument of the product of two complex numbers.
     start = excess + circle
     end = start + 2 * half + length
     a, b = start + enter * half, -enter * arm
@@ -161,10 +164,10 @@ def _edge(q: Vec3, way: Vec3, arm: Scalar, circle: Scalar, radius: Scalar) -> _E
     return _Edge(inside, angle(a * c - b * d, a * d + b * c), stretch, enter, leave)
 
 
-# XLA's own atan2 calls the C library for one number at a time on a CPU; this one works in lanes.
+# On a CPU XLA's atan2 calls the C library for one number at a time; the function below is vectorized.
 
 
-# atan(x) = x + x^3 P(x^2) / Q(x^2) for |x| < 0.66, of the Cephes library (S. L. Moshier 1989), below 2e-16 relative.
+# atan(x) = x + x^3 P(x^2) / Q(x^2) for |x| < 0.66: Cephes library (S. L. Moshier 1989), relative error below 2e-16.
 _P = (
     -8.750608600031904122785e-1,
     -1.615753718733365076637e1,
@@ -185,7 +188,7 @@ _EIGHTH = math.tan(math.pi / 8)
 
 @jax.custom_jvp
 def angle(real: Scalar, imaginary: Scalar) -> Scalar:
-    """In (-pi, pi]; 0 for zero, with derivative 0 there."""
+    """Argument of a complex number in (-pi, pi] [rad]; 0 with zero derivative for zero."""
     x, y = jnp.abs(real), jnp.abs(imaginary)
     low, high = jnp.minimum(x, y), jnp.maximum(x, y)
     far = low > _EIGHTH * high

@@ -1,10 +1,10 @@
-"""Whether a point is behind a surface, and its distance: by the solid angle under which it sees the surface's back.
+"""Tests whether a point is behind a surface, by the signed solid angle that the surface subtends at the point.
 
-Inside a closed mesh that is all directions, outside none; in front of an open one it is negative. Close behind an open
-mesh it is half of all directions and tends to none with the distance: there the nearest point decides, which is not on
-the rim where the surface stands between the point and its front. Past the rim there is neither front nor back. The
-solid angle of a triangle: van Oosterom and Strackee 1983, IEEE Trans Biomed Eng 30:125. It costs a look at every
-triangle, so it is for results, and there only where nothing touches.
+As a share of the full sphere (winding number) it is 1 inside a closed mesh and 0 outside; in front of an open mesh it
+is negative; close behind an open mesh it is 1/2 and tends to 0 with the distance. There the nearest point decides: the
+point is behind if that is not on the rim, since beyond the rim there is neither front nor back. The solid angle of a
+triangle is that of van Oosterom and Strackee 1983, IEEE Trans Biomed Eng 30:125. The test visits every triangle, so it
+is used only for results, and only where nothing touches.
 """
 
 from __future__ import annotations
@@ -23,29 +23,32 @@ from pftwin.geometry.bvh.loops import member_by_member
 from pftwin.geometry.bvh.triangle import FACE, Triangle, closest_on_triangle
 from pftwin.geometry.mesh.mesh import SurfaceMesh
 
-SHARE = 0.25  # of all directions: half of what is seen from close behind a plane
-SEEN = 1e-3  # of all directions: less is rounding, or too far away to count
-SAME = 1e-6  # share by which squares of distances to one point of two triangles may differ
+SHARE = 0.25  # share of the full solid angle above which a point is behind: half of that close behind a plane
+SEEN = 1e-3  # share of the full solid angle below which a point is not behind: rounding, or too far away
+SAME = 1e-6  # relative difference of squared distances up to which triangles are equally near
 _EDGES = (0, 1, 2, 4, 1 | 4, 1 | 2, 2 | 4)  # bits of the edges that each feature of a triangle lies on
 
 
 class Behind(NamedTuple):
-    """Whether a point is behind a surface; the other fields hold only if it is."""
+    """Whether a point is behind a surface; the other fields are valid only if it is."""
 
     there: Array  # () bool: behind the surface
-    depth: Scalar  # to the surface's nearest point [m]
-    place: Array  # () int32: of the triangle that it is on
+    depth: Scalar  # distance to the surface's nearest point [m]
+    place: Array  # () int32: place of the nearest triangle
 
 
 def behind(corners: Array, triangle: Array, rim: Array, p: Vec3, wanted: Array) -> Behind:
-    """Whether a point sees the back of a surface in more than `SHARE` of all directions, or below its inside.
+    """Tests whether a point is behind a surface.
+
+    It is if the surface subtends more than `SHARE` of the full solid angle, or more than `SEEN` with a nearest point
+    that is not on the rim.
 
     Args:
-        corners: (places, 9) of triangles [m]; copies are allowed.
-        triangle: (places,) int32, which triangle each is, below the number of places.
-        rim: (places,) integers, bits 1, 2, 4 for an edge ab, bc, ca on the rim of an open mesh.
-        p: the point, same frame.
-        wanted: () bool; otherwise the answer is no, and nothing is computed.
+        corners: of the triangles, (places, 9) [m]; copies are allowed.
+        triangle: (places,) int32, index of each triangle, less than the number of places.
+        rim: (places,) integers, bits 1, 2, 4 if the edge ab, bc, ca is on the rim of an open mesh.
+        p: the point, same frame [m].
+        wanted: () bool; if false, nothing is computed and the result is "not behind".
 
     Not differentiated.
     """
@@ -60,7 +63,7 @@ def behind(corners: Array, triangle: Array, rim: Array, p: Vec3, wanted: Array) 
 
 
 def _below_surface(corners: Array, rim: Array, p: Vec3, surely: Array) -> Behind:
-    """Where the nearest point is; behind its inside, or surely."""
+    """The nearest point; the point is behind if `surely`, or if the nearest point is not on the rim."""
     on = closest_on_triangle(Triangle.of_rows(corners), _repeated(p, corners))
     place = jnp.argmin(on.square).astype(jnp.int32)
     nearest = on.square <= (1 + SAME) * on.square[place]
@@ -70,7 +73,7 @@ def _below_surface(corners: Array, rim: Array, p: Vec3, surely: Array) -> Behind
 
 
 def _back_solid_angle(corners: Array, triangle: Array, p: Vec3) -> Scalar:
-    """Solid angle over 4 pi; negative where it is the front that is seen."""
+    """Solid angle of the surface at p over 4 pi, positive where p is behind it."""
     t = Triangle.of_rows(corners)
     here = _repeated(p, corners)
     a, b, c = t.a - here, t.b - here, t.c - here
@@ -81,27 +84,27 @@ def _back_solid_angle(corners: Array, triangle: Array, p: Vec3) -> Scalar:
 
 
 def _repeated(p: Vec3, corners: Array) -> Vec3:
-    """The point once for every triangle."""
+    """The point repeated for each triangle."""
     return Vec3(*(jnp.broadcast_to(x, corners.shape[:1]) for x in (p.x, p.y, p.z)))
 
 
 class MutualPlace(NamedTuple):
-    """To the accuracy of a mesh's vertices."""
+    """Relative position of two meshes, estimated from their vertices."""
 
-    gap: float  # least distance of their vertices [m]
-    behind: float  # share of the second's area that is behind the first's surface
-    deepest: float  # of its vertices below the plane at the nearest vertex there; 0 where none is [m]
+    gap: float  # smallest distance between vertices of both [m]
+    behind: float  # share of the second mesh's area that is behind the first's surface
+    deepest: float  # largest depth of its vertices below the tangent plane at the nearest vertex, or 0 [m]
 
 
 def mutual_place(
     mesh: SurfaceMesh, other: SurfaceMesh, position: NDArray[np.float64], matrix: NDArray[np.float64]
 ) -> MutualPlace:
-    """The position of one mesh relative to another.
+    """Estimates where one mesh is relative to another.
 
     Args:
-        mesh: whose surface has a back.
-        other: looked at, vertex by vertex.
-        position, matrix: of the other's frame in the mesh's, (3,) [m] and (3, 3).
+        mesh: the first mesh, which defines front and back.
+        other: the second mesh, tested vertex by vertex.
+        position, matrix: position (3,) [m] and rotation (3, 3) of the second's frame in the first's.
     """
     from scipy.spatial import cKDTree
 

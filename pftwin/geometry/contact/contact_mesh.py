@@ -1,7 +1,6 @@
-"""A mesh prepared for contact with another: its tree, outward normals at its corners, and its facets.
+"""A mesh prepared for contact with another mesh: its tree, outward normals at its corners, and its facets.
 
-Medial and lateral facets of a groove have a tree each, below the two children of one root: which facet a triangle is on
-can be read from its place.
+The medial and lateral facets of a groove are the two subtrees of one root, so a triangle's place gives its facet.
 """
 
 from __future__ import annotations
@@ -22,37 +21,37 @@ from pftwin.geometry.mesh.mesh import SurfaceMesh
 
 
 class ContactMesh(eqx.Module):
-    """A mesh that touches. Arrays are leaves."""
+    """A mesh prepared for contact with another mesh. Arrays are leaves."""
 
     tree: MeshTree
-    source: Array  # (places,) int32: which triangle of the mesh is in each place of the tree
-    corners: CornerTree  # the vertices
+    source: Array  # (places,) int32: index of the mesh's triangle in each place of the tree
+    corners: CornerTree  # of the vertices
     seam: Array  # (places,) int8: bits 1, 2, 4 for an edge ab, bc, ca on the border of two facets
-    rim: Array  # (places,) int8: the same for an edge of one triangle alone, on the rim of an open mesh
-    facets: int = eqx.field(static=True)  # 1, or 2: medial and lateral
+    rim: Array  # (places,) int8: the same for an edge on the rim of an open mesh
+    facets: int = eqx.field(static=True)  # number: 1, or 2 (medial and lateral)
 
     def facet(self, place: Array) -> Array:
-        """0 or 1: the facet of the triangle in a place, int32."""
+        """Facet, 0 or 1, of the triangle in a place, int32."""
         if self.facets == 1:
             return jnp.zeros_like(place)
         return place // (LEAF << (self.tree.depth - 1))
 
 
 def contact_mesh(mesh: SurfaceMesh, lateral: ArrayLike | None = None) -> ContactMesh:
-    """A mesh ready to touch another.
+    """Prepares a mesh for contact with another mesh.
 
     Args:
         mesh: in its body's frame, normals outward [m].
         lateral: which triangles are on the lateral facet, (m,) bool (see `mesh_facets.lateral_of_groove`);
-            None: all is one facet.
+            None: a single facet.
 
     Raises:
-        InputError: labels that do not suit the mesh, or leave one facet without triangles.
+        InputError: labels that do not match the mesh, or a facet without triangles.
     """
     tree, source, features, facets = facet_tree(mesh, lateral, leaf=LEAF, least_depth=2)
     marked = (features.seam, features.rim)
     seam, rim = ((x[source][:, 1:4] * np.array([1, 2, 4])).sum(axis=1).astype(np.int8) for x in marked)
-    normals = np.zeros_like(mesh.vertices)  # outward at the vertices, weighted by angles
+    normals = np.zeros_like(mesh.vertices)  # outward, angle-weighted
     normals[mesh.faces] = features.outward[:, 4:]
     source, seam, rim = jax.device_put((source.astype(np.int32), seam, rim))
     return ContactMesh(tree, source, corner_tree(mesh.vertices, normals), seam, rim, facets)
@@ -61,13 +60,13 @@ def contact_mesh(mesh: SurfaceMesh, lateral: ArrayLike | None = None) -> Contact
 def facet_tree(
     mesh: SurfaceMesh, lateral: ArrayLike | None, *, leaf: int, least_depth: int
 ) -> tuple[MeshTree, NDArray[np.int64], Features, int]:
-    """The tree of a mesh whose triangles are medial, or lateral as (m,) bool says; None: all is one facet.
+    """Builds the tree of a mesh; `lateral` (m,) bool marks the lateral facet, each facet is a subtree of the root.
 
-    Two facets have one tree, each below a child of the root. With which triangle of the mesh is in each place
-    (places,), the triangles' features, and the number of facets.
+    Returns:
+        The tree; the index of the mesh's triangle in each place (places,); the triangles' features; number of facets.
 
     Raises:
-        InputError: labels that do not suit the mesh, or leave one facet without triangles.
+        InputError: labels that do not match the mesh, or a facet without triangles.
     """
     m = len(mesh.faces)
     label = np.zeros(m, dtype=np.int64) if lateral is None else np.asarray(lateral).astype(np.int64)

@@ -1,12 +1,12 @@
-"""Contact of two meshes as geometry: the closed curves in which they cross, and the depth of one in the other.
+"""Contact geometry of two meshes: the contours in which they intersect, and the indentation of one in the other.
 
-Michaud et al. 2024, section 2.4.1 (and Dopico et al. 2019, whom they follow): from the triangles that meet come the
-contours of contact; from each contour an averaged point and a direction, from the corners inside the largest
-indentation. A contour's direction is that of its area vector, half the sum of p x q over its segments, which needs no
-order among them. A curve that ends on the rim of an open mesh is closed along it: the surface ends there.
+Michaud et al. 2024, section 2.4.1, after Dopico et al. 2019: the triangles that intersect give the contact contours; a
+contour gives a mean point and a normal; the corners inside give the largest indentation. A contour's normal is that of
+its area vector, half the sum of p x q over its segments, in any order. A curve that ends on the rim of an open mesh is
+closed along the rim.
 
-There is one contact for each facet of the groove, medial and lateral, whatever number of curves it consists of; where a
-curve leads across the border of the facets, both are one contact.
+There is one contact per facet of the groove, medial and lateral, however many curves it consists of. If a curve crosses
+the border of the facets, both are one contact.
 """
 
 from __future__ import annotations
@@ -30,32 +30,32 @@ from pftwin.geometry.bvh.pairs import PairListLengths, Pairs, PairSearch, pair_s
 from pftwin.geometry.bvh.triangle import Segment, Triangle, crossing, select
 from pftwin.geometry.contact.contact_mesh import ContactMesh
 
-LIMIT = 5e-3  # [m]: no indentation is looked for beyond it
+LIMIT = 5e-3  # [m] largest indentation that is searched for
 FULL = 0.9  # share of the limit above which deeper corners may have been missed
 
 
 class ContourContact(NamedTuple):
-    """One contact, in the frame of the first mesh; every leaf zero where there is none."""
+    """One contact, in the first mesh's frame; all zero if there is no contact."""
 
-    point: Vec3  # the contour's middle [m]
+    point: Vec3  # mean of the contour, weighted by length [m]
     normal: Vec3  # unit, out of the first mesh
     indentation: Scalar  # [m]
-    area: Scalar  # that the contour encloses, seen along the normal [m^2]
+    area: Scalar  # area enclosed by the contour, projected along the normal [m^2]
 
 
 class Contacts(NamedTuple):
-    """Every contact of two meshes at a pose."""
+    """All contacts of two meshes at a pose."""
 
-    each: tuple[ContourContact, ...]  # one for each facet of the first mesh; where they are one, the first has it
-    pairs: Array  # () int32: of triangles that meet
-    merged: Array  # () bool: whether both facets' contacts are one
-    at_rim: Array  # () bool: a contour ends on the rim of an open mesh: what lies past it bears nothing
-    overflow: Array  # () bool: a search ran out of room, the contact may be wrong
-    too_deep: Array  # () bool: corners reach the search limit, or are deep although no triangles meet
+    each: tuple[ContourContact, ...]  # one per facet of the first mesh; if merged, the first holds both
+    pairs: Array  # () int32: number of pairs of triangles that intersect
+    merged: Array  # () bool: whether both facets have one common contact
+    at_rim: Array  # () bool: a contour ends on the rim of an open mesh, beyond which nothing bears load
+    overflow: Array  # () bool: a search exceeded its capacity, the contact may be wrong
+    too_deep: Array  # () bool: corners are near the search limit, or inside although no triangles intersect
 
 
 class MeshPair(eqx.Module):
-    """Two meshes that may touch, arranged for searches: made once, before a loop."""
+    """Two meshes that may touch, with their searches; make it once, before a loop."""
 
     a: ContactMesh
     b: ContactMesh
@@ -63,7 +63,7 @@ class MeshPair(eqx.Module):
     depths: DepthSearch
 
     def contacts(self, X_AB: Pose) -> Contacts:
-        """All contacts with b at a pose in a's frame. Jit and vmap apply, forward and reverse derivatives."""
+        """All contacts with b at a pose in a's frame. Supports jit, vmap, forward and reverse derivatives."""
         pairs = self.pairs.meeting(X_AB)
         deepest = self.depths(X_AB)
         found = contour_sums(self, X_AB, pairs)
@@ -82,7 +82,7 @@ class MeshPair(eqx.Module):
         return Contacts(each, pairs.count, merged, at_rim, overflow, too_deep)
 
     def _indentations(self, X_AB: Pose, deepest: Deepest) -> list[Scalar]:
-        """How deep every facet's deepest corner is; 0 where there is none."""
+        """Depth of each facet's deepest corner [m]; 0 if there is none."""
         t = Triangle.of_rows(self.a.tree.triangles[deepest.place])
         rotation = X_AB.orientation.rotation()
         corner = rotation.apply(Vec3.from_array(self.b.corners.points[deepest.corner])) + X_AB.position
@@ -92,11 +92,11 @@ class MeshPair(eqx.Module):
 
 
 def mesh_pair(a: ContactMesh, b: ContactMesh, *, room: PairListLengths | None = None) -> MeshPair:
-    """The searches of two meshes, b's corners looked for inside a.
+    """Makes the searches of two meshes; b's corners are searched for inside a.
 
     Args:
-        a, b: with trees of one kind.
-        room: for lists of pairs; None: more than an implant and a button need.
+        a, b: the meshes.
+        room: capacities of the lists of pairs; None: more than an implant and a button need.
     """
     return MeshPair(a, b, pair_search(a.tree, b.tree, room), depth_search(a, b.corners, jnp.asarray(LIMIT, float)))
 
@@ -107,17 +107,16 @@ def _contact(sums: SegmentSums, depth: Scalar, origin: Vec3) -> ContourContact:
     there = stop_gradient((square > 0) & (sums.length > 0))
     area = jnp.where(there, jnp.sqrt(jnp.where(there, square, 1.0)), 0.0)
     over_area, over_length = (jnp.where(there, 1 / jnp.where(there, x, 1.0), 0.0) for x in (area, sums.length))
-    # The segments run along (normal of a) x (normal of b): around what of b is inside a, seen from there.
+    # The segments run along (normal of a) x (normal of b): around the part of b that is inside a.
     point = jax.tree.map(lambda m, o: jnp.where(there, over_length * m + o, 0.0), sums.moment, origin)
     return ContourContact(point, over_area * sums.area, jnp.where(there, depth, 0.0), area)
 
 
 def _closed(sums: SegmentSums) -> SegmentSums:
-    """With the straight way along the rim from where the contour ends to where it starts.
+    """Closes the contour along the rim, straight from its end to its start, through the middle of all its ends.
 
-    The way leads over the middle of all ends. Counted from there it adds no area of its own, and half of that middle x
-    (ends - starts) is left out of what was counted from b's origin. For one curve at a straight rim that is exact;
-    several curves of one contact are closed over one middle.
+    Taken about that middle the closing line adds no area; about b's origin it subtracts half of middle x (ends -
+    starts). This is exact for one curve at a straight rim; several curves of a contact are closed through one middle.
     """
     some = stop_gradient(sums.rim_ends > 0)
     middle = jnp.where(some, 1 / jnp.where(some, sums.rim_ends, 1.0), 0.0) * sums.rim_points
@@ -128,41 +127,40 @@ def _closed(sums: SegmentSums) -> SegmentSums:
     return sums._replace(area=area, moment=sums.moment + way * middle, length=sums.length + way)
 
 
-# Sums over the segments in which the meshes cross. Without derivatives the loop takes as many pairs as there are. By
-# the pose each sum has seven slopes, which the same loop gives, however many directions are asked for. By the meshes'
-# own corners all pairs that there is room for are gone through.
+# Sums over the segments in which the meshes intersect. Values: a loop over the pairs that were found. Derivatives by
+# the pose: the same loop also gives the seven slopes of each sum, for any number of directions. Derivatives by the
+# meshes' corners: a loop over the whole capacity of the list.
 
 
 T = TypeVar("T")
-PIECE = 32  # pairs that are worked on at once
+PIECE = 32  # pairs that are processed at once
 
 
 class SegmentSums(NamedTuple):
-    """Over a contact's segments."""
+    """Sums over a contact's segments; positions are from b's origin."""
 
     area: Vec3  # area vector [m^2]
-    moment: Vec3  # of the segments' middles from b's origin, times their lengths [m^2]
+    moment: Vec3  # segments' midpoints times their lengths [m^2]
     length: Scalar  # [m]
-    # Of ends on a rim:
-    rim_points: Vec3  # their places from b's origin [m]
-    rim_gap: Vec3  # where segments end there less where they start [m]
-    rim_ends: Scalar  # how many
+    rim_points: Vec3  # of the ends on a rim [m]
+    rim_gap: Vec3  # ends less starts of segments on a rim [m]
+    rim_ends: Scalar  # number of starts and ends on a rim
 
 
 class ContourSums(NamedTuple):
-    """Over the segments of all pairs."""
+    """Sums over the segments of all pairs."""
 
-    facets: tuple[SegmentSums, ...]
-    across: Scalar  # how many segments end on the border of two facets
+    facets: tuple[SegmentSums, ...]  # one per facet
+    across: Scalar  # number of segments that end on the border of two facets
 
 
-Sloped = tuple[ContourSums, ContourSums]  # sums, and slopes by the pose's position and quaternion: (7,) each
-Piece = Callable[["MeshPair", Pose, Pairs, Array], T]  # of the pairs from a place on
+Sloped = tuple[ContourSums, ContourSums]  # sums, and their slopes by the pose's position and quaternion, (7,) each
+Piece = Callable[["MeshPair", Pose, Pairs, Array], T]  # function of the pairs from an index on
 
 
 @eqx.filter_custom_jvp
 def contour_sums(meshes: MeshPair, X_AB: Pose, pairs: Pairs) -> ContourSums:
-    """Sums over the segments in which pairs of triangles cross; in a batch one member after the other."""
+    """Sums over the segments in which pairs of triangles intersect; on a CPU batches run one element at a time."""
     return member_by_member(partial(_over_found, _sums_over_pairs))(meshes, X_AB, pairs)
 
 
@@ -186,7 +184,7 @@ def _sloped_sums_jvp(primals: Any, tangents: Any) -> tuple[Sloped, Sloped]:
 
 
 def _over_found(of_piece: Piece[T], meshes: MeshPair, X_AB: Pose, pairs: Pairs) -> T:
-    """Over as many pairs as there are."""
+    """Sums over the pairs that were found."""
 
     def add(state: tuple[Array, T]) -> tuple[Array, T]:
         start, total = state
@@ -197,7 +195,7 @@ def _over_found(of_piece: Piece[T], meshes: MeshPair, X_AB: Pose, pairs: Pairs) 
 
 
 def _over_room(of_piece: Piece[T], meshes: MeshPair, X_AB: Pose, pairs: Pairs) -> T:
-    """The same over all that there is room for, for JAX to differentiate."""
+    """The same sums in a loop over the list's capacity, which JAX can differentiate."""
     nothing, most = _zero_sums(of_piece, meshes, X_AB, pairs), most_in_batch(pairs.count)
 
     def add(total: T, start: Array) -> tuple[T, None]:
@@ -236,13 +234,13 @@ def _sloped_piece(meshes: MeshPair, X_AB: Pose, pairs: Pairs, start: Array) -> S
 
 
 def _sums_over_pairs(meshes: MeshPair, X_AB: Pose, pairs: Pairs, start: Array) -> ContourSums:
-    """Sums over some of the pairs."""
+    """Sums over the `PIECE` pairs from `start` on."""
     a, b = meshes.a, meshes.b
     which, other = (jax.lax.dynamic_slice_in_dim(x, start, PIECE) for x in (pairs.a, pairs.b))
     rows = jax.lax.optimization_barrier((a.tree.triangles[which].T, b.tree.triangles[other].T))
     first, second = (Triangle(*(Vec3(*r[3 * k : 3 * k + 3]) for k in range(3))) for r in rows)
     rotation, origin = X_AB.orientation.rotation(), X_AB.position
-    # From b's origin: short arms, little rounding.
+    # Relative to b's origin, for short lever arms and little rounding error.
     first = Triangle(*(p - origin for p in (first.a, first.b, first.c)))
     second = Triangle(*(rotation.apply(p) for p in (second.a, second.b, second.c)))
     segment = crossing(first, second)
@@ -258,14 +256,14 @@ def _sums_over_pairs(meshes: MeshPair, X_AB: Pose, pairs: Pairs, start: Array) -
 
 
 def _sums(segment: Segment, there: Array, starts: Array, ends: Array) -> SegmentSums:
-    """Over the segments that are there, of which some start or end on a rim."""
+    """Sums over the segments of mask `there`; `starts` and `ends` mark those that start or end on a rim."""
 
     def total(x: Scalar, which: Array = there) -> Scalar:
         return jnp.sum(jnp.where(which, x, 0.0))
 
     p, q = segment.start, segment.end
     area, way = p.cross(q), q - p
-    # Safe where a segment has no length: neither it nor its derivative counts.
+    # Segments without length are masked, since the square root has no derivative there.
     square = way.squared_norm()
     long = there & (square > 0)
     length = jnp.where(long, jnp.sqrt(jnp.where(long, square, 1.0)), 0.0)

@@ -1,8 +1,8 @@
-"""Finds the button's triangles inside the femur's surface, and the femur's triangle nearest to each.
+"""Finds the button's triangles inside the femur's surface, and the femur's triangle nearest to each of them.
 
-Down the button's tree: for the ball about a piece of it, the point of the femur nearest to the middle tells whether the
-whole piece is outside. What is left in the end are leaves of a few triangles each; their centroids are brought to the
-femur's tree together. Nothing here is differentiated; batches are taken one by one (see `pftwin.geometry.bvh.walk`).
+The search descends the button's tree: the point of the femur nearest to the middle of a node's ball shows whether the
+whole node is outside. For the remaining leaves of a few triangles each, the femur's tree is searched for all centroids
+of a leaf together. No derivatives; batches run one element at a time (see `pftwin.geometry.bvh.walk`).
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ if TYPE_CHECKING:
 
 
 class TouchingLeaves(NamedTuple):
-    """Leaves of the button's tree in a list of fixed length; entries past the count mean nothing."""
+    """Leaves of the button's tree in a list of fixed length; entries past the count are meaningless."""
 
     leaf: Array  # (width,) int32
-    place: Array  # (width, lanes) int32: of the triangle nearest to each centroid in the femur's tree; from a table 0
-    total: Array  # () int32: how many there were, which may be more than the list holds
+    place: Array  # (width, lanes) int32: place of the femur's triangle nearest to each centroid; 0 if from a table
+    total: Array  # () int32: number of leaves found, which may exceed the list's length
 
 
 def touching_leaves(
     width: int, band: float, reach: float, button: PressingSurface, femur: PressedSurface, at: Vec3, rotation: Rotation
 ) -> TouchingLeaves:
-    """See `PressedSurface.touching`; for one member of a batch, the button's frame at a place."""
+    """See `PressedSurface.touching`; for one element of a batch. `at` is the position of the button's frame."""
     pieces, count = _pieces(button, femur, at, rotation, band, reach)
 
     def take(k: Array, now: tuple[Array, Array]) -> tuple[Array, Array]:
@@ -50,7 +50,7 @@ def touching_leaves(
 
         wanted = jax.lax.fori_loop(jnp.int32(0), jnp.int32(button.lanes), look, jnp.zeros((), bool))
         row = jnp.concatenate([leaf[None], places])
-        # One row more than asked for takes what is written past the end.
+        # The additional last row takes what is written past the end.
         table = jax.lax.dynamic_update_index_in_dim(table, row, jnp.minimum(total, width), 0)
         return table, total + wanted.astype(jnp.int32)
 
@@ -62,7 +62,7 @@ def touching_leaves(
 def _pieces(
     button: PressingSurface, femur: PressedSurface, position: Vec3, rotation: Rotation, band: float, reach: float
 ) -> tuple[Array, Array]:
-    """The leaves of the button that may be in the femur and a place near each, (leaves, 2), and how many they are."""
+    """The button's leaves that may be in the femur, each with a near place of the femur, (leaves, 2); their number."""
     inner = jnp.int32(button.first.shape[0])
 
     def look(now: tuple[Array, Array, Array, Array, Array]) -> tuple[Array, Array, Array, Array, Array]:
@@ -72,7 +72,7 @@ def _pieces(
         middle, radius = position + rotation.apply(Vec3(ball[0], ball[1], ball[2])), ball[3]
         near = nearest_triangle(femur, middle, place)
         depth, rim = signed_depth(femur, middle, near.place)
-        # Beyond the rim of an open mesh there is no telling; the piece's own triangles will.
+        # Beyond the rim of an open mesh a node is undecided; its triangles decide.
         outside = (depth < -(radius + band)) & ~rim
         wanted = ~outside & (jnp.abs(depth) <= radius + reach)
         child = button.first[number // FAN] + number % FAN
@@ -86,32 +86,32 @@ def _pieces(
 
     zero = jnp.int32(0)
     stack = jnp.arange(STACK, dtype=jnp.int32)
-    living = jnp.sum(button.rows[:FAN, 0] < FAR, dtype=jnp.int32)  # the root's dead lanes come last
+    living = jnp.sum(button.rows[:FAN, 0] < FAR, dtype=jnp.int32)  # the root's unused lanes come last
     table = jnp.zeros((button.leaves + 1, 2), jnp.int32)
     _, _, table, total, _ = jax.lax.while_loop(lambda now: now[1] > 0, look, (stack, living, table, zero, zero))
     return table, total
 
 
 def _centroids(button: PressingSurface, leaf: Array, position: Vec3, rotation: Rotation) -> Vec3:
-    """Of a leaf's triangles, one for each lane, in the femur's frame."""
+    """Centroids of a leaf's triangles, one per lane, in the femur's frame."""
     rows = jax.lax.dynamic_slice_in_dim(button.corners, leaf * jnp.int32(button.lanes), button.lanes)
     return optimization_barrier(position + rotation.apply(centroid(Triangle.of_rows(rows))))
 
 
 def centroid(t: Triangle) -> Vec3:
-    """The middle of a triangle."""
+    """Centroid of a triangle."""
     return (1 / 3) * (t.a + t.b + t.c)
 
 
 class NearestDistances(NamedTuple):
-    """Squares of distances [m^2] to the nearest triangles and their places; scalars, or one for each lane."""
+    """Squared distances [m^2] to the nearest triangles, and their places; scalars, or one per lane."""
 
     square: Array
     place: Array
 
 
 def nearest_triangle(femur: PressedSurface, p: Vec3, guess: Array) -> NearestDistances:
-    """The place of the triangle nearest to a point, from one that is anywhere; the nearer, the quicker."""
+    """Finds the triangle nearest to a point, starting from any place `guess`; a near guess makes it faster."""
 
     def at_leaf(known: NearestDistances, leaf: Array) -> NearestDistances:
         lanes = jax.tree.map(lambda a: jnp.broadcast_to(a, (femur.width,)), p)
@@ -126,7 +126,7 @@ def nearest_triangle(femur: PressedSurface, p: Vec3, guess: Array) -> NearestDis
 
 
 def nearest_to_all(femur: PressedSurface, points: Vec3, guess: Array) -> Array:
-    """The places nearest to points that lie together, one for each lane."""
+    """Places of the triangles nearest to points that are close together, one per lane; `guess` is any place."""
     low, high = (jax.tree.map(f, points) for f in (jnp.min, jnp.max))
     middle = 0.5 * (low + high)
 
@@ -152,9 +152,9 @@ def nearest_to_all(femur: PressedSurface, points: Vec3, guess: Array) -> Array:
 
 
 def signed_depth(femur: PressedSurface, p: Vec3, place: Array) -> tuple[Scalar, Array]:
-    """How deep a point is below the triangle in a place [m], and whether it is nearest to the rim there.
+    """Depth of a point below the triangle in a place [m], negative outside, and whether the rim is nearest.
 
-    For single points: with lanes XLA fuses the gathers into every use of theirs, and compiles for minutes.
+    For single points only: for arrays XLA fuses the gathers into each of their uses, and compiles for minutes.
     """
     on = closest_on_triangle(_corners_at(femur, place), p)
     feature = 7 * femur.triangle[place] + on.feature

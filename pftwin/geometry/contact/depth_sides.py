@@ -1,7 +1,7 @@
-"""The two sides of a contact by depths, as pytrees: the surface that is pressed into and the one that presses.
+"""The two surfaces of a contact by depths, as pytrees: the pressed surface (femur) and the pressing one (button).
 
-The femur's surface gives the point nearest to another and the outward normal there; the button's triangles
-are queried, by their centroids. Both may be open.
+The femur's surface is searched for the point nearest to each centroid of the button's triangles, and gives the outward
+normal there. Both surfaces may be open.
 """
 
 from __future__ import annotations
@@ -30,59 +30,58 @@ from pftwin.geometry.contact.depth_search import TouchingLeaves, touching_leaves
 from pftwin.geometry.mesh.mesh import SurfaceMesh
 
 T = TypeVar("T")
-FEMUR_LANES = 8  # most triangles in a leaf
-BUTTON_LANES = 16
-ON_SURFACE = 1e-10  # [m] so near, the direction to the nearest point is the surface's own normal
+FEMUR_LANES = 8  # largest number of triangles in a leaf of the femur
+BUTTON_LANES = 16  # and of the button
+ON_SURFACE = 1e-10  # [m] at smaller distances the normal is the surface's pseudo-normal
 
 
 class PressedSurface(eqx.Module):
-    """The surface that is pressed into. Arrays are leaves: another mesh of the same size re-uses the program."""
+    """The surface that is pressed into. Arrays are leaves: another mesh of the same size reuses compiled programs."""
 
     tree: SearchTree  # of discs
     lanes: Array  # (leaves, 9, lanes) corners a, b, c [m], for searches
-    corners: Array  # (leaves * lanes, 9) the same, one row for each place
-    triangle: Array  # (leaves * lanes,) int32: which triangle of the mesh is in a place
-    outward: Array  # (7 triangles, 3) unit, at each triangle's face, edges and corners
-    rim: Array  # (7 triangles,) whether that is on the boundary of the open mesh
-    label: Array | None  # (triangles,) int32, which facet
+    corners: Array  # (leaves * lanes, 9) the same, one row per place
+    triangle: Array  # (leaves * lanes,) int32: index of the mesh's triangle in each place
+    outward: Array  # (7 triangles, 3) unit outward pseudo-normals at each triangle's face, edges and corners
+    rim: Array  # (7 triangles,) whether the feature is on the boundary of an open mesh
+    label: Array | None  # (triangles,) int32, facet
 
     def leaf(self, number: Array) -> Triangle:
-        """The triangles of a leaf, one for each lane."""
+        """The triangles of a leaf, one per lane."""
         rows = jax.lax.dynamic_index_in_dim(self.lanes, number, keepdims=False)
         return Triangle(*(Vec3(rows[3 * k], rows[3 * k + 1], rows[3 * k + 2]) for k in range(3)))
 
     def rim_edges(self) -> Array:
-        """(leaves * lanes,) int32: bits 1, 2, 4 for an edge ab, bc, ca of the triangle in a place on the rim."""
+        """Edges on the rim of the triangle in each place, (leaves * lanes,) int32: bits 1, 2, 4 for ab, bc, ca."""
         edges = self.rim.reshape(-1, 7)[:, 1:4].astype(jnp.int32)
         return (edges @ jnp.array([1, 2, 4], jnp.int32))[self.triangle]
 
     @property
     def width(self) -> int:
-        """Lanes of a leaf."""
+        """Lanes per leaf."""
         return self.lanes.shape[-1]
 
     @property
     def exact(self) -> PressedSurface:
-        """The triangles."""
+        """The surface itself; a `DistanceGrid` has an attribute of this name."""
         return self
 
     def touching(
         self, button: PressingSurface, position: Vec3, rotation: Rotation, *, width: int, band: float, reach: float
     ) -> TouchingLeaves:
-        """The leaves of a button in which a centroid's depth is above -band.
+        """Leaves of a button that have a centroid with a depth from -band to reach.
 
         Args:
-            button, position, rotation: the other surface, and its frame in this one's.
-            width: room for leaves.
-            band: how far outside triangles are still wanted [m].
-            reach: how far from the surface triangles are looked for, on either side [m].
+            button, position, rotation: the other surface, and the pose of its frame in this one's.
+            width: capacity for leaves.
+            band: largest distance outside the surface [m].
+            reach: largest depth [m].
         """
         search = member_by_member(partial(touching_leaves, width, band, reach))
         return search(button, self, position, rotation)
 
     def below(self, place: Array, point: Vec3) -> tuple[Scalar, Vec3, Array]:
-        """Depth [m] of points (k,) below the triangles in some places (k,), the normal there, and whether it is the
-        rim."""
+        """Depths [m] of points (k,) below the triangles in places (k,), normals, and whether the rim is nearest."""
         on = closest_on_triangle(Triangle.of_rows(gathered(self.corners[place])), point)
         feature = stop_gradient(7 * self.triangle[place] + on.feature)
         outward = Vec3.from_array(gathered(self.outward[feature]))
@@ -95,49 +94,49 @@ class PressedSurface(eqx.Module):
         return -normal.dot(away), normal, self.rim[feature]
 
     def bend(self, place: Array, point: Vec3, vector: Vec3) -> Vec3:
-        """Slopes of the normals' components along vectors (k,), by the points: none, for normals jump between faces."""
+        """Gradients by the points of the normals' components along vectors (k,): zero, since facets are flat."""
         return jax.tree.map(jnp.zeros_like, point)
 
     def facet(self, place: Array, point: Vec3) -> Array | None:
-        """Labels (k,) of the triangles in some places, nearest to points; None where the mesh has none."""
+        """Labels (k,) of the triangles in places (k,), nearest to the points; None if the mesh has no labels."""
         return None if self.label is None else self.label[self.triangle[place]]
 
 
 class PressingSurface(eqx.Module):
-    """The surface whose triangles' depths are asked for."""
+    """The surface whose triangles' depths are computed."""
 
-    rows: Array  # (16 nodes, 4) float32 balls about centroids, child after child of each node
-    first: Array  # (nodes,) int32
+    rows: Array  # (16 nodes, 4) float32 balls about centroids, the children of each node in turn
+    first: Array  # (nodes,) int32: each node's first child
     corners: Array  # (leaves * lanes, 9) a, b, c [m]
-    index: Array  # (leaves, lanes) int32: which triangle; negative in an empty lane, which holds a copy
+    index: Array  # (leaves, lanes) int32: triangle; negative in an empty lane, which holds a copy
     discs: Array  # (leaves, 8) about the centroids in a leaf: middle, normal, radius, half thickness [m]
     mesh: Array  # (n, 9) corners of the mesh's own triangles [m]
 
     @property
     def lanes(self) -> int:
-        """Triangles in a leaf."""
+        """Lanes per leaf."""
         return self.index.shape[-1]
 
     @property
     def leaves(self) -> int:
-        """How many."""
+        """Number of leaves."""
         return self.index.shape[-2]
 
 
 def gathered(rows: T) -> T:
-    """Rows as they were picked: fused with what follows, XLA would pick them for every use again."""
+    """Prevents XLA from fusing a gather into each of its uses, where it would be repeated."""
     return optimization_barrier(rows)
 
 
 def pressed_surface(mesh: SurfaceMesh, labels: ArrayLike | None = None) -> PressedSurface:
-    """From a mesh, open or closed, whose normals point outward [m].
+    """Makes the pressed surface from a mesh.
 
     Args:
-        mesh: in the frame in which it is fixed.
-        labels: (triangles,) integers, which facet a triangle belongs to: 0 medial, 1 lateral.
+        mesh: open or closed, normals outward, in the frame of its body [m].
+        labels: (triangles,) integers, the facet of each triangle: 0 medial, 1 lateral.
 
     Raises:
-        InputError: no triangles, too many, or coordinates that are not finite; labels that do not fit.
+        InputError: no triangles, too many, or coordinates that are not finite; labels that do not match the mesh.
     """
     check_searchable(mesh)
     facets = None
@@ -167,7 +166,7 @@ def pressed_surface(mesh: SurfaceMesh, labels: ArrayLike | None = None) -> Press
 
 
 def pressing_surface(mesh: SurfaceMesh, together: int = 1) -> PressingSurface:
-    """From a mesh [m] in the frame in which it is fixed, at most so many neighbouring triangles taken for one.
+    """Makes the pressing surface from a mesh in its body's frame [m]; up to `together` neighbours become one triangle.
 
     Raises:
         InputError: no triangles, too many, or coordinates that are not finite.
@@ -198,13 +197,12 @@ def _fans_and_features(
 
 
 def _taken_together(corners: NDArray[np.float64], most: int) -> NDArray[np.float64]:
-    """Triangles (k, 3, 3) with the area vectors and the middles of up to so many neighbours of (n, 3, 3) each.
-
-    On a plane a pressure that is linear in the place has the same force and moment on them, nearly so where they turn.
+    """Merges groups of up to `most` neighbours of triangles (n, 3, 3) into triangles (k, 3, 3) of equal area vector and
+    centroid. On a plane the force and moment of a linear pressure do not change, on a curved surface hardly.
     """
     vectors = 0.5 * np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     places = fans_of(corners, most, True).places
-    vector = np.where(places[..., None] < 0, 0.0, vectors[_originals(places)])  # of copies nothing
+    vector = np.where(places[..., None] < 0, 0.0, vectors[_originals(places)])  # copies do not count
     weight = np.linalg.norm(vector, axis=2, keepdims=True)
     vector, total = vector.sum(axis=1), weight.sum(axis=1)
     middles = corners.mean(axis=1)[_originals(places)]
@@ -214,7 +212,7 @@ def _taken_together(corners: NDArray[np.float64], most: int) -> NDArray[np.float
     normal = vector / np.maximum(area, 1e-300)
     aside = np.cross(normal, np.eye(3)[np.argmin(np.abs(normal), axis=1)])
     aside /= np.maximum(np.linalg.norm(aside, axis=1, keepdims=True), 1e-300)
-    size = np.sqrt(area * 4 / np.sqrt(27))  # from an equilateral triangle's middle to its corners
+    size = np.sqrt(area * 4 / np.sqrt(27))  # circumradius of an equilateral triangle
     turns = 2 * np.pi / 3 * np.arange(3)
     arms = (
         np.cos(turns)[None, :, None] * aside[:, None] + np.sin(turns)[None, :, None] * np.cross(normal, aside)[:, None]
@@ -223,7 +221,7 @@ def _taken_together(corners: NDArray[np.float64], most: int) -> NDArray[np.float
 
 
 def _discs(corners: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(leaves, 8) about the centroids of triangles (leaves, lanes, 3, 3): see `PressingSurface`."""
+    """Discs (leaves, 8) around the centroids of triangles (leaves, lanes, 3, 3): see `PressingSurface`."""
     middles = corners.mean(axis=2)
     middle = 0.5 * (middles.min(axis=1) + middles.max(axis=1))
     normal = np.cross(corners[:, :, 1] - corners[:, :, 0], corners[:, :, 2] - corners[:, :, 0]).sum(axis=1)
@@ -234,5 +232,5 @@ def _discs(corners: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _originals(places: NDArray[np.int32]) -> NDArray[np.int32]:
-    """The triangles themselves, also where a place holds a copy."""
+    """Triangle in each place, also if the place holds a copy."""
     return np.where(places < 0, -1 - places, places)

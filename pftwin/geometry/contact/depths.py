@@ -1,10 +1,9 @@
-"""Depths of the triangles of one mesh in another: a differentiable list of fixed length.
+"""Depths of the triangles of one mesh in another, as a differentiable list of fixed length.
 
-A triangle's depth is the distance of its centroid from the nearest point of the other surface, counted as positive
-inside, where the surface's outward normal points away from it. What is nearest to the rim of an open surface is neither
-inside nor outside and has no depth. Which triangles come into the list is found without derivatives
-(`pftwin.geometry.contact.depth_search`); their depths are computed again, with derivatives with respect to the pose and
-to both meshes' vertices.
+A triangle's depth is the distance of its centroid from the nearest point of the other surface, positive inside. A
+centroid whose nearest point is on the rim of an open surface is neither inside nor outside and has no depth. The
+triangles are selected without derivatives (`pftwin.geometry.contact.depth_search`); their depths are then computed with
+derivatives with respect to the pose and to both meshes' vertices.
 """
 
 from __future__ import annotations
@@ -22,21 +21,21 @@ from pftwin.geometry.contact.depth_sides import PressedSurface, PressingSurface,
 from pftwin.geometry.contact.distance_grid import DistanceGrid
 
 REACH = 0.010  # [m] largest depth of the search
-DEEPEST = 0.005  # [m] an implausible depth: a wrong pose, scale or side
+DEEPEST = 0.005  # [m] larger depths are implausible and point to a wrong pose, scale or side
 
 
 class Depths(NamedTuple):
-    """Some of the button's triangles, (width,) each; all vectors in the femur's frame."""
+    """Depths of some of the button's triangles, (width,) each; vectors in the femur's frame unless stated."""
 
-    depth: Scalar  # [m], positive inside; meaningful where listed
-    listed: Array  # bool: whether the entry counts
-    triangle: Array  # int32: of the button's mesh, or the piece's number where triangles are taken together
+    depth: Scalar  # [m], positive inside; valid where listed
+    listed: Array  # bool: whether the entry is valid
+    triangle: Array  # int32: index in the button's mesh, or of the group if triangles are merged
     point: Vec3  # the triangle's centroid [m]
-    local: Vec3  # the same in the button's frame [m]
+    local: Vec3  # the centroid in the button's frame [m]
     normal: Vec3  # unit, out of the femur: minus the depth's gradient with respect to the point
     area: Scalar  # of the triangle, projected along the normal [m^2]
-    tilting: Vec3  # minus that area's change for each radian that the button turns about an axis of its own [m^2]
-    sliding: Vec3  # and for each metre that the centroid moves; zero where the normal jumps from face to face [m]
+    tilting: Vec3  # minus the area's derivative by the button's rotation, in the button's frame [m^2/rad]
+    sliding: Vec3  # minus its derivative by the centroid's position; zero if normals are constant on faces [m]
     facet: Array | None  # int32: the label of the femur's nearest triangle
 
 
@@ -48,14 +47,14 @@ def depths(
     *,
     band: float = 0.0,
 ) -> Depths:
-    """The depths of those triangles of the button that are in the femur, or near it. jit, vmap and grad apply.
+    """Depths of those triangles of the button that are in or near the femur. Supports jit, vmap and grad.
 
-    The list has room for all of them, so that nothing is ever lost.
+    The list has room for all triangles, so none is ever lost.
 
     Args:
         button, femur: the surfaces.
         position, rotation: of the button's frame in the femur's.
-        band: how far outside triangles are listed too [m].
+        band: distance outside up to which triangles are listed too [m].
     """
     found = femur.touching(button, position, rotation, width=button.leaves, band=band, reach=REACH)
     there = jnp.arange(button.leaves, dtype=jnp.int32) < found.total
@@ -73,26 +72,26 @@ def depths_in(
     *,
     band: float = 0.0,
 ) -> Depths:
-    """The depths of the triangles in some leaves of the button, (leaves * lanes,).
+    """Depths of the triangles in some leaves of the button, (leaves * lanes,).
 
     Args:
-        button, femur, position, rotation, band: as of `depths`.
-        leaf: (leaves,) int32.
-        place: (leaves, lanes) int32, from `pftwin.geometry.contact.depth_search`.
-        there: (leaves,) bool, whether a leaf counts.
+        button, femur, position, rotation, band: as for `depths`.
+        leaf: the leaves, (leaves,) int32.
+        place: nearest places, (leaves, lanes) int32, from `pftwin.geometry.contact.depth_search`.
+        there: whether a leaf is valid, (leaves,) bool.
     """
     lane = jnp.arange(button.lanes, dtype=jnp.int32)
     own_places = (leaf[:, None] * jnp.int32(button.lanes) + lane[None, :]).reshape(-1)
     own_place, place = gathered((own_places, place.reshape(-1)))
     index = button.index.reshape(-1)[own_place]
-    # Rows of flat tables only: what XLA makes of a pick along two axes at once compiles for minutes within a loop.
+    # Gather rows of flat tables only: gathers along two axes at once within a loop take XLA minutes to compile.
     own = Triangle.of_rows(gathered(button.corners[own_place]))
     local = centroid(own)
     point = position + rotation.apply(local)
     depth, normal, rim = femur.below(place, point)
     vector, along = own.area_vector(), rotation.unapply(normal)
     projected = 0.5 * vector.dot(along)
-    facing = jnp.where(stop_gradient(projected) < 0, -1.0, 1.0)  # whichever side the mesh calls outer
+    facing = jnp.where(stop_gradient(projected) < 0, -1.0, 1.0)  # independent of the mesh's orientation
     inside = (stop_gradient(depth) >= -band) & (stop_gradient(depth) <= REACH) & ~rim
     return Depths(
         depth=depth,

@@ -1,9 +1,9 @@
-r"""A surface's depth from a table: quick where thousands of triangles touch at once, as cartilage on cartilage does.
+r"""A surface's depth from a table: fast when thousands of triangles touch at once, as in contact between cartilages.
 
-Space about the surface is cut into cubes, one about each node of a regular grid. In each of them depth is a polynomial
-of second degree in each coordinate; together they are a quadratic spline, right to second order. Its slopes are
-continuous, so forces are too, away from the rim: with slopes that jump from cube to cube a patella may find no
-equilibrium. On the femoral cartilage of a living knee (29,800 triangles) cubes of 1 mm are off by 5 um rms.
+Space around the surface is divided into cubes, one around each node of a regular grid. In each cube the depth is a
+polynomial of second degree in each coordinate; together they form a quadratic spline, accurate to second order. Its
+slopes, and so the forces, are continuous away from the rim: with slopes that jump from cube to cube a patella may find
+no equilibrium. On the femoral cartilage of a living knee (29,800 triangles) cubes of 1 mm have an rms error of 5 um.
 """
 
 from __future__ import annotations
@@ -28,36 +28,36 @@ from pftwin.geometry.contact.depth_search import TouchingLeaves, nearest_triangl
 from pftwin.geometry.contact.depth_sides import PressedSurface, PressingSurface, gathered, pressed_surface
 from pftwin.geometry.mesh.mesh import SurfaceMesh
 
-_AROUND = 12e-3  # [m] how far the table reaches beyond the surface's extent: deeper than depths are looked for
-_BEYOND = 6e-3  # [m] how far from the rim depth goes on beyond it
+_AROUND = 12e-3  # [m] margin of the table around the surface: more than the depths that are searched for
+_BEYOND = 6e-3  # [m] distance beyond the rim up to which the depth is continued
 _MOST_NODES = 5_000_000  # 108 bytes each
-_ALLOWED = 5e-5  # [m] what a table's depths may be off by on the surface, rms
-_SHARPEST = 100.0  # [1/m] curvature of a joint's surface, at most
-_OFF = 0.1  # share of a cube's edge that a table's depth is off by, at most
+_ALLOWED = 5e-5  # [m] largest rms error of a table's depths on the surface
+_SHARPEST = 100.0  # [1/m] largest curvature of a joint's surface
+_OFF = 0.1  # largest error of a table's depth, as a share of a cube's edge
 _LATERAL, _RIM = 1, 2  # bits of a node's code
-# The quadratic spline's polynomial (power, neighbour) between -1/2 and 1/2 from a node, from it and its neighbours.
+# The quadratic spline's polynomial (power, neighbour) from -1/2 to 1/2 around a node, from it and its neighbours.
 _SPLINE = np.array([[1 / 8, 3 / 4, 1 / 8], [-1 / 2, 0, 1 / 2], [1 / 2, -1, 1 / 2]])
 
 
 class DistanceGrid(eqx.Module):
     """A `PressedSurface` whose depths come from a table."""
 
-    exact: PressedSurface
-    cells: Array  # (nodes, 27) float32: the polynomial's coefficients [m], of own coordinates from -1/2 to 1/2
-    codes: Array  # (nodes,) int8: whether the nearest triangle is on the lateral facet, and whether its rim is nearest
-    low: Array  # (3,) the first node [m]
+    exact: PressedSurface  # the surface that the table approximates
+    cells: Array  # (nodes, 27) float32: polynomial coefficients [m], for coordinates in the cube from -1/2 to 1/2
+    codes: Array  # (nodes,) int8: bit 1: the nearest triangle is on the lateral facet; bit 2: the rim is nearest
+    low: Array  # (3,) position of the first node [m]
     spacing: Array  # () [m]
     shape: tuple[int, int, int] = eqx.field(static=True)  # nodes along each axis
 
     def touching(
         self, button: PressingSurface, position: Vec3, rotation: Rotation, *, width: int, band: float, reach: float
     ) -> TouchingLeaves:
-        """As `pftwin.geometry.contact.depth_search.touching_leaves`, from the depths of the leaves' middles."""
+        """Like `PressedSurface.touching`, but with bounds on the leaves' depths, from the depths of their middles."""
         position, rotation = stop_gradient((position, rotation))
         discs = button.discs
         middle, normal, radius, half = (Vec3.from_array(discs[:, :3]), Vec3.from_array(discs[:, 3:6]), *discs[:, 6:].T)
         depth, slope = stop_gradient(self._polynomial(position + rotation.apply(middle)))
-        # How much deeper a disc reaches than its middle: by its tilt to the surface, and the surface's curvature.
+        # How much deeper a disc reaches than its middle, because of its tilt and the surface's curvature.
         along = jnp.abs(slope.dot(rotation.apply(normal)))
         tilted = jnp.sqrt(jnp.maximum(slope.squared_norm() - along**2, 0.0))
         room = radius * tilted + half * along + 0.5 * _SHARPEST * radius**2 + _OFF * stop_gradient(self.spacing)
@@ -66,21 +66,21 @@ class DistanceGrid(eqx.Module):
         return TouchingLeaves(leaf, jnp.zeros((width, button.lanes), jnp.int32), jnp.sum(wanted, dtype=jnp.int32))
 
     def below(self, place: Array, point: Vec3) -> tuple[Scalar, Vec3, Array]:
-        """Depths [m] of points (k,), the normals there, and whether the rim is nearest; places mean nothing."""
+        """Depths [m] of points (k,), the normals there, and whether the rim is nearest; places are not used."""
         depth, slope = self._polynomial(point)
         size = jnp.sqrt(jnp.maximum(slope.squared_norm(), 1e-6))
         return depth, (-1 / size) * slope, (self._code(point) & _RIM) > 0
 
     def bend(self, place: Array, point: Vec3, vector: Vec3) -> Vec3:
-        """Slopes of the normals' components along vectors (k,), by the points: the surface's curvature."""
+        """Gradients by the points of the normals' components along vectors (k,): the surface's curvature."""
         return jax.vjp(lambda p: self.below(place, p)[1], point)[1](vector)[0]
 
     def facet(self, place: Array, point: Vec3) -> Array | None:
-        """Labels (k,) of the triangles nearest to points; None where the mesh has none."""
+        """Labels (k,) of the triangles nearest to the points; None if the mesh has no labels."""
         return None if self.exact.label is None else (self._code(point) & _LATERAL).astype(jnp.int32)
 
     def _within(self, point: Vec3) -> tuple[Array, Array]:
-        """Coordinates (3, k) in cubes, of the nearest place in the table; and how far outside of it they are [m]."""
+        """Grid coordinates (3, k) of the points, clipped to the table; and their distance outside of it [m]."""
         at = (point.array().T - self.low[:, None]) / self.spacing
         inside = jnp.clip(at, 0.0, jnp.array([[n - 1] for n in self.shape], at.dtype))
         return inside, self.spacing * jnp.max(jnp.abs(stop_gradient(at - inside)), axis=0)
@@ -91,7 +91,7 @@ class DistanceGrid(eqx.Module):
         node = jnp.round(stop_gradient(at))
         terms = gathered(self.cells[self._number(node)]).astype(at.dtype)
         ux, uy, uz = at - node
-        # From the innermost coordinate outwards: values, and slopes along what has been summed over.
+        # From the innermost coordinate outwards: values, and slopes along the coordinates already summed.
         rows = [[terms[:, 9 * a + 3 * b + c] for c in range(3)] for a in range(3) for b in range(3)]
         value, along_z = ([f(row, uz) for row in rows] for f in (_value, _slope))
         value, along_z = ([p[3 * a : 3 * a + 3] for a in range(3)] for p in (value, along_z))
@@ -106,7 +106,7 @@ class DistanceGrid(eqx.Module):
         return (i * ny + j) * nz + k
 
     def _code(self, point: Vec3) -> Array:
-        """Of the nearest nodes (k,)."""
+        """Codes of the nearest nodes (k,)."""
         return self.codes[self._number(jnp.round(stop_gradient(self._within(point)[0])))]
 
 
@@ -119,16 +119,16 @@ def _slope(terms: list[Scalar], u: Scalar) -> Scalar:
 
 
 def distance_grid(mesh: SurfaceMesh, spacing: float, labels: ArrayLike | None = None) -> DistanceGrid:
-    """A table of a mesh's depths; computed once for a mesh where there is a cache folder, in some seconds.
+    """Makes a table of a mesh's depths, in some seconds; it is kept if there is a cache folder.
 
     Args:
-        mesh: as of `pressed_surface`.
+        mesh: as for `pressed_surface`.
         spacing: edge of the cubes [m].
-        labels: as of `pressed_surface`.
+        labels: as for `pressed_surface`.
 
     Raises:
-        InputError: as of `pressed_surface`; a spacing that is not positive, so fine that the table would be too large,
-            or so coarse that depths would be off by more than 0.05 mm (rms).
+        InputError: as for `pressed_surface`; a spacing that is not positive, so fine that the table would be too large,
+            or so coarse that depths would have an rms error above 0.05 mm.
     """
     exact = pressed_surface(mesh, labels)
     if not 0 < spacing < np.inf:
@@ -157,13 +157,13 @@ def distance_grid(mesh: SurfaceMesh, spacing: float, labels: ArrayLike | None = 
 def _tables(
     vertices: Floats, faces: NDArray[np.int64], facets: NDArray[np.int32], low: Floats, spacing: float, shape: Any
 ) -> tuple[NDArray[np.float32], NDArray[np.int8], float]:
-    """The polynomials (nodes, 27) and codes of all nodes, and by how much depths are off [m], rms."""
+    """Polynomials (nodes, 27) and codes of all nodes, and the rms error of depths [m]."""
     points = low + spacing * np.indices(shape).reshape(3, -1).T
-    with jax.enable_x64(True), jax.default_device(jax.devices("cpu")[0]):  # the same table for whoever asks
+    with jax.enable_x64(True), jax.default_device(jax.devices("cpu")[0]):  # the same table for every caller
         exact = pressed_surface(SurfaceMesh(vertices, faces))
         depth, triangle, rim = (np.asarray(a) for a in _at_nodes(exact, jnp.asarray(points)))
     depth = depth.reshape(shape).astype(np.float64)
-    for axis in range(3):  # coefficients that are right to second order, drawn from neighbours alone: nothing rings
+    for axis in range(3):  # second-order accurate coefficients from neighbours alone: no ringing
         bend = np.diff(np.moveaxis(depth, axis, 0), n=2, axis=0)
         np.moveaxis(depth, axis, 0)[1:-1] -= bend / 8
     terms = np.pad(depth, 1, mode="edge").astype(np.float32)
@@ -172,7 +172,7 @@ def _tables(
         terms = near @ _SPLINE.T.astype(np.float32)
     cells = terms.reshape(-1, 27)
     codes = _LATERAL * (facets[triangle] == 1) + _RIM * rim
-    at = (vertices[faces].mean(axis=1) - low) / spacing  # on the surface, where depth is nothing
+    at = (vertices[faces].mean(axis=1) - low) / spacing  # on the surface, where the depth is zero
     node = np.round(at).astype(int)
     powers = (at - node)[:, :, None] ** np.arange(3)
     own = cells[np.ravel_multi_index(tuple(node.T), shape)].reshape(-1, 3, 3, 3)
@@ -182,10 +182,10 @@ def _tables(
 
 @jax.jit
 def _at_nodes(exact: PressedSurface, points: Array) -> tuple[Array, Array, Array]:
-    """Depth at points (n, 3), the nearest triangle, and whether the rim is nearest.
+    """Depths at points (n, 3), the nearest triangles, and whether the rim is nearest.
 
-    Just beyond the rim depth is that below the plane that touches the surface there, so that cells on both sides of it
-    are right up to it; farther away, minus the distance.
+    Just beyond the rim the depth is that below the tangent plane, so that cells across the rim are accurate up to it;
+    farther away it is minus the distance.
     """
 
     def one(place: Array, row: Array) -> tuple[Array, tuple[Array, Array, Array]]:

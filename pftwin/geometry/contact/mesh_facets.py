@@ -1,8 +1,7 @@
-"""A mesh as its facets, medial and lateral of a groove, each with a tree: what a sphere touches on each of them.
+"""A mesh divided into the medial and lateral facets of a groove, and the point of each nearest to a sphere's centre.
 
-On each facet the sphere has one nearest point. Where that lies on the seam and the other facet is nearer still, it is
-no contact of its own but the slope down to the other one. On the rim of an open mesh there is no inside: a centre
-beyond it is outside, whichever way the last triangle looks.
+If a facet's nearest point is on the seam and the other facet is nearer, it is not a separate contact but the slope
+towards the other facet. A centre beyond the rim of an open mesh is outside, whichever way the last triangle faces.
 """
 
 from __future__ import annotations
@@ -31,25 +30,25 @@ class FacetPoint(NamedTuple):
     """The nearest point of one facet."""
 
     point: Vec3  # mesh frame [m]
-    distance: Scalar  # to it, negative inside [m]
+    distance: Scalar  # signed distance, negative inside [m]
     normal: Vec3  # unit, out of the bone
     on_seam: Array  # bool: on the border to the other facet
-    beyond_rim: Scalar  # how far sideways past the rim of an open mesh the centre lies, 0 elsewhere [m]
-    overflow: Array  # bool: the search ran out of room, the point may be wrong
+    beyond_rim: Scalar  # lateral distance of the centre beyond the rim of an open mesh, 0 elsewhere [m]
+    overflow: Array  # bool: the search exceeded its capacity, the point may be wrong
 
 
 class MeshFacets(eqx.Module):
-    """One facet, or two, medial first: two have one tree, each below half of its top. Arrays are leaves."""
+    """One or two facets, the medial one first, in one tree: each has half of the places. Arrays are leaves."""
 
     triangles: Array  # (places, 9) corners a, b, c [m], in the tree's order; an empty place holds a copy
     empty: Array  # (places,) bool
     wide: WideTree
-    outward: Array  # (places, 7, 3) float32: out at each feature of a triangle
-    marks: Array  # (places, 7) int8: 1 on the rim, 2 on the seam
-    count: int = eqx.field(static=True)
+    outward: Array  # (places, 7, 3) float32: outward pseudo-normal at each feature of a triangle
+    marks: Array  # (places, 7) int8: bit 1 for a feature on the rim, bit 2 on the seam
+    count: int = eqx.field(static=True)  # number of facets
 
     def points(self, c: Vec3) -> list[FacetPoint]:
-        """The nearest point of each facet to a point of the mesh's frame, with all its derivatives."""
+        """Nearest point of each facet to a point of the mesh's frame [m]; differentiable."""
         halves = (None,) if self.count == 1 else (0, 1)
         return [self._point(nearest_wide(self.wide, self.triangles, c, half), c) for half in halves]
 
@@ -78,14 +77,14 @@ class MeshFacets(eqx.Module):
 
 
 def mesh_facets(mesh: SurfaceMesh, lateral: ArrayLike | None = None) -> MeshFacets:
-    """The facets of a mesh with their trees.
+    """Divides a mesh into its facets and builds their tree.
 
     Args:
         mesh: in the femur's frame, normals outward [m].
-        lateral: which triangles are on the lateral facet, (m,) bool (see `lateral_of_groove`); None: there is but one.
+        lateral: which triangles are on the lateral facet, (m,) bool (see `lateral_of_groove`); None: a single facet.
 
     Raises:
-        InputError: labels that do not suit the mesh, or leave one facet without triangles.
+        InputError: labels that do not match the mesh, or a facet without triangles.
     """
     tree, which, features, count = facet_tree(mesh, lateral, leaf=1, least_depth=1)
     marks = (_RIM * features.rim[which] + _SEAM * features.seam[which]).astype(np.int8)
@@ -96,7 +95,7 @@ def mesh_facets(mesh: SurfaceMesh, lateral: ArrayLike | None = None) -> MeshFace
 
 
 def lateral_of_groove(mesh: SurfaceMesh, region: TrochlearRegion) -> NDArray[np.bool_]:
-    """Which triangles lie laterally of a region's groove line (right knee), (m,); its ends go on straight."""
+    """Which triangles are lateral of a region's groove line (right knee), (m,); its ends are extended straight."""
     axes, origin = np.asarray(region.cylinder.axes.array()), np.asarray(region.cylinder.origin.array())
     middles, line = ((p - origin) @ axes for p in (mesh.vertices[mesh.faces].mean(axis=1), region.groove))
     angles, along = (np.arctan2(p[:, 0], p[:, 2]) for p in (middles, line))

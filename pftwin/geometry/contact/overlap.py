@@ -1,4 +1,4 @@
-"""From the patch inside a sphere to indentations: of each facet, and of both where they have grown into one contact.
+"""Indentations from the patch inside a sphere: of each facet, and of both if they have merged into one contact.
 
 See `pftwin.model.effects.mesh_volume_contact` for the law that this serves.
 """
@@ -22,19 +22,19 @@ from pftwin.geometry.contact.sphere_patch import Patch, sphere_patch
 from pftwin.geometry.mesh.mesh import SurfaceMesh
 from pftwin.geometry.patch.region import TrochlearRegion
 
-ONE_CONTACT = 3.0  # of depth^2 pi r (1 / V_m + 1 / V_l): from here on two facets bear one contact
-MICRO = 1e6  # per metre: squares of quotients' denominators stay within single precision down to 0.001 nm
-_PARABOLA = 1.25  # height of a parabola over the ratio of the integrals of its square and itself
+ONE_CONTACT = 3.0  # value of depth^2 pi r (1 / V_m + 1 / V_l) from which two facets form one contact
+MICRO = 1e6  # micrometres per metre: squares of denominators stay in single precision's range down to 0.001 nm
+_PARABOLA = 1.25  # height of a parabola divided by the ratio of the integrals of its square and itself
 
 
 class Overlap(NamedTuple):
-    """A sphere and a mesh, medial and lateral facet."""
+    """Indentations of a mesh by a sphere; pairs are the medial and the lateral facet."""
 
     depths: tuple[Scalar, Scalar]  # d [m]
-    normals: tuple[Vec3, Vec3]  # -grad d with respect to the centre, mesh frame; 1 long on a smooth surface
-    joint_depth: Scalar  # d of both volumes together [m]
+    normals: tuple[Vec3, Vec3]  # -grad d with respect to the centre, mesh frame; of length 1 on a smooth surface
+    joint_depth: Scalar  # d of the sum of both volumes [m]
     parts: tuple[Scalar, Scalar]  # slope of the joint depth with respect to each d
-    merged: Scalar  # s
+    merged: Scalar  # s, from 0 (two contacts) to 1 (one contact)
     merged_slope: Vec3  # grad s [1/m]
     areas: tuple[Scalar, Scalar]  # [m^2]
     arms: tuple[Vec3, Vec3]  # first moment of the area about the centre [m^3]
@@ -42,11 +42,11 @@ class Overlap(NamedTuple):
 
 
 def overlap(patch: Patch, radius: Scalar, effective_radius: Scalar) -> Overlap:
-    """Indentations of a patch inside a sphere of radius R, where r is the gap's effective radius [m]."""
+    """Indentations of a patch inside a sphere of radius R (`radius`), with the gap's effective radius r [m]."""
     cuts, seam = patch.sums.facets, patch.sums.seam
     scale = 2 * math.pi * effective_radius * radius  # V / (pi r) from 2 R V
     squares = [jnp.maximum(c.doubled, 0.0) / scale for c in cuts]
-    # A centre behind the surface sees it from inside: it has to go the long way out.
+    # A centre behind the surface has to move out the long way.
     behind = cuts[0].flux + cuts[1].flux > 0
     means = [safe_sqrt(x) for x in squares]
     joint = safe_sqrt(squares[0] + squares[1])
@@ -75,10 +75,10 @@ def overlap(patch: Patch, radius: Scalar, effective_radius: Scalar) -> Overlap:
 
 
 def _out_of_power(power: Scalar, radius: Scalar, behind: Array) -> tuple[Scalar, Scalar]:
-    """The indentation of a point whose power is (R^2 - |q|^2) / (2 R), and its slope; by a series, within 1e-5 up to a
-    twentieth of the radius, and without the root's end.
+    """Indentation of a point with the power (R^2 - |q|^2) / (2 R), and its slope.
 
-    R - sqrt(R^2 - 2 R power) = power (1 + x / 2 + x^2 / 2 + 5 x^3 / 8 + ...) with x = power / R.
+    R - sqrt(R^2 - 2 R power) = power (1 + x / 2 + x^2 / 2 + 5 x^3 / 8 + ...) with x = power / R. The series, unlike the
+    root, is defined for every power; its error is within 1e-5 up to a twentieth of the radius.
     """
     x = power / radius
     d, slope = power * (1 + 0.5 * x * (1 + x * (1 + 1.25 * x))), 1 + x * (1 + x * (1.5 + 2.5 * x))
@@ -88,7 +88,7 @@ def _out_of_power(power: Scalar, radius: Scalar, behind: Array) -> tuple[Scalar,
 def _merged_square(
     cuts: tuple[BallCut, BallCut], squares: list[Scalar], seam: SeamDepth, scale: Scalar
 ) -> tuple[Scalar, Vec3]:
-    """s and its gradient with respect to the sphere's centre; inside in micrometres."""
+    """s and its gradient with respect to the sphere's centre; computed in micrometres."""
     both = (squares[0] > 0) & (squares[1] > 0) & (seam.depth > 0) & (seam.square > 0)
     area, volume = MICRO**2, MICRO**3
     micro = (area * squares[0], area * squares[1], area * seam.depth, volume * seam.square)
@@ -99,30 +99,30 @@ def _merged_square(
     u = jnp.where(partly, t, 1.0)
     s = jnp.where(both, u * u * (3 - 2 * u), 0.0)
     slope = jnp.where(partly, 6 * u * (1 - u), 0.0)
-    # d t: by the depth, and by each volume, of which 2 R V has the slope 2 * moment.
+    # The derivative of t by the depth, and by each volume V, where 2 R V has the gradient 2 * moment.
     by_depth = (2 * t * slope) * ((volume / square) * seam.square_slope - (area / along) * seam.depth_slope)
-    # By quotients of like size: the derivative of 1 / m^2 divides by m^4, too small for single precision when shallow.
+    # Quotients of similar size, since 1 / m^2 has a derivative with m^4, too small for single precision if shallow.
     rest, by_m, by_v = (slope / ONE_CONTACT) * (-2 / scale), MICRO * depth / m, MICRO * depth / v
     by_volume = (rest * by_m * by_m) * cuts[0].moment + (rest * by_v * by_v) * cuts[1].moment
     return s, by_depth + by_volume
 
 
-DEPTH = 0.008  # radii: the indentation at which it is measured
-PLACES = 256  # on the mesh
-LEAST = 16  # least number of places where the sphere fits, for a median
+DEPTH = 0.008  # indentation at which the effective radius is measured, in radii
+PLACES = 256  # sample points on the mesh
+LEAST = 16  # fewest sample points with a single contact
 
 
 def effective_radius(mesh: SurfaceMesh, patch: PatchMesh, radius: float, near: ArrayLike | None = None) -> float:
-    """The median of V / (pi d^2) over places where a sphere dips into the mesh by d, and nowhere deeper [m].
+    """Effective radius of the gap [m]: median of V / (pi d^2) over points where a sphere indents the mesh by d.
 
     Args:
         mesh: in the femur's frame [m].
-        patch: the same, made ready for spheres.
+        patch: the same mesh, from `patch_mesh`.
         radius: of the sphere [m].
-        near: which vertices count, (n,) bool, for instance `beside_groove`; None: all.
+        near: which vertices to use, (n,) bool, for instance from `beside_groove`; None: all.
 
     Raises:
-        InputError: a mask that does not suit the mesh; a surface on which the sphere touches hardly anywhere alone.
+        InputError: a mask that does not match the mesh; too few points where the sphere is not deeper elsewhere.
     """
     used = np.ones(len(mesh.vertices), bool) if near is None else np.asarray(near)
     if used.shape != (len(mesh.vertices),):
@@ -151,7 +151,7 @@ def effective_radius(mesh: SurfaceMesh, patch: PatchMesh, radius: float, near: A
 
 @jax.jit
 def _volumes(patch: PatchMesh, centers: jax.Array, radius: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """At each centre twice R V, and the distance to the surface."""
+    """2 R V, and the distance to the surface [m], for each centre."""
 
     def one(c: jax.Array) -> tuple[jax.Array, jax.Array]:
         center = Vec3.from_array(c)
@@ -163,6 +163,6 @@ def _volumes(patch: PatchMesh, centers: jax.Array, radius: jax.Array) -> tuple[j
 
 
 def beside_groove(mesh: SurfaceMesh, region: TrochlearRegion, reach: float) -> NDArray[np.bool_]:
-    """A region's vertices within a distance from its groove line [m], (n,): where a button runs."""
+    """Which vertices are in a region and within `reach` [m] of its groove line, (n,): where a button tracks."""
     gap = np.linalg.norm(mesh.vertices[:, None] - region.groove[None], axis=2).min(axis=1)
     return region.mask & (gap <= reach)

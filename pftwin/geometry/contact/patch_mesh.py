@@ -20,28 +20,28 @@ from pftwin.geometry.contact.mesh_facets import MeshFacets, mesh_facets
 from pftwin.geometry.mesh.mesh import SurfaceMesh
 
 CHUNK = 64  # triangles cut at a time
-DEEPEST = 0.05  # of the radius: indentation up to which there is room on two facets at once
-ALONG = 2.2  # triangles that an outline may cut, per length of a triangle's side: measured 1.7 to 1.9
+DEEPEST = 0.05  # indentation, as a share of the radius, up to which lists suffice for two facets at once
+ALONG = 2.2  # triangles cut by an outline, per length of a triangle's side: measured 1.7 to 1.9
 
 
 class PatchMesh(eqx.Module):
-    """A mesh that a sphere may touch. Arrays are leaves."""
+    """A mesh prepared for contact with spheres. Arrays are leaves."""
 
     facets: MeshFacets
     seam: Array  # (k, 6) edges between the facets [m]
     rim: Array  # (r, 6) edges of an open mesh's boundary [m]
-    room: BallListLengths = eqx.field(static=True)
+    room: BallListLengths = eqx.field(static=True)  # capacities
     sums: Array | None = None  # (nodes, 10), see `prepared`
 
     def prepared(self) -> PatchMesh:
-        """With what the tree's nodes sum up to, from the triangles: once, before many looks."""
+        """The same mesh with sums over the tree's nodes; make it once, before many evaluations."""
         values = jnp.where(self.facets.empty[:, None], 0.0, _sums_of(self.facets.triangles))
         lateral = jnp.asarray(self.facets.wide.lateral() * (self.facets.count > 1), values.dtype)
         sums = jnp.concatenate([self.facets.wide.node_sums(values), lateral[:, None]], axis=1)
         return eqx.tree_at(lambda m: m.sums, self, sums, is_leaf=lambda x: x is None)
 
     def depth_by_distance(self, center: Vec3, radius: Scalar) -> tuple[Scalar, Scalar]:
-        """Radius less the signed distance of a sphere's centre to the nearer facet, NaN for the other [m]."""
+        """Radius less the signed distance of a sphere's centre to the nearer facet; NaN for the other facet [m]."""
         distances = [p.distance for p in self.facets.points(center)]
         nothing = jnp.full_like(radius, jnp.nan)
         if len(distances) == 1:
@@ -58,21 +58,21 @@ class PatchMesh(eqx.Module):
 
 
 def patch_mesh(mesh: SurfaceMesh, radius: float, lateral: ArrayLike | None = None) -> PatchMesh:
-    """A mesh made ready for spheres.
+    """Prepares a mesh for contact with spheres.
 
     Args:
         mesh: in the femur's frame, normals outward [m].
-        radius: of the sphere, for the lists' length [m].
-        lateral: which triangles are on the lateral facet, (m,) bool (`lateral_of_groove`); None: there is but one.
+        radius: of the sphere, which determines the lists' capacities [m].
+        lateral: which triangles are on the lateral facet, (m,) bool (`lateral_of_groove`); None: a single facet.
 
     Raises:
-        InputError: a radius that is not positive; labels that do not suit the mesh, or leave one facet empty.
+        InputError: a radius that is not positive; labels that do not match the mesh, or a facet without triangles.
     """
     if not (np.isfinite(radius) and radius > 0):
         raise InputError(f"found {radius}", where="radius", expected="a positive length")
     facets = mesh_facets(mesh, lateral)
     label = np.zeros(len(mesh.faces), int) if lateral is None else np.asarray(lateral).astype(int)
-    # Where the sphere dips deepest into a plane the outline is longest.
+    # The outline is longest at the deepest indentation of a plane.
     outline = 2 * np.pi * radius * np.sqrt(2 * DEEPEST) * facets.count
     side = np.sqrt(np.quantile(mesh.face_areas, 0.25))
     cut = CHUNK * int(np.ceil(min(max(ALONG * outline / side, 2 * CHUNK), len(mesh.faces)) / CHUNK))
@@ -81,7 +81,7 @@ def patch_mesh(mesh: SurfaceMesh, radius: float, lateral: ArrayLike | None = Non
 
 
 def _sums_of(rows: Array) -> Array:
-    """Of each triangle (n, 9): area, first moment, second moment, area vector, flux of the position; (n, 9)."""
+    """Area, first moment, second moment, area vector and flux of the position (n, 9) of triangles (n, 9)."""
     t = Triangle.of_rows(rows)
     n = 0.5 * t.area_vector()
     area, middle = n.norm(), t.a + t.b + t.c
@@ -90,12 +90,12 @@ def _sums_of(rows: Array) -> Array:
     return jnp.stack([area, m.x, m.y, m.z, (area / 12) * square, n.x, n.y, n.z, n.dot(t.a)], axis=1)
 
 
-# How deep the border between two facets is inside a ball tells whether two contacts have become one. Of a parabola of
-# height d over a chord, which the depth is where one contact lies across the border, the integral of the square over
-# that of the depth is 4/5 d, whatever the chord's length, and smooth where the chord appears.
+# The depth of the facets' border inside a ball shows whether two contacts have merged. If one contact lies across the
+# border, the depth along it is a parabola of height d over a chord. The integral of its square over that of the depth
+# is 4/5 d for any chord length, and smooth where the chord appears.
 
 
-# Gauss-Legendre on three points: exact for the polynomials here, which are of degree four at most.
+# Gauss-Legendre nodes and weights, three points: exact for the polynomials here, of degree four at most.
 _NODES = ((-math.sqrt(0.6), 5 / 18), (0.0, 8 / 18), (math.sqrt(0.6), 5 / 18))
 
 
@@ -103,14 +103,14 @@ class SeamDepth(NamedTuple):
     """Integrals along the part of a chain of edges inside a ball, and their slopes with respect to its centre."""
 
     length: Scalar  # [m]
-    depth: Scalar  # of the depth [m^2]
-    square: Scalar  # of its square [m^3]
-    depth_slope: Vec3  # [m]
-    square_slope: Vec3  # [m^2]
+    depth: Scalar  # integral of the depth [m^2]
+    square: Scalar  # integral of its square [m^3]
+    depth_slope: Vec3  # gradient of `depth` [m]
+    square_slope: Vec3  # gradient of `square` [m^2]
 
 
 def seam_depth(edges: Array, center: Vec3, radius: Scalar) -> SeamDepth:
-    """Of edges (n, 6), each its start and its end, and a ball, all in one frame [m]."""
+    """Integrals along edges (n, 6), start and end, inside a ball; all in one frame [m]."""
     q = Vec3(*(edges[:, i] - c for i, c in enumerate((center.x, center.y, center.z))))
     way = Vec3(*(edges[:, 3 + i] - edges[:, i] for i in range(3)))
     length, half, excess = way.squared_norm(), q.dot(way), q.squared_norm() - radius * radius

@@ -1,11 +1,11 @@
-"""The patch of a mesh that lies inside a sphere: area, depth and normal of each facet's part.
+"""The patch of a mesh inside a sphere: area, depth and normal of each facet's part.
 
-The sums over a patch are exact for the flat triangles that the mesh is of (`pftwin.geometry.contact.ball_cut`). Parts
-of the surface wholly inside are summed by the nodes of a tree, whose sums over area, first and second moments are known
-beforehand; only along the patch's outline is every triangle cut (`pftwin.geometry.bvh.wide`).
+The sums over a patch are exact for the mesh's flat triangles (`pftwin.geometry.contact.ball_cut`). Parts of the surface
+wholly inside are summed by nodes of a tree with precomputed areas, first and second moments; only triangles along the
+patch's outline are cut individually (`pftwin.geometry.bvh.wide`).
 
-The sums themselves are made by loops over what was found, as long as they need to be. Their derivatives, where asked
-for, are those of the same sums over lists of fixed length, which both modes of differentiation go through.
+Values come from loops over the triangles found. Derivatives by the mesh are those of the same sums over lists of fixed
+length, which support both modes of differentiation; derivatives by the sphere are sums over the outline.
 """
 
 from __future__ import annotations
@@ -31,18 +31,18 @@ class PatchSums(NamedTuple):
     """Sums over the parts of each facet, medial and lateral, inside the sphere."""
 
     facets: tuple[BallCut, BallCut]  # with the sphere's centre as origin
-    seam: SeamDepth
+    seam: SeamDepth  # along the border of the facets
 
 
 class Patch(NamedTuple):
-    """The sums with flags that cannot be differentiated."""
+    """The sums, and whether they are complete."""
 
     sums: PatchSums
-    overflow: Array  # bool: the lists were too short, the sums lack something
+    overflow: Array  # bool: the lists were too short, the sums are incomplete
 
 
 def sphere_patch(mesh: PatchMesh, center: Vec3, radius: Scalar) -> Patch:
-    """The patch inside a sphere about a point of the mesh's frame [m]; jit, vmap and derivatives apply."""
+    """The patch inside a sphere, its centre in the mesh's frame [m]. Supports jit, vmap and derivatives."""
     ready = mesh if mesh.sums is not None else mesh.prepared()
     return _patch(ready, center, radius)
 
@@ -54,7 +54,7 @@ def _patch(mesh: PatchMesh, center: Vec3, radius: Scalar) -> Patch:
 
 @_patch.def_jvp
 def _patch_jvp(primals: Any, tangents: Any) -> tuple[Patch, Patch]:
-    """By the sphere's centre and radius: sums over the outline. By the mesh: those of lists of fixed length."""
+    """By the sphere's centre and radius: sums over the outline. By the mesh: sums over lists of fixed length."""
     mesh, center, radius = primals
     patch = _patch(mesh, center, radius)
     of_mesh, of_sphere = tangents[0], tuple(tangents[1:])
@@ -72,7 +72,7 @@ def _patch_jvp(primals: Any, tangents: Any) -> tuple[Patch, Patch]:
 
 
 def _moved(cut: BallCut, arcs: BallArcs, radius: Scalar, dc: Vec3, dr: Scalar) -> BallCut:
-    """The change of the sums by a change of the centre and the radius; the flux is for decisions only."""
+    """Change of the sums by a change of the centre and the radius; zero for the flux, which only decides the side."""
     grown = radius * dr
     turned = Vec3(*(row.dot(dc) for row in arcs.product))
     return BallCut(
@@ -85,7 +85,7 @@ def _moved(cut: BallCut, arcs: BallArcs, radius: Scalar, dc: Vec3, dr: Scalar) -
 
 @eqx.filter_custom_jvp
 def _outline_arcs(mesh: PatchMesh, center: Vec3, radius: Scalar) -> tuple[BallArcs, BallArcs]:
-    """The outline's arcs on the medial and the lateral facet."""
+    """Integrals over the outline's arcs on the medial and the lateral facet."""
 
     def search(mesh: PatchMesh, center: Vec3, radius: Scalar) -> Array:
         found = in_ball(mesh.facets.wide, center, radius, mesh.room)
@@ -101,7 +101,7 @@ def _arcs_jvp(primals: Any, tangents: Any) -> Any:
 
 
 def _counted(mesh: PatchMesh, center: Vec3, radius: Scalar) -> Patch:
-    """The sums by loops over what was found."""
+    """The sums by loops over the triangles and nodes found."""
     found = in_ball(mesh.facets.wide, center, radius, mesh.room)
 
     def one_node(state: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
@@ -124,7 +124,7 @@ def _counted(mesh: PatchMesh, center: Vec3, radius: Scalar) -> Patch:
 def _over_triangles(
     mesh: PatchMesh, found: InBall, center: Vec3, radius: Scalar, what: Callable[[Triangle, Scalar], tuple[Scalar, ...]]
 ) -> Array:
-    """Sums of some quantities over the triangles on the outline, medial and lateral, (2, k), a chunk at a time."""
+    """Sums of k quantities over the triangles on the outline, medial and lateral, (2, k), a chunk at a time."""
     cut = jnp.concatenate([found.cut, jnp.zeros(CHUNK, jnp.int32)])
     lanes = jnp.arange(CHUNK, dtype=jnp.int32)
     end = jnp.minimum(found.n_cut, mesh.room.cut)
@@ -140,7 +140,7 @@ def _over_triangles(
 
 
 def _sums_by_lists(mesh: PatchMesh, center: Vec3, radius: Scalar, found: InBall) -> PatchSums:
-    """The same sums by lists of fixed length."""
+    """The same sums over lists of fixed length."""
     listed = jnp.arange(mesh.room.cut, dtype=jnp.int32) < found.n_cut
     total = _group_sums(mesh, found.cut, listed, center, radius, _cut_of)
     listed = jnp.arange(mesh.room.inside, dtype=jnp.int32) < found.n_inside
@@ -159,7 +159,7 @@ def _group_sums(
     radius: Scalar,
     what: Callable[[Triangle, Scalar], tuple[Scalar, ...]],
 ) -> Array:
-    """Sums over triangles by their places, medial and lateral, (2, k), with the sphere's centre as origin."""
+    """Sums of k quantities over the triangles in places, medial and lateral, (2, k), with the centre as origin."""
     rows = mesh.facets.triangles[places] - jnp.stack([center.x, center.y, center.z] * 3)[None, :]
     values = what(Triangle.of_rows(rows), radius)
     half = len(mesh.facets.triangles) // 2 if mesh.facets.count > 1 else len(mesh.facets.triangles)
@@ -183,7 +183,7 @@ def _ball_arcs_of(v: Array) -> BallArcs:
 
 
 def _from_origin(s: Array, c: Vec3, radius: Scalar) -> Array:
-    """The sums over whole triangles, (10,), as those of `BallCut` about a ball's centre, (6,)."""
+    """Converts sums over whole triangles (10,) to those of `BallCut` about a ball's centre, (6,)."""
     first, n = Vec3(s[1], s[2], s[3]), Vec3(s[5], s[6], s[7])
     doubled = s[0] * (radius * radius - c.squared_norm()) + 2 * first.dot(c) - s[4]
     moment = first - s[0] * c

@@ -1,1 +1,1 @@
-"""Triangle meshes: read, checked, repaired and made."""
+"""Triangle meshes: reading, checking, repairing and generating them."""

@@ -1,9 +1,8 @@
-"""Finds faults of meshes, describes them, and makes the repairs that keep the surface.
+"""Mesh diagnosis: finds and describes faults, and makes the repairs that do not change the surface.
 
-Findings are of three kinds. A fault that can be repaired without changing the surface is `safe`. One that is only
-reported, because a repair would add or remove surface, is `left`. With a `fatal` one no contact can be computed:
-the outside is ambiguous, or the mesh is no surface there. An open surface is not a fault
-in itself.
+A finding has one of three severities: `safe` (can be repaired without changing the surface), `left` (only reported,
+because a repair would add or remove surface) and `fatal` (contact cannot be computed: the outside is ambiguous, or the
+mesh is not a surface there). An open surface is not in itself a fault.
 """
 
 from __future__ import annotations
@@ -43,25 +42,25 @@ from pftwin.geometry.mesh.topology import MeshPart, parts_of, repeated, turned_o
 
 @dataclass(frozen=True, eq=False)
 class Diagnosis:
-    """The findings; coordinates and lengths in the mesh's own unit."""
+    """Properties and findings of a mesh; coordinates and lengths are in the mesh's own unit."""
 
     source: str
     n_vertices: int  # after welding
-    n_faces: int  # as the file has them
+    n_faces: int  # as in the file
     longest_side: float
-    units: list[str]  # units in which the size suits a part of the knee, likeliest first
+    units: list[str]  # units in which the size is plausible for a part of the knee, most likely first
     parts: list[MeshPart]
     findings: list[MeshFinding]
-    turn: NDArray[np.bool_]  # (m,) faces to turn, where that is safe
-    drop: NDArray[np.bool_]  # (m,) faces to drop, where that is safe
+    turn: NDArray[np.bool_]  # (m,) faces whose orientation a safe repair reverses
+    drop: NDArray[np.bool_]  # (m,) faces that a safe repair removes
 
     def of(self, severity: str) -> list[MeshFinding]:
-        """The findings of one severity."""
+        """Findings of one severity: "safe", "left" or "fatal"."""
         return [f for f in self.findings if f.severity == severity]
 
     @property
     def verdict(self) -> str:
-        """In one sentence."""
+        """Summary in one sentence: usable, to be repaired, or not usable, with the kinds of findings."""
         if fatal := self.of("fatal"):
             return f"not to be used: {', '.join(f.kind for f in fatal)}"
         if safe := self.of("safe"):
@@ -69,7 +68,7 @@ class Diagnosis:
         return "usable"
 
     def facts(self) -> dict[str, Any]:
-        """For JSON."""
+        """Properties, parts, findings and verdict as a dictionary that can be written as JSON."""
         parts = [
             {
                 "triangles": len(p.faces),
@@ -95,7 +94,7 @@ class Diagnosis:
 
 
 def examine_file(path: str | os.PathLike[str], *, units: str | None = None) -> Diagnosis:
-    """Examine a mesh file; see `examine`.
+    """Examines a mesh file; see `examine`.
 
     Raises:
         InputError: unknown units, or a file that cannot be read at all (see `files.read_triangles`).
@@ -106,12 +105,12 @@ def examine_file(path: str | os.PathLike[str], *, units: str | None = None) -> D
 
 
 def examine(vertices: ArrayLike, faces: ArrayLike, *, source: str = "mesh", units: str | None = None) -> Diagnosis:
-    """Examines a mesh.
+    """Examines a mesh for faults.
 
     Args:
-        vertices, faces: (n, 3) in any unit and (m, 3), as a file has them.
-        source: a name for messages.
-        units: the unit of the coordinates, if known; None: a guess by the size is reported.
+        vertices, faces: (n, 3) in any unit and (m, 3), not yet welded.
+        source: name for messages.
+        units: unit of the coordinates; None: unknown, the size must be plausible in some unit.
     """
     p, f = np.asarray(vertices, dtype=np.float64), np.asarray(faces, dtype=np.int64)
     n, none = len(f), np.zeros(len(f), dtype=bool)
@@ -151,12 +150,12 @@ def examine(vertices: ArrayLike, faces: ArrayLike, *, source: str = "mesh", unit
 def repaired(
     vertices: ArrayLike, faces: ArrayLike, *, source: str = "mesh", units: str | None = None
 ) -> tuple[SurfaceMesh, Diagnosis]:
-    """The mesh with all safe repairs, in its own unit, and the remaining findings.
+    """Makes all safe repairs; returns the mesh, in its own unit, and the findings that remain.
 
-    Holes, isolated parts and cavities stay as they are.
+    Holes, isolated parts and cavities are not changed.
 
     Raises:
-        InputError: findings that no safe repair removes and that no contact can be computed with.
+        InputError: the mesh has fatal findings.
     """
     found = examine(vertices, faces, source=source, units=units)
     if fatal := found.of("fatal"):
@@ -171,27 +170,27 @@ def repaired(
     return mesh, examine(mesh.vertices, mesh.faces, source=source, units=units)
 
 
-_DROPPED = "zero_area"  # dropped silently, since the surface is the same
+_DROPPED = "zero_area"  # removed without a message, since the surface stays the same
 
 
 class CheckedMesh(NamedTuple):
-    """A mesh and remarks about it."""
+    """A mesh and notes about its findings and repairs."""
 
     mesh: SurfaceMesh
     notes: list[str]
 
 
 def checked_mesh(path: str | os.PathLike[str], *, units: str, repair: bool = False) -> CheckedMesh:
-    """Reads and examines a mesh file; the mesh is in metres.
+    """Reads and examines a mesh file; the returned mesh is in metres.
 
     Args:
-        path: STL, OBJ or PLY.
+        path: STL, OBJ or PLY file.
         units: of its coordinates.
-        repair: turn triangles and drop doubles where that leaves the surface what it is.
+        repair: make the safe repairs: reorient triangles and remove duplicates.
 
     Raises:
-        InputError: a file that cannot be read; a size that does not suit the units; findings of the doctor's that no
-            contact can be computed with, and without `repair` those that a repair would remove.
+        InputError: a file that cannot be read; a size that is implausible in these units; fatal findings; without
+            `repair`, also findings that a safe repair would remove.
     """
     vertices, faces = read_triangles(Path(path))
     points, source = vertices * UNITS[units], str(path)
@@ -216,6 +215,6 @@ def _refuse(found: Diagnosis, severity: str, remedy: str) -> None:
 
 
 def _notes(found: Diagnosis, severities: tuple[str, ...]) -> list[str]:
-    """The remaining findings in words, lengths in the file's own unit; sizes are checked elsewhere."""
+    """Descriptions of findings, lengths in the file's own unit; without the size, which `check_size` checks."""
     said = [f for severity in severities for f in found.of(severity) if f.kind != "scale"]
     return [f"{found.source}: {f.words}" for f in said]

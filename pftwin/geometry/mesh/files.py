@@ -1,4 +1,4 @@
-"""Triangles of mesh files as they stand there: STL, OBJ and PLY through trimesh; damaged or huge files are refused."""
+"""Reads the triangles of STL, OBJ and PLY files with trimesh; rejects damaged and oversized files."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _FORMATS = (".stl", ".obj", ".ply")
 
 
 def check_format(path: Path) -> None:
-    """Refuse a file type other than STL, OBJ and PLY."""
+    """Raises InputError for a file type other than STL, OBJ and PLY."""
     if path.suffix.lower() not in _FORMATS:
         raise InputError(
             f"unknown mesh format {path.suffix or '(no extension)'}", where=path, expected=", ".join(_FORMATS)
@@ -23,7 +23,7 @@ def check_format(path: Path) -> None:
 
 
 def read_triangles(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Vertices (n, 3) in the file's own unit and faces (m, 3), as the file has them.
+    """Reads vertices (n, 3) in the file's own unit and faces (m, 3), without welding or cleaning.
 
     Raises:
         InputError: missing, empty, unreadable or truncated file; no triangles; more than `MESH_BYTES` or
@@ -73,7 +73,7 @@ def _check_count(triangles: int, path: Path) -> None:
 
 
 def _check_whole_stl(data: bytes, path: Path) -> None:
-    """A binary STL must hold as many triangles as it announces; a text STL must have its last line."""
+    """Checks that a binary STL has as many triangles as its header states, and a text STL its last line."""
     count = int.from_bytes(data[80:84], "little")
     if len(data) == 84 + 50 * count and count:
         _check_count(count, path)
@@ -94,7 +94,7 @@ def _check_whole_stl(data: bytes, path: Path) -> None:
 
 
 def _check_whole_text_ply(data: bytes, path: Path) -> None:
-    """A text PLY must have a line for everything that its header announces; of a binary one trimesh sees to that."""
+    """Checks that a text PLY has a line for each element of its header; for a binary PLY trimesh checks it."""
     header, end, body = data.partition(b"end_header")
     words = [line.split() for line in header.decode("latin-1").splitlines()]
     if not end or ["format", "ascii", "1.0"] not in words:

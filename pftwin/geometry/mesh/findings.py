@@ -1,4 +1,4 @@
-"""The faults that the mesh doctor looks for, and their descriptions."""
+"""The individual checks of the mesh doctor and the descriptions of what they find."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ from numpy.typing import NDArray
 from pftwin.geometry.mesh.mesh import SurfaceMesh
 from pftwin.geometry.mesh.topology import MeshPart, agreement, edges_of
 
-FEW = 0.25  # share of a part's triangles up to which those that disagree are the ones to turn
-INWARD = -0.3  # mean cosine between normals and the way out from the middle, below which they seem to point inward
+FEW = 0.25  # largest share of an open part's triangles that may be reversed to make the part consistent
+INWARD = -0.3  # mean cosine between normals and directions from the part's centre, below which normals point inward
 
 
 @dataclass(frozen=True)
 class MeshFinding:
-    """A fault or a remark."""
+    """A fault of a mesh, or a property worth reporting."""
 
     kind: str  # "mixed_winding", "hole", ...
     severity: str  # "safe", "left" or "fatal"
     count: int
-    words: str
-    places: list[list[float]] = field(default_factory=list)  # of the first few, in the file's unit
+    words: str  # description
+    places: list[list[float]] = field(default_factory=list)  # coordinates of the first five, in the file's unit
 
 
 def _finding_at(kind: str, severity: str, words: str, places: NDArray) -> list[MeshFinding]:
-    """A finding at some places (k, 3), whose number goes before the words; none where there are none."""
+    """A list of one finding at points (k, 3), the words preceded by their number; an empty list for k = 0."""
     n = len(places)
     return [MeshFinding(kind, severity, n, f"{n} {words}", places[:5].tolist())] if n else []
 
@@ -34,7 +34,7 @@ def _finding_at(kind: str, severity: str, words: str, places: NDArray) -> list[M
 def superfluous_triangles(
     points: NDArray, faces: NDArray, flat: NDArray[np.bool_], copies: NDArray[np.bool_], opposed: NDArray[np.bool_]
 ) -> list[MeshFinding]:
-    """Triangles without area, and repeated ones in either orientation."""
+    """Findings on triangles with zero area, and on duplicates with the same or the opposite orientation."""
 
     def found(which: NDArray[np.bool_], kind: str, severity: str, words: str) -> list[MeshFinding]:
         return _finding_at(kind, severity, f"triangles {words}", points[faces[which]].mean(axis=1))
@@ -48,7 +48,7 @@ def superfluous_triangles(
 
 
 def crowded_edges(mesh: SurfaceMesh) -> list[MeshFinding]:
-    """Edges of more than two triangles."""
+    """Findings on edges that border more than two triangles."""
     edges = edges_of(mesh.faces)
     middles = mesh.vertices[edges.corners[edges.count > 2]].mean(axis=1)
     words = "edges border more than two triangles: the mesh is no surface there; take the extra sheet out"
@@ -56,10 +56,10 @@ def crowded_edges(mesh: SurfaceMesh) -> list[MeshFinding]:
 
 
 def wrongly_turned(mesh: SurfaceMesh, parts: list[MeshPart]) -> tuple[NDArray[np.bool_], list[MeshFinding]]:
-    """Faces to turn (m,), and the findings about sides."""
+    """Which faces to reverse, (m,) bool, and the findings on orientation."""
     turned, one_sided, _ = agreement(mesh.faces)
     centers = mesh.vertices[mesh.faces].mean(axis=1)
-    mixed = turned.copy()  # against their neighbours
+    mixed = turned.copy()  # faces oriented against their neighbours
     counts, places = dict.fromkeys(_SIDES, 0), {kind: [] for kind in _SIDES}
     for part in parts:
         own, outward = part.faces, np.where(turned[part.faces], -1.0, 1.0)[:, None] * mesh.area_vectors[part.faces]
@@ -107,7 +107,7 @@ _SIDES = {
 
 
 def _inside(part: MeshPart, parts: list[MeshPart], mesh: SurfaceMesh) -> bool:
-    """Whether another closed part's bounding box holds this one's."""
+    """Whether this part's bounding box lies in that of another closed part."""
     low, high = _box(part, mesh)
     others = [_box(other, mesh) for other in parts if other is not part and not other.loops]
     return any((a <= low).all() and (high <= b).all() for a, b in others)
@@ -119,7 +119,7 @@ def _box(part: MeshPart, mesh: SurfaceMesh) -> tuple[NDArray, NDArray]:
 
 
 def holes(mesh: SurfaceMesh, parts: list[MeshPart]) -> list[MeshFinding]:
-    """Short boundary loops. Long ones are rims: an open surface has them."""
+    """Findings on short boundary loops; long loops are the rims of an open surface and no fault."""
     holes = [loop for part in parts for loop in part.loops if loop.is_hole]
     longest = max((k.length for k in holes), default=0.0)
     words = f"holes, {'' if len(holes) == 1 else 'up to '}{longest:.3g} around: nothing touches there"
@@ -129,7 +129,7 @@ def holes(mesh: SurfaceMesh, parts: list[MeshPart]) -> list[MeshFinding]:
 
 
 def isolated_parts(mesh: SurfaceMesh, parts: list[MeshPart]) -> list[MeshFinding]:
-    """All parts but the largest."""
+    """Findings on all parts but the largest."""
     rest = parts[1:]
     share = sum(p.area for p in rest) / mesh.area
     words = (
@@ -140,7 +140,7 @@ def isolated_parts(mesh: SurfaceMesh, parts: list[MeshPart]) -> list[MeshFinding
 
 
 def scale(longest: float, likely: list[str], units: str | None) -> list[MeshFinding]:
-    """Whether the size is that of a part of the knee, in the stated unit or in any."""
+    """A finding if the size is implausible for a part of the knee in the stated unit (None: in any unit)."""
     if units in likely or (units is None and likely):
         return []
     stated = "any unit" if units is None else units

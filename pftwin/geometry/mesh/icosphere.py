@@ -1,10 +1,10 @@
-"""Spheres of triangles: an icosahedron's faces divided evenly and pushed out; and in the paper's resolutions.
+"""Icospheres: triangle meshes of a sphere, also in the resolutions of Michaud et al. 2024.
 
 Michaud et al. 2024 compare a coarse mesh (CM: deviation 0.1 mm, angle 1 deg) and a fine one (FM: 0.006 mm, 0.5 deg).
-What the angle is between is not said there, and whatever it is, it cannot have governed: a button whose neighbouring
-triangles turn by 1 deg deviates by a fiftieth of 0.1 mm. The paper's own times tell what did: a step took 27 times as
-long with FM as with CM; meshes of those deviations differ 17-fold in triangles, of those angles 4-fold. So CM and FM
-are what the deviations ask for.
+The paper does not define the angle. It cannot have set the resolution: a button whose adjacent triangles differ by
+1 deg deviates by only a fiftieth of 0.1 mm. The reported times agree with the deviations: a step took 27 times as long
+with FM as with CM; meshes with these deviations differ 17-fold in triangles, with these angles 4-fold. So CM and FM
+are defined here by their deviations.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from pftwin.base.errors import InputError
 from pftwin.base.text_files import MESH_TRIANGLES
 from pftwin.geometry.mesh.mesh import SurfaceMesh, weld
 
-RESOLUTIONS = {"CM": 0.1e-3, "FM": 0.006e-3}  # the allowed deviation of a mesh from the surface [m]
+RESOLUTIONS = {"CM": 0.1e-3, "FM": 0.006e-3}  # largest deviation of the mesh from the surface [m]
 _MOST_FREQUENCY = 300  # 1.8 million triangles
 
 
 def icosphere(radius: float, frequency: int) -> SurfaceMesh:
-    """20 * frequency^2 triangles with their corners on a sphere about the origin, outward.
+    """An icosphere of 20 * frequency^2 outward triangles, its vertices on a sphere of a radius [m] about the origin.
 
-    A frequency of 16 is the sphere with 5,120 triangles that four halvings of the icosahedron's edges give.
+    A frequency of 16 gives 5,120 triangles, the same as four subdivisions of the icosahedron.
 
     Raises:
-        InputError: a frequency below 1 or that makes too many triangles; a radius that is not positive.
+        InputError: a frequency below 1 or that gives too many triangles; a radius that is not positive.
     """
     if not frequency >= 1 or 20 * frequency**2 > MESH_TRIANGLES:
         raise InputError(f"found {frequency}", where="frequency", expected=f"1 to {int((MESH_TRIANGLES / 20) ** 0.5)}")
@@ -40,24 +40,24 @@ def icosphere(radius: float, frequency: int) -> SurfaceMesh:
 
 
 def icosphere_deviation(frequency: int) -> float:
-    """The largest distance of an icosphere from its sphere, in radii."""
+    """Largest distance of an icosphere from its sphere, in radii."""
     vertices, faces = _unit(frequency)
     mesh = SurfaceMesh(vertices, faces)
     normals = mesh.area_vectors / mesh.face_areas[:, None]
-    inward = 1 - np.einsum("ij,ij->i", normals, vertices[faces[:, 0]])  # a face is nearest where its normal passes
+    inward = 1 - np.einsum("ij,ij->i", normals, vertices[faces[:, 0]])  # a face is nearest at its normal's foot
     return float(inward.max())
 
 
 def button_mesh(radius: float, deviation: float) -> SurfaceMesh:
-    """The coarsest icosphere that stays within a deviation [m] of the sphere; its middle is the origin.
+    """The coarsest icosphere within a deviation [m] of a sphere of a radius [m] about the origin.
 
     Raises:
-        InputError: a radius or deviation that is not positive, or asks for more triangles than a mesh may have.
+        InputError: a radius or deviation that is not positive, or that needs more triangles than a mesh may have.
     """
     for name, value in (("radius", radius), ("deviation", deviation)):
         if not (math.isfinite(value) and value > 0):
             raise InputError(f"found {value}", where=name, expected="a positive number")
-    # First guess from a hexagonal net on the sphere, then corrected by the icosphere's own deviation.
+    # The first guess assumes a hexagonal net on the sphere; the icosphere's own deviation decides.
     for frequency in range(max(1, math.floor(0.5 * math.sqrt(radius / deviation))), _MOST_FREQUENCY + 1):
         if radius * icosphere_deviation(frequency) <= deviation:
             return icosphere(radius, frequency)

@@ -1,4 +1,4 @@
-"""Triangle meshes of articulating surfaces: reading, checking, writing. Open surfaces are first class."""
+"""Triangle meshes of articulating surfaces, open or closed: reading, checking, writing."""
 
 from __future__ import annotations
 
@@ -14,45 +14,45 @@ from pftwin.base.errors import InputError
 from pftwin.base.output import written_whole
 from pftwin.geometry.mesh.files import check_format, read_triangles
 
-# In metres; what meshes are exported in, most often first.
+# Length units of mesh files [m], most common first.
 UNITS = {"mm": 1e-3, "m": 1.0, "cm": 1e-2, "in": 25.4e-3, "um": 1e-6, "dm": 1e-1}
 PLAUSIBLE = (0.02, 0.2)  # longest side of a femoral component or a button [m]
-COINCIDENT = 1e-7  # of a mesh's size: vertices nearer than that are one
+COINCIDENT = 1e-7  # vertices closer than this share of the mesh's size are merged
 
 
 @dataclass(frozen=True, eq=False)
 class SurfaceMesh:
-    """A triangle mesh whose triangles turn counter-clockwise seen from outside the body."""
+    """A triangle mesh; faces are counter-clockwise seen from outside the body."""
 
     vertices: NDArray[np.float64]  # (n, 3) [m]
     faces: NDArray[np.int64]  # (m, 3)
-    source: str = "mesh"  # a file name or a description, for messages
+    source: str = "mesh"  # file name or description, for messages
 
     @cached_property
     def area_vectors(self) -> NDArray[np.float64]:
-        """Of each triangle, outward normal times area, (m, 3) [m^2]."""
+        """Outward normal times area of each triangle, (m, 3) [m^2]."""
         a, b, c = (self.vertices[self.faces[:, k]] for k in range(3))
         return 0.5 * np.cross(b - a, c - a)
 
     @cached_property
     def face_areas(self) -> NDArray[np.float64]:
-        """Of each triangle, (m,) [m^2]."""
+        """Area of each triangle, (m,) [m^2]."""
         return np.linalg.norm(self.area_vectors, axis=1)
 
     @property
     def area(self) -> float:
-        """Of the whole surface [m^2]."""
+        """Area of the whole surface [m^2]."""
         return float(self.face_areas.sum())
 
     @cached_property
     def vertex_areas(self) -> NDArray[np.float64]:
-        """A third of the area of the triangles around each vertex, (n,) [m^2]."""
+        """Area of each vertex: a third of that of the triangles around it, (n,) [m^2]."""
         shares = np.bincount(self.faces.ravel(), np.repeat(self.face_areas / 3, 3), minlength=len(self.vertices))
         return shares.astype(np.float64)
 
     @cached_property
     def vertex_normals(self) -> NDArray[np.float64]:
-        """Unit outward normals weighted by area, (n, 3); zero at a vertex that no triangle uses."""
+        """Unit outward vertex normals, area-weighted, (n, 3); zero at a vertex that no triangle uses."""
         total = summed_at(self.faces, np.repeat(self.area_vectors, 3, axis=0), len(self.vertices))
         length = np.linalg.norm(total, axis=1, keepdims=True)
         return np.divide(total, length, out=np.zeros_like(total), where=length > 0)
@@ -71,22 +71,22 @@ class SurfaceMesh:
 
     @property
     def volume(self) -> float:
-        """Signed volume enclosed by a closed mesh [m^3]; negative where its normals point inward."""
+        """Signed volume enclosed by a closed mesh [m^3]; negative if its normals point inward."""
         return float(np.einsum("ij,ij->", self.vertices[self.faces].mean(axis=1), self.area_vectors) / 3)
 
     def flipped(self) -> SurfaceMesh:
-        """The same surface with its other side outside."""
+        """The same surface with reversed faces."""
         return SurfaceMesh(self.vertices, self.faces[:, ::-1].copy(), self.source)
 
 
 def check_units(units: str) -> None:
-    """Refuse a length unit that is none of `UNITS`."""
+    """Raises InputError for a length unit that is not in `UNITS`."""
     if units not in UNITS:
         raise InputError(f"unknown length unit {units!r}", where="units", expected=f"one of {', '.join(UNITS)}")
 
 
 def summed_at(groups: NDArray[np.int64], values: NDArray[np.float64], n: int) -> NDArray[np.float64]:
-    """Sums of vectors (k, 3) over each of n groups, (n, 3); groups, flattened, tell which each belongs to."""
+    """Sums vectors (k, 3) over n groups, (n, 3); `groups`, flattened, holds the group of each vector."""
     sums = [np.bincount(groups.ravel(), values[:, k], minlength=n).astype(np.float64) for k in range(3)]
     return np.stack(sums, axis=1)
 
@@ -98,18 +98,18 @@ def load_mesh(
     size: tuple[float, float] | None = PLAUSIBLE,
     repair: bool = False,
 ) -> SurfaceMesh:
-    """Read an STL, OBJ or PLY file, merge coincident vertices, and check that it is a usable surface.
+    """Reads an STL, OBJ or PLY file, merges coincident vertices, and checks that the result is a usable surface.
 
     Args:
         path: the file.
-        units: the unit of the file's coordinates ("m", "mm", ...): these formats do not carry it.
-        size: shortest and longest plausible longest side [m]; the default suits femoral components and buttons, None
-            switches the check off.
-        repair: turn triangles until neighbours agree, and a closed mesh outside out, instead of refusing it.
+        units: unit of the file's coordinates ("m", "mm", ...), which these formats do not state.
+        size: smallest and largest plausible longest side [m]; the default suits femoral components and buttons; None:
+            no check.
+        repair: reorient triangles so that neighbours agree and a closed mesh faces outward, instead of raising.
 
     Raises:
-        InputError: missing, empty or unreadable file; no triangles; vertices that are not finite; a size that does not
-            suit the units; triangles whose winding disagrees with their neighbours'; a closed mesh that is inside out.
+        InputError: missing, empty or unreadable file; no triangles; vertices that are not finite; a size that is
+            implausible in these units; adjacent triangles oriented differently; a closed mesh that is inside out.
     """
     check_units(units)
     vertices, faces = read_triangles(Path(path))
@@ -125,7 +125,7 @@ def check_mesh(
     repair: bool = False,
     units: str = "m",
 ) -> SurfaceMesh:
-    """The checks and the merging of `load_mesh` for vertices (n, 3) [m] and faces (m, 3) at hand."""
+    """Merges and checks vertices (n, 3) [m] and faces (m, 3) like `load_mesh`."""
     p, f = np.asarray(vertices, dtype=np.float64), np.asarray(faces, dtype=np.int64)
     if p.ndim != 2 or p.shape[1:] != (3,) or f.ndim != 2 or f.shape[1:] != (3,) or not f.size:
         raise InputError(
@@ -146,7 +146,7 @@ def check_mesh(
 
 
 def save_mesh(mesh: SurfaceMesh, path: str | os.PathLike[str], *, units: str = "m") -> None:
-    """Write an STL, OBJ or PLY file in the stated units; it appears whole or not at all.
+    """Writes an STL, OBJ or PLY file in the given units, atomically.
 
     Raises:
         InputError: unknown units or file type.
@@ -164,7 +164,7 @@ def save_mesh(mesh: SurfaceMesh, path: str | os.PathLike[str], *, units: str = "
 
 
 def weld(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Merges coincident vertices (within `COINCIDENT` of the size); the number of faces stays."""
+    """Merges coincident vertices (within `COINCIDENT` of the size); the number of faces does not change."""
     used = vertices[np.unique(faces)]
     grid = COINCIDENT * max(float(np.ptp(used, axis=0).max()), np.finfo(float).tiny)
     _, first, inverse = np.unique(np.round(vertices / grid), axis=0, return_index=True, return_inverse=True)
@@ -172,7 +172,7 @@ def weld(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> tuple[NDArr
 
 
 def _welded_and_cleaned(vertices: NDArray[np.float64], faces: NDArray[np.int64], source: str) -> SurfaceMesh:
-    """Welded; triangles without area and unused vertices dropped."""
+    """Merges coincident vertices and removes triangles without area and unused vertices."""
     points, joined = weld(vertices, faces)
     kept = joined[(joined != np.roll(joined, 1, axis=1)).all(axis=1)]
     mesh = SurfaceMesh(points, kept, source)
@@ -189,13 +189,13 @@ def compacted(mesh: SurfaceMesh) -> SurfaceMesh:
 
 
 def plausible_units(longest_side: float, size: tuple[float, float] = PLAUSIBLE) -> list[str]:
-    """The units in which a longest side (a bare number) suits a part of the knee, likeliest first."""
+    """Units in which a longest side (a number without unit) is plausible for a part of the knee, most likely first."""
     low, high = size
     return [name for name, unit in UNITS.items() if low <= longest_side * unit <= high]
 
 
 def check_size(longest_side: float, source: str, size: tuple[float, float], units: str) -> None:
-    """Refuse a longest side [m] outside of `size` [m]; the error names the unit that would suit."""
+    """Raises InputError for a longest side [m] outside `size` [m]; the message names a unit that would be plausible."""
     low, high = size
     if low <= longest_side <= high:
         return

@@ -1,4 +1,4 @@
-"""Topology of a mesh: orientation of its triangles, edges, parts, boundary loops, superfluous triangles."""
+"""Mesh topology: orientation, edges, connected parts, boundary loops, degenerate and duplicate triangles."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from pftwin.geometry.mesh.mesh import COINCIDENT, SurfaceMesh
 
 
 def directed_edges(faces: NDArray[np.int64]) -> NDArray[np.int64]:
-    """(3 m, 2), in the triangles' own sense."""
+    """Vertices (3 m, 2) of the triangles' edges, in the triangles' orientation."""
     return np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
 
 
 def check_winding(mesh: SurfaceMesh, repair: bool) -> SurfaceMesh:
-    """Neighbours must run their common edge in opposite senses; a closed mesh must enclose a positive volume."""
+    """Raises InputError if orientations clash or a closed mesh faces inward; `repair` reorients where possible."""
     turned, one_sided, clashes = agreement(mesh.faces)
     if one_sided.any():
         raise InputError(
@@ -45,12 +45,12 @@ def check_winding(mesh: SurfaceMesh, repair: bool) -> SurfaceMesh:
 
 
 def turned_over(faces: NDArray[np.int64], which: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """The faces with some of them turned, (m, 3)."""
+    """Faces (m, 3) with the orientation of those in `which` (m,) reversed."""
     return np.where(which[:, None], faces[:, ::-1], faces)
 
 
 def adjacent(faces: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]:
-    """Pairs of triangles with a common edge, (k,) each, and whether they run it in the same sense (they should not)."""
+    """Pairs of triangles with a common edge, (k,) each, and whether their orientations clash (same edge direction)."""
     n = len(faces)
     directed = directed_edges(faces)
     key = np.sort(directed, axis=1)
@@ -61,11 +61,11 @@ def adjacent(faces: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.in
 
 
 def agreement(faces: NDArray[np.int64]) -> tuple[NDArray[np.bool_], NDArray[np.bool_], int]:
-    """The fewest triangles whose turning makes neighbours agree on their outside (m,); those of parts where none does
-    (m,); and how many pairs of neighbours face opposite sides.
+    """The fewest triangles to reverse for a consistent orientation (m,); triangles of non-orientable parts (m,); and
+    the number of adjacent pairs with clashing orientations.
 
-    Two-colouring by the graph's double cover: every triangle is there twice, kept and turned, and each common edge ties
-    the choices that agree; a triangle tied to its own opposite belongs to a surface without two sides.
+    Two-colouring by the graph's double cover: each triangle has two nodes, kept and reversed, and each common edge
+    links the nodes that agree. A triangle whose two nodes are connected belongs to a non-orientable surface.
     """
     n = len(faces)
     a, b, clash = adjacent(faces)
@@ -73,7 +73,7 @@ def agreement(faces: NDArray[np.int64]) -> tuple[NDArray[np.bool_], NDArray[np.b
         return np.zeros(n, dtype=bool), np.zeros(n, dtype=bool), 0
     rows, columns = np.r_[a, a + n], np.where(np.r_[clash, clash], np.r_[b + n, b], np.r_[b, b + n])
     kept, turned = _components(rows, columns, 2 * n).reshape(2, n)
-    # a body's two copies are two components; keep the copy in which fewer of its triangles are turned
+    # A part's two copies are two components: take the one in which fewer of its triangles are reversed.
     sizes = np.bincount(kept, minlength=2 * n)
     fewer = (sizes[kept] < sizes[turned]) | ((sizes[kept] == sizes[turned]) & (kept > turned))
     one_sided = kept == turned
@@ -81,46 +81,46 @@ def agreement(faces: NDArray[np.int64]) -> tuple[NDArray[np.bool_], NDArray[np.b
 
 
 def _components(a: NDArray[np.int64], b: NDArray[np.int64], n: int) -> NDArray[np.int32]:
-    """Labels (n,) of what pairs (k,) connect."""
+    """Labels (n,) of the connected components of a graph with edges (k,)."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
     return connected_components(coo_array((np.ones(len(a)), (a, b)), shape=(n, n)), directed=False)[1]
 
 
-HOLE = 0.5  # of a part's size: a loop whose length is below that is a hole, a longer one a rim of an open surface
+HOLE = 0.5  # share of a part's size: a shorter boundary loop is a hole, a longer one the rim of an open surface
 
 
 class BoundaryLoop(NamedTuple):
-    """Edges with a triangle on one side only, connected with each other."""
+    """Connected boundary edges, which border one triangle each."""
 
     n_edges: int
     length: float
     center: NDArray[np.float64]  # (3,)
-    is_hole: bool  # short for its part: a gap rather than the rim of an open surface
+    is_hole: bool  # shorter than `HOLE` times the part's size
 
 
 class MeshPart(NamedTuple):
-    """Triangles connected over common edges."""
+    """Triangles connected by common edges; lengths in the mesh's unit."""
 
-    faces: NDArray[np.int64]  # (k,) which triangles
+    faces: NDArray[np.int64]  # (k,) indices of the triangles
     area: float
     size: float  # diagonal of the bounding box
     center: NDArray[np.float64]  # (3,) of the bounding box
-    loops: tuple[BoundaryLoop, ...]  # longest first; none where the part is closed
-    volume: float  # enclosed, where the part is closed
+    loops: tuple[BoundaryLoop, ...]  # longest first; empty if the part is closed
+    volume: float  # enclosed; meaningful only if the part is closed
 
 
 class Edges(NamedTuple):
     """The edges of a mesh."""
 
     corners: NDArray[np.int64]  # (e, 2) vertices, ascending
-    count: NDArray[np.int64]  # (e,) triangles on each: 1 on the boundary, 2 inside a surface
-    of_face: NDArray[np.int64]  # (m, 3) each triangle's
+    count: NDArray[np.int64]  # (e,) triangles on each edge: 1 on the boundary, 2 inside a surface
+    of_face: NDArray[np.int64]  # (m, 3) edges of each triangle
 
 
 def edges_of(faces: NDArray[np.int64]) -> Edges:
-    """Every edge once."""
+    """The undirected edges of faces (m, 3), each once."""
     every = np.sort(directed_edges(faces), axis=1)
     corners, of_face, count = np.unique(every, axis=0, return_inverse=True, return_counts=True)
     return Edges(corners, count, of_face.reshape(3, -1).T)
@@ -149,7 +149,7 @@ def _part_properties(mesh: SurfaceMesh, edges: Edges, group: NDArray[np.int64]) 
 
 
 def _loops(mesh: SurfaceMesh, boundary: NDArray[np.int64], size: float) -> tuple[BoundaryLoop, ...]:
-    """Boundary edges (k, 2) by connection; loops that touch in a vertex count as one."""
+    """Groups boundary edges (k, 2) into connected loops; loops that touch in a vertex count as one."""
     if not len(boundary):
         return ()
     names, ends = np.unique(boundary, return_inverse=True)
@@ -166,7 +166,7 @@ def _loops(mesh: SurfaceMesh, boundary: NDArray[np.int64], size: float) -> tuple
 
 
 def zero_area(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArray[np.bool_]:
-    """Which triangles have a height over their longest side within the tolerance of coincident vertices."""
+    """Which triangles are degenerate, (m,): their height over the longest side is within `COINCIDENT` of the size."""
     p = vertices[faces]
     sides = np.roll(p, -1, axis=1) - p
     longest = np.linalg.norm(sides, axis=2).max(axis=1)
@@ -176,7 +176,8 @@ def zero_area(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArra
 
 
 def repeated(faces: NDArray[np.int64], looked_at: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Of the given triangles, (m,): copies of an earlier one in the same orientation, and those in the reverse one."""
+    """Among the triangles `looked_at` (m,): copies of an earlier one with its orientation, (m,), and triangles of
+    which there is a copy with the opposite orientation, (m,)."""
     first = np.argmin(faces, axis=1)
     turned = np.take_along_axis(faces, (first[:, None] + np.arange(3)) % 3, axis=1)  # smallest vertex first
     places = np.flatnonzero(looked_at)

@@ -1,6 +1,6 @@
 """Charts: maps from two surface coordinates and a height to points in space.
 
-A chart has a frame of its own, fixed in the femur. Coordinates (u, v, height) are metres in both charts, u along the
+A chart has its own frame, fixed in the femur. Coordinates (u, v, height) are in metres in both charts: u along the
 groove, v medial-lateral, height out of the bone.
 """
 
@@ -35,35 +35,35 @@ class Jet(NamedTuple):
 
 
 class Separation(NamedTuple):
-    """Half the squared distance from a point to the surface, phi(u, v): gradient, Hessian, tangents of the surface."""
+    """Derivatives of phi(u, v), half the squared distance from a point to the surface, and the surface's tangents."""
 
     gradient: tuple[Scalar, Scalar]
     hessian: tuple[Scalar, Scalar, Scalar]  # uu, uv, vv
-    gram: tuple[Scalar, Scalar, Scalar]  # the tangents' scalar products: the Hessian's positive definite part
+    gram: tuple[Scalar, Scalar, Scalar]  # scalar products of the tangents: the Hessian's positive definite part
     tangents: tuple[Vec3, Vec3]
 
 
 class FramedChart(eqx.Module):
-    """What charts share: a frame fixed in the femur."""
+    """Base class of charts, with a frame fixed in the femur."""
 
     origin: Vec3 = eqx.field(metadata=quantity("m", frame="femur"))
     axes: Rotation  # chart frame to femur frame; z points out of the bone
 
     def to_frame(self, p: Vec3) -> Vec3:
-        """Cartesian coordinates in the chart's frame of a point given in the femur's."""
+        """Transforms a point from the femur's frame to the chart's [m]."""
         return self.axes.unapply(p - self.origin)
 
     def from_frame(self, p: Vec3) -> Vec3:
-        """Back to the femur's frame."""
+        """Transforms a point from the chart's frame to the femur's [m]."""
         return self.origin + self.axes.apply(p)
 
     def point(self, u: Scalar, v: Scalar, height: Scalar) -> Vec3:
-        """The point of the femur frame with these chart coordinates."""
+        """Point with these chart coordinates, in the femur's frame [m]."""
         return self.from_frame(self.local_point(u, v, height))
 
     @abstractmethod
     def local_point(self, u: Scalar, v: Scalar, height: Scalar) -> Vec3:
-        """The point with these chart coordinates, in the chart's own frame."""
+        """Point with these chart coordinates, in the chart's frame [m]."""
 
 
 class PlaneChart(FramedChart):

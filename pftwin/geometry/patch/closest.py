@@ -1,4 +1,4 @@
-"""Closest points between a point and a surface given over a chart: one safeguarded Newton step at a time."""
+"""The point of a surface over a chart that is closest to a given point, tracked by safeguarded Newton steps."""
 
 from __future__ import annotations
 
@@ -16,32 +16,32 @@ Triple = tuple[Scalar, Scalar, Scalar]
 SHORT = 0.5  # share of the longest step below which a point counts as converged
 
 
-# A surface along v at one u, for v on its domain: height and slope along u; and second derivative along u.
+# A surface at one u, as functions of v on its domain: height and slope along u; and second derivative along u.
 SurfaceProfile = tuple[Callable[[Scalar], tuple[Scalar, Scalar]], Callable[[Scalar], Scalar]]
 
 
 class Surface(Protocol):
-    """A height with two derivatives over a chart: a polynomial patch, a spline, a smooth implant."""
+    """A height over a chart with two derivatives: a polynomial patch, a spline, or a smooth implant."""
 
     @property
     def chart(self) -> Chart:
-        """How (u, v, height) make a point."""
+        """The chart that maps (u, v, height) to points."""
         ...
 
     def height(self, u: Scalar, v: Scalar) -> Scalar:
-        """Height alone."""
+        """Height [m]."""
         ...
 
     def jet(self, u: Scalar, v: Scalar) -> Jet:
-        """Height, gradient and Hessian."""
+        """Height with its gradient and Hessian."""
         ...
 
     def outside(self, u: Scalar, v: Scalar) -> Scalar:
-        """How far beyond the surface's domain a point lies [m]; zero inside."""
+        """Distance of a point beyond the surface's domain [m]; zero inside."""
         ...
 
     def clipped(self, v: Scalar) -> Scalar:
-        """The nearest coordinate across the groove that lies on the domain."""
+        """The coordinate v limited to the domain [m]."""
         ...
 
     def profile(self, u: Scalar) -> SurfaceProfile:
@@ -49,7 +49,7 @@ class Surface(Protocol):
         ...
 
     def unstacked(self) -> Surface:
-        """The same surface, ready for a loop."""
+        """The same surface, prepared for use in a loop."""
         ...
 
 
@@ -60,26 +60,26 @@ class ClosestPoint(NamedTuple):
     v: Scalar
     distance: Scalar  # from the surface to the point along the outward normal, negative inside the bone [m]
     normal: Vec3  # outward unit normal of the surface
-    step: Scalar  # length of the step taken in (u, v): the start's distance from convergence [m]
-    settled: Scalar  # 1 if the step was short, from the basin of a minimum (positive definite Hessian), else 0
+    step: Scalar  # length of the step in (u, v): an estimate of the start's error [m]
+    settled: Scalar  # 1 if converged: a short step at a positive definite Hessian; else 0
     drift_u: Vec3  # the closest point's velocity is (drift_u . dc/dt, drift_v . dc/dt)
     drift_v: Vec3
 
 
 def newton_step(surface: Surface, c: Vec3, u: Scalar, v: Scalar, longest: Scalar, push: float = 1.0) -> ClosestPoint:
-    """One Newton step on |S(u, v) - c|^2 / 2 from (u, v), at most `longest` in either coordinate, nor round an axis.
+    """One Newton step on |S(u, v) - c|^2 / 2 from (u, v), limited to `longest` per coordinate (and not round an axis).
 
-    A start that is carried along with c's motion is off by so little that one step finds the closest point. Where the
-    distance is nearly flat (a groove as round as the sphere) curvatures are held above a floor, so that the point does
-    not leap. The floor is low: a point held back turns its force late, which drives a patella to sway. Where the
-    Hessian is not positive definite (a saddle between two facets, say) the step goes downhill with the curvatures'
-    absolute values and a small push across the groove, towards the sign of `push`, so that no start is held by a
-    saddle. The distance returned is that of the surface point reached, never an extrapolation: a point that is still on
-    its way understates an indentation and cannot invent one. The normal there is that of the surface's second-order
-    expansion about the start, off by the step squared.
+    If the start is moved along with c, its error is so small that one step finds the closest point. Where the distance
+    is nearly flat (a groove as round as the sphere) curvatures are limited from below, so that the point does not jump.
+    The limit is low, since a delayed point delays the force's direction and makes a patella oscillate. Where the
+    Hessian is not positive definite (for instance at a saddle between two facets) the step descends with the absolute
+    values of the curvatures and a small push across the groove, in the direction of the sign of `push`, so that no
+    start stays on a saddle. The returned distance is that of the surface point reached, not an extrapolation: a point
+    that has not converged understates an indentation and never creates one. The normal there is that of the surface's
+    second-order expansion about the start, with an error of second order in the step.
 
-    Derivatives are those of the whole step and of the drift, by which the point is carried to the next one: where the
-    distance is nearly flat and the step long, each part counts.
+    Derivatives include those of the whole step and of the drift that moves the point to the next step: both matter
+    where the distance is nearly flat and the step long.
     """
     jet = surface.jet(u, v)
     s = surface.chart.separation(c, u, v, jet)
@@ -106,41 +106,41 @@ def newton_step(surface: Surface, c: Vec3, u: Scalar, v: Scalar, longest: Scalar
     )
 
 
-PUSH = 0.04  # of the longest step: what moves a point off a saddle
-FLATTEST = 0.01  # curvatures of the distance below this share of the tangents' own are raised to it
+PUSH = 0.04  # step that moves a point off a saddle, as a share of the longest step
+FLATTEST = 0.01  # lower limit of the curvatures of phi, as a share of the tangents' squares
 
 
 class DescentStep(NamedTuple):
-    """A step, and the solution of its equations."""
+    """A step, and the factorization of its equations."""
 
     du: Scalar
     dv: Scalar
     over_u: Scalar  # inverse pivots
     over_v: Scalar
-    ratio: Scalar  # of the first equation that the second takes
-    convex: Scalar  # 1 where the Hessian is positive definite, else 0; a number, since its derivative is not needed
+    ratio: Scalar  # multiple of the first equation that is subtracted from the second
+    convex: Scalar  # 1 if the Hessian is positive definite, else 0; a float, since no derivative is needed
 
 
 def _limited(x: Scalar, most: Scalar) -> Scalar:
-    """x held within +-most."""
+    """x limited to +-most."""
     return jnp.where(x > most, most, jnp.where(x < -most, -most, x))
 
 
 def descend(gradient: Pair, hessian: Triple, gram: Pair, longest: Pair, side: float) -> DescentStep:
     """The step from a point of the surface.
 
-    Where the Hessian is positive definite it is Newton's, with pivots raised to `FLATTEST`; elsewhere curvatures are
-    taken by their size, each coordinate for itself, with a small push along v to that side.
+    If the Hessian is positive definite this is a Newton step with pivots of at least `FLATTEST`; else each coordinate
+    descends separately with the absolute value of its curvature, and v gets a small push.
 
     Args:
-        gradient, hessian: of the distance; by u and v, and by uu, uv and vv.
-        gram: squares of the tangents along u and v.
-        longest: step along u and v.
-        side: +1 or -1.
+        gradient, hessian: of phi; by u and v, and by uu, uv and vv.
+        gram: squared lengths of the tangents along u and v.
+        longest: longest step along u and v [m].
+        side: +1 or -1, the direction of the push.
     """
     (gu, gv), (huu, huv, hvv), (along, across) = gradient, hessian, longest
     convex = (huu > 0) & (huu * hvv > huv * huv)
-    # Raising the second pivot alone keeps a flat valley's direction.
+    # Raising only the second pivot keeps a flat valley's direction.
     over_u = 1 / jnp.maximum(jnp.where(convex, huu, jnp.abs(huu)), FLATTEST * gram[0])
     ratio = jnp.where(convex, huv, 0.0) * over_u
     over_v = 1 / jnp.maximum(jnp.where(convex, hvv - ratio * huv, jnp.abs(hvv)), FLATTEST * gram[1])

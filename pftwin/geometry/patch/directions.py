@@ -1,4 +1,4 @@
-"""How a mesh lies in its frame: axes under which a trochlear groove is found, and its principal directions."""
+"""Orientation of a mesh in its frame: directions for which a trochlear groove is found, and principal axes."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from pftwin.geometry.patch.region import TrochlearRegion, trochlear_region
 
 
 class Candidate(NamedTuple):
-    """Two axes of a mesh's frame, "-x" and the like, and the region that is found under them."""
+    """Directions along a mesh's axes, such as "-x", and the region that is found with them."""
 
     anterior: str
     proximal: str
@@ -26,38 +26,38 @@ class Candidate(NamedTuple):
 def directions_with_groove(
     mesh: SurfaceMesh, *, half_width: float = 0.02, angles: tuple[float, float] = (-math.pi / 3, math.pi / 3)
 ) -> list[Candidate]:
-    """All pairs of a mesh's axes as anterior and proximal directions under which `trochlear_region` finds a groove.
+    """All pairs of directions along a mesh's axes, anterior and proximal, with which `trochlear_region` finds a groove.
 
-    Those whose groove goes on farthest distally come first, as a trochlea's does; then those with the longest groove.
-    The notch of a bone is a groove too, and upside down a trochlea is one: which pair is right the shape alone does not
-    tell.
+    Pairs whose groove extends farthest distally come first, as a trochlea's does; then those with the longest groove.
+    The shape alone does not determine the right pair: the notch of a bone is a groove too, and so is a trochlea upside
+    down.
 
     Args:
-        mesh: as `trochlear_region` has it; `half_width` [m] and `angles` [rad] too.
+        mesh, half_width, angles: as for `trochlear_region`.
     """
     found = []
     for (anterior, ahead), (proximal, up) in itertools.permutations(AXES.items(), 2):
         if anterior[1] == proximal[1]:
-            continue  # one axis
+            continue  # the same axis
         try:
             region = trochlear_region(mesh, anterior=ahead, proximal=up, half_width=half_width, angles=angles)
         except InputError:
-            continue  # no groove there
+            continue  # no groove found
         found.append(Candidate(anterior, proximal, region))
     return sorted(found, key=lambda c: (round(c.region.angles[0], 3), -len(c.region.groove)))
 
 
 class PrincipalAxis(NamedTuple):
-    """One of three orthogonal directions."""
+    """One of the three principal axes."""
 
     direction: NDArray[np.float64]  # (3,) unit
-    extent: float  # of the mesh along it [the mesh's unit]
+    extent: float  # size of the mesh along it [the mesh's unit]
 
 
 def principal_axes(mesh: SurfaceMesh) -> tuple[PrincipalAxis, ...]:
-    """Eigenvectors of the surface's second moment of area about its centroid: right-handed, the longest extent first.
+    """Eigenvectors of the surface's second moment of area about its centroid, right-handed, longest extent first.
 
-    The largest component of the first two is positive.
+    The largest component of each of the first two is positive.
     """
     corners, areas = mesh.vertices[mesh.faces], mesh.face_areas
     arms = corners - np.average(corners.mean(axis=1), axis=0, weights=areas)

@@ -1,7 +1,7 @@
-"""Parts of a trochlear region whose vertices count more, or less, in a fit.
+"""Weights for parts of a trochlear region in a fit.
 
-Michaud et al. 2024, section 2.4.2, refine the mesh where patellae dislocate, so that more vertices lie there and the
-polynomial comes nearer to them. Weights do the same on any mesh.
+Michaud et al. 2024, section 2.4.2, refine the mesh where patellae dislocate, so that it has more vertices there and the
+polynomial fits better. Weights have the same effect on any mesh.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ from pftwin.geometry.patch.region import TrochlearRegion
 
 @dataclass(frozen=True)
 class WeightedPart:
-    """A rectangle of a region and the weight of each vertex in it."""
+    """A rectangle of a region and the weight of the vertices in it."""
 
     weight: float
     angles: tuple[float, float] = (-np.pi, np.pi)  # about the trochlear axis: 0 anteriorly, positive proximally [rad]
-    across: tuple[float, float] = (-np.inf, np.inf)  # from the region's middle, positive laterally [m]
+    across: tuple[float, float] = (-np.inf, np.inf)  # medial-lateral, from the region's middle, positive laterally [m]
 
 
 def emphasis(region: TrochlearRegion, parts: Sequence[WeightedPart]) -> Callable[[Floats], Floats]:
-    """Weights (n,) of points (n, 3) of the mesh's frame [m], for `fit_patch(..., emphasis=)`.
+    """A function from points (n, 3) of the mesh's frame [m] to weights (n,), for `fit_patch(..., emphasis=)`.
 
-    Of parts that overlap the last one counts; where there is none the weight is 1.
+    Where parts overlap the last one applies; outside all parts the weight is 1.
     """
 
     def weights(points: Floats) -> Floats:

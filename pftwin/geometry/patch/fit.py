@@ -1,8 +1,8 @@
-"""Fits of a patch to the vertices of a mesh: a polynomial of any degree (the paper's P2, P4, P5), or a spline.
+"""Fits a patch to the vertices of a mesh: a polynomial of any degree (the paper's P2, P4, P5), or a spline.
 
-Michaud et al. 2024, section 2.4.2: heights of the vertices in the trochlear region, R^2 as the measure of the fit. A
-spline has as many cells as the surface asks for and a mild penalty on curvature (a thin plate's bending energy, after
-Eilers and Marx's P-splines, Statistical Science 11 (1996) 89), which says what it is where there are no vertices.
+Michaud et al. 2024, section 2.4.2: the heights of the vertices in the trochlear region are fitted, and R^2 measures the
+fit. A spline has as many cells as the surface requires and a mild penalty on curvature (a thin plate's bending energy,
+after the P-splines of Eilers and Marx, Statistical Science 11 (1996) 89), which defines it where there are no vertices.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ Pair = tuple[float, float]
 ChartChoice = Literal["plane", "cylinder"] | Chart
 SPLINE = "spline"
 TOLERANCE = 0.02e-3  # rms of the heights [m]
-SMOOTHING = 12.5  # tolerances: a length, wavelengths below some 2 pi times which are damped
+SMOOTHING = 12.5  # smoothing length, in tolerances; damps wavelengths shorter than about 2 pi times this length
 
 
 def parse_degree(name: str | int, *, others: str = "") -> int:
-    """The degree of "P5" or 5. `others`: other accepted words, for the message.
+    """Parses the degree of a polynomial, such as "P5" or 5. `others`: other accepted words, for the message.
 
     Raises:
         InputError: anything else, or a degree below 1 or above 12.
@@ -50,7 +50,7 @@ def parse_degree(name: str | int, *, others: str = "") -> int:
 
 
 def parse_name(name: str | int) -> str:
-    """ "P5" for "p5", "5" or 5, and "spline" for "Spline".
+    """Normalizes the name of a patch: "P5" for "p5", "5" or 5, and "spline" for "Spline".
 
     Raises:
         InputError: anything else, or a degree below 1 or above 12.
@@ -61,19 +61,19 @@ def parse_name(name: str | int) -> str:
 
 
 def name_of(surface: Any) -> str | None:
-    """The name of a patch; None for a surface of another kind."""
+    """Name of a patch, such as "P5" or "spline"; None for other surfaces."""
     return surface.name if isinstance(surface, (PolynomialPatch, SplinePatch)) else None
 
 
 def fit_named(
     surface: SurfaceMesh | ArrayLike, name: str | int, *, chart: ChartChoice | None = None, **options: Any
 ) -> PatchFit:
-    """The patch of that name, fitted to a surface; options as for `fit_patch`, or `fit_spline` for "spline".
+    """Fits the patch of a name with `fit_patch` or, for "spline", `fit_spline`; options are passed on.
 
-    Without a chart a polynomial is over the plane; of a spline's, see there.
+    Without a chart a polynomial is fitted over the plane; for a spline see `fit_spline`.
 
     Raises:
-        InputError: no such name; otherwise as the two.
+        InputError: an unknown name; otherwise as these functions.
     """
     name = parse_name(name)
     if name == SPLINE:
@@ -90,21 +90,21 @@ def fit_patch(
     weights: Literal["vertex", "area"] = "vertex",
     emphasis: Emphasis | None = None,
 ) -> PatchFit:
-    """Fit a polynomial to a surface's vertices by weighted linear least squares on coordinates scaled to [-1, 1].
+    """Fits a polynomial to a surface's vertices by weighted linear least squares on coordinates scaled to [-1, 1].
 
     Args:
-        surface: a mesh, or vertices alone, (n, 3) [m].
+        surface: a mesh, or vertices, (n, 3) [m].
         degree: total degree, "P5" or 5.
-        chart: a chart, or which of the region's two.
-        region: which vertices take part: a `TrochlearRegion` or a boolean mask (n,); all if None.
-        weights: "vertex" counts every vertex alike, as the paper does; "area" by the area it stands for, so that a mesh
-            refined in places gives the same patch as an even one.
-        emphasis: further weights that refine part of the surface (where a patella dislocates, say): an array (n,), or a
-            function of the points (k, 3) [m].
+        chart: a chart, or the name of one of the region's two.
+        region: vertices to fit: a `TrochlearRegion` or a boolean mask (n,); None: all.
+        weights: "vertex" weights all vertices equally, as the paper does; "area" by the area around each vertex, so
+            that a locally refined mesh gives the same patch as a uniform one.
+        emphasis: additional weights for part of the surface (for instance where a patella dislocates): an array (n,),
+            or a function of the points (k, 3) [m].
 
     Raises:
         InputError: fewer vertices than coefficients; vertices that do not determine the coefficients; values that are
-            not finite; a surface folded over in this chart.
+            not finite; a surface that folds over in this chart.
     """
     n = parse_degree(degree)
     need = len(exponents(n))
@@ -142,21 +142,21 @@ def fit_spline(
     tolerance: float = TOLERANCE,
     smoothing: float | None = None,
 ) -> PatchFit:
-    """Fit a spline to all selected vertices, with the longest cells of those tried that reach the tolerance.
+    """Fits a spline to all selected vertices, with the longest cells (among those tried) that reach the tolerance.
 
-    Warns where it is not reached before there are as many coefficients as vertices, and returns the best fit.
+    Warns if the tolerance is not reached before there are as many coefficients as vertices, and returns the best fit.
 
     Args:
         surface, region, weights, emphasis: as for `fit_patch`.
-        chart: a chart, or which of the region's two. None: the plane, if the surface does not fold over in it and the
-            tolerance is reached; else that of the two over which the spline comes nearer.
-        tolerance: rms of the heights that is asked for [m].
-        smoothing: how strongly curvature is penalised, as a length [m]; details shorter than it are lost. By default
-            12.5 times the tolerance. Raise it for noisy scans.
+        chart: a chart, or the name of one of the region's two. None: the plane, if the surface does not fold over in it
+            and the tolerance is reached; else the one of the two with the better fit.
+        tolerance: rms of the height residuals to reach [m].
+        smoothing: weight of the penalty on curvature, as a length [m]; shorter details are lost. Default: 12.5 times
+            the tolerance. Increase it for noisy scans.
 
     Raises:
         InputError: too few vertices, all of them on a line, values that are not finite, lengths that are not positive,
-            or a surface folded over in this chart.
+            or a surface that folds over in this chart.
     """
     smoothing = SMOOTHING * tolerance if smoothing is None else smoothing
     for name, length in (("tolerance", tolerance), ("smoothing", smoothing)):
@@ -188,7 +188,7 @@ def fit_spline(
 def _over_better_chart(
     over: Callable[[ChartChoice], Vertices], tolerance: float, smoothing: float
 ) -> tuple[FittedSpline, str]:
-    """The spline over the plane where that holds it, else over the chart that it comes nearer on, and why."""
+    """The spline over the plane if that reaches the tolerance, else over the chart with the better fit; and why."""
     plane = over("plane")
     if (share := plane.folded()) > 0 and (cylinder := over("cylinder")).folded() < share:
         why = f"over the cylinder, as on the plane the surface folds over at {100 * share:.2g} % of the vertices"
@@ -207,10 +207,10 @@ def _pair(x: Pair) -> tuple[Scalar, Scalar]:
 
 
 def _domain(v: Vertices) -> tuple[Pair, Pair]:
-    """Center and half size of a polynomial's rectangle.
+    """Centre and half size of a polynomial's rectangle.
 
-    Along v the vertices' range. Along u the median, over eight strips of v, of the strips' ranges, so that one corner
-    that sticks out does not stretch the patch over places without vertices.
+    Along v this is the vertices' range; along u the median of the ranges in eight strips of v, so that a single
+    protruding corner does not extend the patch over areas without vertices.
     """
     low, high = float(v.v.min()), float(v.v.max())
     strip = np.clip(((v.v - low) / max(high - low, 1e-300) * 8).astype(int), 0, 7)

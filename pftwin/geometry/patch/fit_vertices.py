@@ -1,4 +1,4 @@
-"""The vertices that a patch is fitted to, with their chart and weights, and how well a patch fits them."""
+"""The vertices that a patch is fitted to, with their chart and weights, and the quality of the fit."""
 
 from __future__ import annotations
 
@@ -24,19 +24,19 @@ ENOUGH = 0.75  # coverage below which a fit warns
 
 @dataclass(frozen=True, eq=False)
 class Vertices:
-    """The vertices that take part in a fit, in double precision, (n,) each."""
+    """The vertices of a fit, in double precision, (n,) each."""
 
     chart: Chart
     points: Floats  # (n, 3) [m]
-    normals: Floats | None  # (n, 3), where the surface is a mesh
+    normals: Floats | None  # (n, 3), if the surface is a mesh
     u: Floats  # chart coordinates [m]
     v: Floats
     h: Floats
     weight: Floats  # mean 1
-    source: str  # a name for messages
+    source: str  # name for messages
 
     def folded(self) -> float:
-        """The share of normals that point away from the chart's height: the surface is folded over there in (u, v)."""
+        """Share of normals that point against the chart's height direction: there the surface folds over in (u, v)."""
         if self.normals is None:
             return 0.0
         local = _in_frame(self.chart, self.normals + host_array(self.chart.origin))
@@ -48,7 +48,7 @@ class Vertices:
         return float(np.mean(up <= 0))
 
     def check_folds(self) -> None:
-        """Refuses a surface of which more than 1 % is folded over, and warns of less."""
+        """Raises InputError if more than 1 % of the surface folds over, and warns of less."""
         folded = self.folded()
         if folded == 0:
             return
@@ -69,7 +69,7 @@ def selected_vertices(
     weights: str,
     emphasis: Emphasis | None,
 ) -> Vertices:
-    """The vertices of a fit; arguments and errors as in `fit_patch`."""
+    """Selects the vertices of a fit; arguments and errors as in `fit_patch`."""
     points, normals, areas, source = _of_surface(surface)
     n = len(points)
     if isinstance(chart, str):
@@ -94,7 +94,7 @@ def selected_vertices(
 
 
 def _of_surface(surface: SurfaceMesh | ArrayLike) -> tuple[Floats, Floats | None, Floats | None, str]:
-    """Vertices, normals, areas and a name for messages; normals and areas where the surface is a mesh."""
+    """Vertices, normals, areas and a name for messages; normals and areas are None unless the surface is a mesh."""
     if isinstance(surface, SurfaceMesh):
         return surface.vertices, surface.vertex_normals, surface.vertex_areas, surface.source
     points = np.asarray(surface, dtype=np.float64)
@@ -139,7 +139,7 @@ def _in_frame(chart: Chart, points: Floats) -> Floats:
 
 
 def chart_coordinates(chart: Chart, points: Floats) -> tuple[Floats, Floats, Floats]:
-    """u, v and height of points of the femur frame."""
+    """u, v and height (n,) of points (n, 3) of the femur's frame [m]."""
     x, y, z = _in_frame(chart, points).T
     if isinstance(chart, PlaneChart):
         return x, y, z
@@ -148,9 +148,9 @@ def chart_coordinates(chart: Chart, points: Floats) -> tuple[Floats, Floats, Flo
 
 @dataclass(frozen=True)
 class PatchFit:
-    """A fitted patch and how well it fits; lengths in metres.
+    """A fitted patch and the quality of its fit; lengths in metres.
 
-    R^2 is 1 - sum w e^2 / sum w (h - mean h)^2 over the heights h, with the weights of the fit; rms likewise.
+    R^2 is 1 - sum w e^2 / sum w (h - mean h)^2 for heights h, residuals e and the fit's weights w; rms is weighted too.
     """
 
     patch: PolynomialPatch | SplinePatch
@@ -160,12 +160,12 @@ class PatchFit:
     rms_normal: float  # of the residuals along the patch's normal
     max_error_normal: float
     n_vertices: int
-    coverage: float  # share of the patch's rectangle, in 8 x 8 cells, that holds vertices
-    chart_chosen: str = ""  # where the chart was left to the fit and is not the plane: which it is, and why
+    coverage: float  # share of 8 x 8 cells of the patch's rectangle that contain vertices
+    chart_chosen: str = ""  # if the fit chose a chart other than the plane: which one, and why
 
     @property
     def name(self) -> str:
-        """The paper's name of the polynomial, such as "P5"; or "spline"."""
+        """Name of the polynomial in the paper, such as "P5"; or "spline"."""
         return self.patch.name
 
     def __str__(self) -> str:
@@ -180,13 +180,13 @@ class PatchFit:
 def quality(
     patch: PolynomialPatch | SplinePatch, v: Vertices, fitted: tuple[Floats, Floats, Floats], a: Floats, b: Floats
 ) -> PatchFit:
-    """How well a patch fits, in double precision.
+    """Evaluates the quality of a fit, in double precision.
 
     Args:
         patch: the patch.
         v: the vertices.
-        fitted: the patch's heights there [m] and its slopes along u and v [-], (n,) each.
-        a, b: the vertices' places in the patch's rectangle, -1 to 1, (n,).
+        fitted: the patch's heights at the vertices [m] and its slopes along u and v [-], (n,) each.
+        a, b: the vertices' coordinates in the patch's rectangle, -1 to 1, (n,).
     """
     height, slope_u, slope_v = fitted
     if isinstance(patch.chart, CylindricalChart):
@@ -208,9 +208,9 @@ def quality(
 
 
 def _covered(a: Floats, b: Floats, where: str, kind: str, cells: int = 8) -> float:
-    """Share of the rectangle's cells that hold a vertex, relative to as many cells as there are vertices.
+    """Number of the rectangle's cells with a vertex, as a share of all cells, or of the vertices if these are fewer.
 
-    Warns where that is little. `kind` is what the message calls the patch.
+    Warns if it is small. `kind` is the patch's name in the message.
     """
     inside = (np.abs(a) <= 1) & (np.abs(b) <= 1)
     cells = int(np.clip(np.sqrt(inside.sum() / 8), 1, cells))

@@ -1,7 +1,7 @@
-"""Steps of the search for the trochlea: circle, axis of revolution, deepest points. Host side, numpy.
+"""Steps of the search for the trochlea: circle fit, axis of revolution, deepest points. NumPy, on the host.
 
 Points and normals are in a frame with x proximal, y medial-lateral, z anterior; the axis is parallel to y through
-`center` = (x, z). Metres, radians.
+`center` = (x, z). Units are metres and radians.
 """
 
 from __future__ import annotations
@@ -13,11 +13,11 @@ from pftwin.base.errors import InputError
 
 CHECK_DIRECTIONS = "check the anterior and proximal directions against the mesh's frame"
 _SECTION = np.radians(4.0)  # spacing of the groove line's points
-_WINDOW = 0.010  # medial-lateral reach of the search for the deepest point [m]
+_WINDOW = 0.010  # half width, medial-lateral, of the search for the deepest point [m]
 
 
 def fit_circle(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], float]:
-    """Center and radius of the least-squares circle through points (n, 2); algebraic fit (Kasa)."""
+    """Centre (2,) and radius of the least-squares circle through points (n, 2), by Kasa's algebraic fit."""
     shift = points.mean(axis=0)
     q = points - shift
     solution = np.linalg.lstsq(np.column_stack([2 * q, np.ones(len(q))]), (q * q).sum(axis=1), rcond=None)[0]
@@ -32,14 +32,14 @@ def fit_axis_direction(
     center: NDArray[np.float64],
     source: str = "mesh",
 ) -> NDArray[np.float64]:
-    """Rotation (3, 3) of the frame that brings y onto the axis of the nearest surface of revolution.
+    """Rotation (3, 3) that turns y onto the axis of the best-fitting surface of revolution.
 
-    A normal line through p along n meets the axis through c along d where d . (p x n) - (c x d) . n = 0, which is
-    linear in d and c x d: a small eigenvalue problem. A pull towards y decides where the surface does not.
-    Pottmann and Randrup, Computing 60 (1998) 307.
+    The normal line through p along n meets the axis through c along d if d . (p x n) - (c x d) . n = 0, which is linear
+    in d and c x d and gives a small eigenvalue problem. A regularization towards y decides where the surface does not.
+    Source: Pottmann and Randrup, Computing 60 (1998) 307.
 
     Raises:
-        InputError: hardly any of the surface faces away from the axis, or all of that along one plane.
+        InputError: no part of the surface faces away from the axis, or that part is flat or a cylindrical sheet.
     """
     arm = points - np.array([center[0], 0.0, center[1]])
     away = np.stack([arm[:, 0], np.zeros(len(arm)), arm[:, 2]], axis=1)
@@ -73,10 +73,10 @@ def deepest_points(
     half_width: float,
     angles: tuple[float, float],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The groove line as (angle, y, distance from the axis), (k, 3), from distal to proximal, and its depth (k,).
+    """Groove line as (angle, y, distance from the axis), (k, 3), from distal to proximal, and its depth (k,).
 
-    One point a section, by a parabola about the lowest vertices; the line is the longest run of sections in which the
-    surface goes on without a gap and the groove's bottom does not drop away (it ends at the notch).
+    Each section has one point, from a parabola fitted around the lowest vertices. The line is the longest run of
+    sections without a gap in the surface or a jump of the groove's bottom (it ends at the notch).
     """
     x, z = points[:, 0] - center[0], points[:, 2] - center[1]
     angle, distance, y = np.arctan2(x, z), np.hypot(x, z), points[:, 1] - middle
@@ -96,7 +96,7 @@ def deepest_points(
 
 
 def _bottom(y: NDArray[np.float64], distance: NDArray[np.float64]) -> tuple[float, float, float] | None:
-    """Place, height and depth of the groove in one section; None where there is no surface on both sides of it."""
+    """Position, height and depth of the groove in one section; None if there is no surface on both sides of it."""
     near = np.abs(y) <= _WINDOW
     if near.sum() < 5:
         return None
@@ -119,7 +119,7 @@ def _bottom(y: NDArray[np.float64], distance: NDArray[np.float64]) -> tuple[floa
 
 
 def _longest_run(rows: list[tuple[float, float, float, float] | None]) -> list[tuple[float, float, float, float]]:
-    """The longest stretch with a groove in every section and no jump, by 1.5 mm in height or 3 mm sideways."""
+    """Longest run of sections with a groove and without jumps of 1.5 mm in height or 3 mm sideways."""
     best: list[tuple[float, float, float, float]] = []
     run: list[tuple[float, float, float, float]] = []
     for row in rows:

@@ -1,6 +1,6 @@
-"""A bivariate polynomial of total degree n over a chart: the paper's P2, P4, P5 and any other degree.
+"""Bivariate polynomials of total degree n over a chart (P2, P4, P5, ...), and the base class of rectangular patches.
 
-Michaud et al. 2024, section 2.4.2. Also what every patch over a rectangle of a chart has in common.
+Source: Michaud et al. 2024, section 2.4.2.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def exponents(degree: int) -> list[tuple[int, int]]:
 
 @lru_cache(maxsize=16)
 def legendre_to_powers(degree: int) -> NDArray[np.float64]:
-    """(degree + 1, degree + 1): row i holds the powers' coefficients of the i-th Legendre polynomial."""
+    """Matrix (degree + 1, degree + 1) whose row i holds the power coefficients of the i-th Legendre polynomial."""
     out = np.zeros((degree + 1, degree + 1))
     for i in range(degree + 1):
         out[i, : i + 1] = np.polynomial.legendre.leg2poly(np.eye(degree + 1)[i])[: i + 1]
@@ -39,11 +39,10 @@ def legendre_to_powers(degree: int) -> NDArray[np.float64]:
 
 
 class RectanglePatch(eqx.Module):
-    """A height over a rectangle of a chart, continued beyond it.
+    """A height over a rectangle of a chart, extrapolated beyond it.
 
-    Out there a fitted function is meaningless and may fold back, so the patch goes on as its bilinear Taylor expansion
-    about the nearest point of the rectangle: value and slope stay continuous (C1), and `outside` says that the edge has
-    been crossed.
+    Beyond the rectangle a fitted function is meaningless and may fold back. There the patch is its bilinear Taylor
+    expansion about the nearest point of the rectangle: value and slope are continuous (C1), and `outside` is positive.
     """
 
     chart: Chart
@@ -53,37 +52,37 @@ class RectanglePatch(eqx.Module):
 
     @abstractmethod
     def _inside(self, a: Scalar, b: Scalar) -> tuple[Jet, Scalar, Scalar]:
-        """Height and derivatives by a and b, both within +-1; the mixed third ones, aab and abb."""
+        """Height and derivatives by a and b, both within +-1; and the mixed third derivatives, aab and abb."""
 
     @abstractmethod
     def with_waves(self, series: NDArray[np.float64]) -> Self:
-        """The patch with sum of s_ij P_i(a) P_j(b) added to its height [m], P Legendre's polynomials; on the host.
+        """Adds sum of s_ij P_i(a) P_j(b) to the height [m], P the Legendre polynomials; on the host.
 
-        A polynomial patch is of a higher degree then, if the waves are.
+        The degree of a polynomial patch increases if that of the series is higher.
 
         Args:
-            series: (n, n), zero where i + j is n or more.
+            series: s_ij, (n, n) [m], zero where i + j is n or more.
         """
 
     def outside(self, u: Scalar, v: Scalar) -> Scalar:
-        """How far beyond the fitted rectangle a point lies [m]; zero inside."""
+        """Distance of a point beyond the fitted rectangle [m]; zero inside."""
         du = jnp.maximum(jnp.abs(u - self.center[0]) - self.half_size[0], 0.0)
         dv = jnp.maximum(jnp.abs(v - self.center[1]) - self.half_size[1], 0.0)
         return jnp.maximum(du, dv)
 
     def clipped(self, v: Scalar) -> Scalar:
-        """The nearest coordinate across the groove that lies on the fitted rectangle."""
+        """The coordinate v limited to the fitted rectangle [m]."""
         return jnp.clip(v, self.center[1] - self.half_size[1], self.center[1] + self.half_size[1])
 
     def height(self, u: Scalar, v: Scalar) -> Scalar:
-        """The patch's height, continued beyond its edge."""
+        """Height [m], extrapolated beyond the rectangle."""
         return self.jet(u, v).f
 
     def jet(self, u: Scalar, v: Scalar) -> Jet:
-        """Height, gradient and Hessian at (u, v), in closed form, beyond the edge too.
+        """Height, gradient and Hessian at (u, v), in closed form, also beyond the rectangle.
 
-        There the curvature along the edge goes on linearly, by the mixed third derivative: without it Newton's steps
-        to a closest point converge at a crawl, or go round it for ever, where the wall's slope changes along the edge.
+        There the curvature along the edge is extrapolated linearly with the mixed third derivative. Otherwise Newton
+        steps to a closest point converge slowly or never where the slope of a wall varies along the edge.
         """
         scale_u, scale_v = 1 / self.half_size[0], 1 / self.half_size[1]
         a, b = (u - self.center[0]) * scale_u, (v - self.center[1]) * scale_v
@@ -108,14 +107,14 @@ class PolynomialPatch(RectanglePatch):
 
     @property
     def name(self) -> str:
-        """The paper's name, such as "P5"."""
+        """Name in the paper, such as "P5"."""
         return f"P{self.degree}"
 
     def _inside(self, a: Scalar, b: Scalar) -> tuple[Jet, Scalar, Scalar]:
         return _polynomial_jet(self.unstacked().coefficients, self.degree, a, b)
 
     def unstacked(self) -> PolynomialPatch:
-        """The same patch with one array per coefficient: done once before a loop, so that the loop only multiplies."""
+        """The same patch with one array per coefficient; call it once, before a loop."""
         if isinstance(self.coefficients, tuple):
             return self
         n = len(exponents(self.degree))
@@ -133,9 +132,9 @@ class PolynomialPatch(RectanglePatch):
         return replace(self, coefficients=coefficients, degree=degree)
 
     def profile(self, u: Scalar) -> SurfaceProfile:
-        """The patch along v at one u, at a fifth of a jet's price for each v.
+        """The patch along v at one u, at a fifth of the cost of a jet for each v.
 
-        Only for v on the fitted rectangle; u may lie beyond it.
+        Only valid for v on the fitted rectangle; u may be beyond it.
         """
         c, n = self.unstacked().coefficients, self.degree
         index = {e: k for k, e in enumerate(exponents(n))}
@@ -169,10 +168,7 @@ def _value(c: Sequence[Scalar], x: Scalar) -> Scalar:
 
 
 def _polynomial_jet(c: Sequence[Scalar] | Array, degree: int, a: Scalar, b: Scalar) -> tuple[Jet, Scalar, Scalar]:
-    """Horner's scheme in a for each power of b, then in b, carrying first and second derivatives along.
-
-    With the mixed third derivatives, aab and abb.
-    """
+    """Jet and the mixed third derivatives, aab and abb, by Horner's scheme in a for each power of b, then in b."""
     index = {e: k for k, e in enumerate(exponents(degree))}
     rows = [_horner([c[index[i, j]] for i in range(degree + 1 - j)], a) for j in range(degree + 1)]
     f, fb, fbb = _horner([r[0] for r in rows], b)
@@ -185,7 +181,7 @@ def _polynomial_jet(c: Sequence[Scalar] | Array, degree: int, a: Scalar, b: Scal
 
 
 def _horner(c: Sequence[Scalar], x: Scalar) -> tuple[Scalar, Scalar | None, Scalar | None]:
-    """p(x), p'(x) and p''(x); a derivative that vanishes identically is None and costs nothing."""
+    """p(x), p'(x) and p''(x); a derivative that is identically zero is None."""
     p: Scalar = c[-1]
     d: Scalar | None = None
     half_dd: Scalar | None = None

@@ -1,9 +1,9 @@
-"""The trochlear region of a femoral component, found on its mesh: axis, groove line, vertices, charts, and a picture.
+"""The trochlear region of a femoral component, found on its mesh: axis, groove line, vertices and charts.
 
-The axis is that of the surface of revolution nearest to the component's front and distal surface (the line that the
-surface's normals miss least, after Pottmann and Randrup 1998), moved so that a circle about it fits the bottom of the
-groove. The groove line holds the deepest point at each angle about the axis. The region is a rectangle in that angle
-and in the medial-lateral distance from the groove line's middle, of vertices whose normals point away from the axis.
+The axis is that of the surface of revolution that best fits the component's anterior and distal surface (the line
+nearest to the surface's normal lines, after Pottmann and Randrup 1998), moved so that a circle about it fits the bottom
+of the groove. The groove line has the deepest point at each angle about the axis. The region is a rectangle in this
+angle and in the medial-lateral distance from the groove line's middle; its vertices' normals point away from the axis.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ from pftwin.geometry.patch.charts import CylindricalChart, PlaneChart
 from pftwin.geometry.patch.groove import CHECK_DIRECTIONS, deepest_points, fit_axis_direction, fit_circle
 
 Pair = tuple[float, float]
-FACING = 0.4  # least cosine between a vertex's normal and the direction away from the axis
+FACING = 0.4  # smallest cosine between a vertex's normal and the direction away from the axis
 
 
 @dataclass(frozen=True, eq=False)
 class TrochlearRegion:
     """The trochlear region of a mesh, in the mesh's own frame; lengths in metres, angles in radians.
 
-    The charts' axes are x proximal, y lateral for a right knee, z anterior (the plane chart's turned about y to the
+    The charts' axes are x proximal, y lateral for a right knee, z anterior (the plane chart's rotated about y to the
     middle of the arc). Angles are about the axis, 0 anteriorly, positive proximally.
     """
 
-    mask: NDArray[np.bool_]  # (n,) the region's vertices
+    mask: NDArray[np.bool_]  # (n,) which vertices are in the region
     groove: NDArray[np.float64]  # (k, 3) groove line, from distal to proximal
     groove_depth: NDArray[np.float64]  # (k,) below the lower of the two facets, within the half width
     angles: tuple[float, float]  # of the rectangle
@@ -44,7 +44,7 @@ class TrochlearRegion:
 
     @property
     def n_vertices(self) -> int:
-        """How many vertices lie in the region."""
+        """Number of vertices in the region."""
         return int(self.mask.sum())
 
 
@@ -56,16 +56,16 @@ def trochlear_region(
     half_width: float = 0.02,
     angles: tuple[float, float] = (-math.pi / 3, math.pi / 3),
 ) -> TrochlearRegion:
-    """Find the trochlear region of a femoral component (or distal femur).
+    """Finds the trochlear region of a femoral component (or distal femur).
 
     Args:
-        mesh: the surface, normals outward; it may be open, or the whole closed part.
-        anterior, proximal: these directions in the mesh's frame, (3,), right within some 20 deg.
+        mesh: the surface, normals outward; open, or the whole closed part.
+        anterior, proximal: these directions in the mesh's frame, (3,), accurate to some 20 deg.
         half_width: of the region, medial-lateral [m].
-        angles: limits about the axis [rad]; the region ends sooner where the groove does.
+        angles: limits about the axis [rad]; the region ends earlier if the groove does.
 
     Raises:
-        InputError: directions that are no directions or nearly parallel; normals that point into the bone; no groove.
+        InputError: directions that are zero or nearly parallel; normals that point into the bone; no groove found.
     """
     hint = hinted_axes(anterior, proximal)
     if not half_width > 0 or not angles[0] < angles[1]:
@@ -98,7 +98,7 @@ def trochlear_region(
 def region_about(
     mesh: SurfaceMesh, cylinder: CylindricalChart, *, angles: tuple[float, float], half_width: float
 ) -> TrochlearRegion:
-    """The region about a known axis, the chart's y, without a search; otherwise as `trochlear_region`."""
+    """The region about a known axis, the chart's y axis, without a search; otherwise like `trochlear_region`."""
     axes, origin = host_array(cylinder.axes), host_array(cylinder.origin)
     points, normals = (mesh.vertices - origin) @ axes, mesh.vertex_normals @ axes
     center = np.zeros(2)
@@ -110,7 +110,7 @@ def region_about(
 
 
 def hinted_axes(anterior: ArrayLike, proximal: ArrayLike) -> NDArray[np.float64]:
-    """Columns proximal, lateral (right knee), anterior: orthonormal, with the anterior direction kept."""
+    """Orthonormal axes (3, 3), columns proximal, lateral (right knee) and anterior; `anterior` keeps its direction."""
     a, p = np.asarray(anterior, dtype=np.float64), np.asarray(proximal, dtype=np.float64)
     for name, d in (("anterior", a), ("proximal", p)):
         if d.shape != (3,) or not np.isfinite(d).all() or not np.linalg.norm(d) > 0:
@@ -125,7 +125,7 @@ def hinted_axes(anterior: ArrayLike, proximal: ArrayLike) -> NDArray[np.float64]
 
 
 def check_outward(points: NDArray, normals: NDArray, source: str) -> None:
-    """Refuses a mesh (n, 3) in the axes of `hinted_axes` whose foremost vertices do not look forward."""
+    """Raises InputError if the normals of the most anterior vertices point backward; (n, 3) in `hinted_axes`' axes."""
     front = points[:, 2] >= np.quantile(points[:, 2], 0.95)
     if normals[front, 2].mean() < 0:
         raise InputError(
@@ -137,7 +137,7 @@ def check_outward(points: NDArray, normals: NDArray, source: str) -> None:
 
 
 def _seed(points: NDArray, normals: NDArray, source: str) -> tuple[NDArray, float]:
-    """First guess of the axis's (x, z) and the groove's y: a circle through the middle strip, front and distal."""
+    """First guess of the axis's (x, z) and the groove's y: a circle through the middle strip, anterior and distal."""
     middle = float(points[:, 1].min() + points[:, 1].max()) / 2
     inner = points.mean(axis=0)
     outward = np.einsum("ij,ij->i", points - inner, normals) > 0
@@ -152,7 +152,7 @@ def _seed(points: NDArray, normals: NDArray, source: str) -> tuple[NDArray, floa
 def _groove(
     points: NDArray, normals: NDArray, center: NDArray, middle: float, half_width: float, angles: Pair, source: str
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """See `deepest_points`; refused where there is no groove."""
+    """See `deepest_points`; raises InputError if there is no groove."""
     line, depth = deepest_points(points, normals, center, middle, half_width, angles)
     if len(line) < 5 or np.median(depth) < 0.3e-3:
         found = f"{1e3 * np.median(depth):.2f} mm deep over {len(line)} sections" if len(line) else "none at all"
@@ -185,7 +185,7 @@ def _rectangle(
 def _charts(
     origin: NDArray, axes: NDArray, angles: tuple[float, float], radius: float
 ) -> tuple[PlaneChart, CylindricalChart]:
-    """A plane that looks along the middle of the arc, and a cylinder of the groove's radius."""
+    """A plane normal to the direction of the arc's middle, and a cylinder of the groove's radius."""
     tilt = 0.5 * (angles[0] + angles[1])
     c, s = math.cos(tilt), math.sin(tilt)
     turned = axes @ np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])

@@ -1,4 +1,4 @@
-"""The patellar button as a sphere: its center, its radius, and the extent of its spherical cap."""
+"""Fits a sphere to a patellar button: centre, radius, and extent of the spherical dome."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ from numpy.typing import ArrayLike, NDArray
 from pftwin.base.errors import InputError
 from pftwin.geometry.mesh.mesh import SurfaceMesh
 
-_RING = 40  # vertices in a ring, at least
-_FLAT = 5.0  # largest radius of a dome, in sizes of the mesh
+_RING = 40  # smallest number of vertices in a ring
+_FLAT = 5.0  # largest radius of a dome, as a multiple of the mesh's size
 
 
 @dataclass(frozen=True, eq=False)
 class SphereFit:
     """A sphere fitted to a button, in the mesh's frame; lengths in metres, angles in radians.
 
-    `rms` and `max_error` are over the cap, the part about the apex on which rings of vertices stay within the
-    tolerance; contact beyond the cap is contact with something that is not this sphere.
+    `rms` and `max_error` are over the cap (the dome): the part around the apex whose rings of vertices are within the
+    tolerance. Beyond the cap the surface is not this sphere.
     """
 
     center: NDArray[np.float64]  # (3,)
@@ -28,7 +28,7 @@ class SphereFit:
     rms: float
     max_error: float
     cap_half_angle: float  # pi for a whole sphere
-    cap_radius: float  # the cap's reach from the axis; the sphere's radius where the cap is a hemisphere or more
+    cap_radius: float  # largest distance of the cap from the axis; the sphere's radius for a hemisphere or more
     n_vertices: int  # in the cap
     tolerance: float
 
@@ -42,18 +42,18 @@ class SphereFit:
 def fit_sphere(mesh: SurfaceMesh, *, tolerance: float = 0.02e-3, axis: ArrayLike | None = None) -> SphereFit:
     """Fits a sphere to the domed part of a patellar button, and finds the edge of the dome.
 
-    The cap grows ring by ring from the apex as long as a sphere through it fits each ring's rms within `tolerance`; the
-    sphere is then fitted to its inner four fifths, which keeps a beginning flare out of the radius, and the cap's edge
-    is where the rings leave that sphere.
+    The cap grows ring by ring from the apex while a sphere fits every ring to an rms within `tolerance`. The sphere is
+    then fitted to the inner four fifths of the cap, so that a flare at the edge does not affect the radius, and the
+    cap's edge is where the rings deviate from that sphere.
 
     Args:
-        mesh: the button, normals outward; only its sphere-like cap matters.
-        tolerance: rms error of a ring that still counts as sphere [m]; raise it for noisy scans.
-        axis: direction from the button's middle to its apex, (3,). If None: the mean normal of an open mesh; of a
-            closed one, the principal direction in which the largest cap is found.
+        mesh: the button, normals outward; only its spherical cap matters.
+        tolerance: largest rms error of a ring of the cap [m]; increase it for noisy scans.
+        axis: direction from the button's middle to its apex, (3,). None: the mean normal of an open mesh; for a closed
+            mesh the principal direction with the largest cap.
 
     Raises:
-        InputError: no spherical cap, or one too small to tell; a hollow (concave) one; a bad axis or tolerance.
+        InputError: no spherical cap, or too small or concave a cap; an invalid axis or tolerance.
     """
     if not (np.isfinite(tolerance) and tolerance > 0):
         raise InputError(f"a tolerance of {tolerance} m", where="tolerance", expected="a positive length, e.g. 0.02e-3")
@@ -77,7 +77,7 @@ def fit_sphere(mesh: SurfaceMesh, *, tolerance: float = 0.02e-3, axis: ArrayLike
             expected=f"a dome that is a sphere within {tolerance * 1e6:.1f} um",
             remedy="a larger tolerance=, or axis= if the apex was looked for on the wrong side",
         )
-    inner = order[: max(2 * _RING, int(0.64 * end))]  # four fifths of the reach, as vertices go with its square
+    inner = order[: max(2 * _RING, int(0.64 * end))]  # four fifths of its radius: the count grows with the square
     center, radius = _sphere(points[inner])
     _check_dome(mesh, inner, center, radius)
     ring_rms = [_residual_rms(points[order[a:b]], center, radius) for a, b in rings]
@@ -88,7 +88,7 @@ def fit_sphere(mesh: SurfaceMesh, *, tolerance: float = 0.02e-3, axis: ArrayLike
 
 
 def _check_dome(mesh: SurfaceMesh, cap: NDArray, center: NDArray, radius: float) -> None:
-    """A sphere of a sensible size, seen from outside."""
+    """Raises InputError for a sphere that is too large (flat), or a concave cap."""
     if radius > _FLAT * mesh.extent:
         found = f"the apex's side is flat (a sphere of radius {radius:.2g} m)"
         raise InputError(found, where=mesh.source, remedy="axis= if the apex is on another side")
@@ -114,7 +114,7 @@ def _axis(mesh: SurfaceMesh, axis: ArrayLike | None, tolerance: float) -> NDArra
 
 
 def _cap_size(mesh: SurfaceMesh, direction: NDArray, tolerance: float) -> int:
-    """The number of vertices of the convex cap about a direction; 0 for a flat back or a hollow."""
+    """Number of vertices of the convex cap about a direction; 0 for a flat or concave side."""
     order, rings = _rings(mesh.vertices, mesh.vertex_normals, direction)
     end = _largest_spherical_cap(mesh.vertices[order], rings, tolerance)
     if not end:
@@ -125,7 +125,7 @@ def _cap_size(mesh: SurfaceMesh, direction: NDArray, tolerance: float) -> int:
 
 
 def _rings(points: NDArray, normals: NDArray, direction: NDArray) -> tuple[NDArray[np.int64], list[tuple[int, int]]]:
-    """Vertices that look to the apex's side, ordered by distance from it, and ring limits in that order."""
+    """Vertices that face the apex's side, ordered by distance from the apex, and the limits of rings in this order."""
     side = np.flatnonzero(normals @ direction > 0.2)
     if not side.size:
         return side, []
@@ -138,7 +138,7 @@ def _rings(points: NDArray, normals: NDArray, direction: NDArray) -> tuple[NDArr
 
 
 def _largest_spherical_cap(ordered: NDArray, rings: list[tuple[int, int]], tolerance: float) -> int:
-    """How many of the ordered vertices belong to the largest cap every ring of which fits its own sphere."""
+    """Number of the ordered vertices in the largest cap whose rings all fit the cap's own sphere."""
     end = 0
     for k in range(1, len(rings)):
         reached = rings[k][1]
@@ -151,13 +151,13 @@ def _largest_spherical_cap(ordered: NDArray, rings: list[tuple[int, int]], toler
 
 
 def _sphere(points: NDArray) -> tuple[NDArray[np.float64], float]:
-    """Least-squares sphere: algebraic start, then Gauss-Newton on the true distances."""
+    """Least-squares sphere: algebraic fit, then Gauss-Newton on the geometric distances."""
     shift = points.mean(axis=0)
     scale = max(float(np.abs(points - shift).max()), 1e-30)
     q = (points - shift) / scale
     system = np.column_stack([2 * q, np.ones(len(q))])
     solution, _, rank, _ = np.linalg.lstsq(system, (q * q).sum(axis=1), rcond=1e-9)
-    if rank < 4:  # points in a plane: an infinite sphere
+    if rank < 4:  # coplanar points: an infinite sphere
         normal = np.linalg.svd(q - q.mean(axis=0), full_matrices=False)[2][2]
         return shift + 1e6 * scale * normal, 1e6 * scale
     center, radius = solution[:3], float(np.sqrt(max(solution[3] + solution[:3] @ solution[:3], 0.0)))
@@ -177,7 +177,7 @@ def _residual_rms(points: NDArray, center: NDArray, radius: float) -> float:
 def _report(
     mesh: SurfaceMesh, cap: NDArray[np.bool_], center: NDArray, radius: float, direction: NDArray, tolerance: float
 ) -> SphereFit:
-    """Errors over the cap, and its size as seen from the center."""
+    """The result, with errors over the cap and the cap's size."""
     arm = mesh.vertices[cap] - center
     error = np.linalg.norm(arm, axis=1) - radius
     half_angle = float(np.arccos(np.clip(arm @ direction / np.linalg.norm(arm, axis=1), -1, 1)).max())

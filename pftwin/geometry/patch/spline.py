@@ -1,14 +1,14 @@
-"""A bicubic tensor-product spline over a chart: C2, as close to a mesh as needed, at about a polynomial's cost.
+"""A bicubic tensor-product spline over a chart: C2, as accurate as needed, at about the cost of a polynomial.
 
-A cell's height needs 4 x 4 numbers however many cells there are, and on uniform knots their place in a table is
-arithmetic. The table is made of the coefficients before a loop, a row for each cell: the sixteen coefficients of its
-own powers. A jet loads them one by one. A row fetched as one array is fused by XLA into what uses it, and is then
-fetched anew for each of its numbers, along with all that says where it is: sixteen times the code for every jet that
-starts where another has led, and two such in a batch compiled without end.
+A cell's height needs 4 x 4 coefficients, however many cells there are; on uniform knots their position in a table is
+arithmetic. Before a loop the coefficients are converted to a table with one row per cell: the sixteen coefficients of
+its monomials. A jet loads these one by one: a row loaded as one array is fused by XLA into its uses and reloaded for
+each of its numbers, with the computation of its index, which is sixteen times the code for each jet that starts at the
+result of another; with two such jets in a batch the compilation did not end.
 
-The fan that looks for facets (`pftwin.geometry.contact.facets`) samples thirteen heights a step, and only decides where
-a search starts. It is given a polynomial, the nearest in the mean to this very spline, made along with the table: a row
-fetched for every sample would double the price of a batch.
+The fan that looks for facets (`pftwin.geometry.contact.facets`) samples thirteen heights per step and only selects
+starts. For it the table comes with the polynomial that is nearest to the spline in the mean square: loading a row for
+each sample would double the cost of a batch.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from pftwin.geometry.patch.charts import Jet
 from pftwin.geometry.patch.closest import SurfaceProfile
 from pftwin.geometry.patch.polynomial import PolynomialPatch, RectanglePatch, exponents, legendre_to_powers
 
-# The four basis functions of a cell by powers of its own coordinate, 0 to 1: row p holds x^p.
+# The four basis functions on a cell as polynomials of its coordinate x, 0 to 1: row p holds the coefficients of x^p.
 CELL_POWERS = np.array([[1, 4, 1, 0], [-3, 0, 3, 0], [3, -6, 3, 0], [-1, 3, -3, 1]]) / 6
 FAN_DEGREE = 8  # of the polynomial that the fan samples: within 0.1 mm rms of a trochlea
 
@@ -41,29 +41,29 @@ FAN_DEGREE = 8  # of the polynomial that the fan samples: within 0.1 mm rms of a
 class PreparedSpline(NamedTuple):
     """Tables made from a spline's coefficients before a loop."""
 
-    table: Array  # (n_u * n_v, 16): the coefficient of x^p y^q in column 4 p + q, x and y 0 to 1 in the cell
-    fan: PolynomialPatch  # the polynomial that `profile` samples
+    table: Array  # (n_u * n_v, 16): coefficient of x^p y^q in column 4 p + q, with x and y from 0 to 1 in the cell
+    fan: PolynomialPatch  # the polynomial that `profile` evaluates
 
 
 class SplinePatch(RectanglePatch):
     """height = sum of c_ij N_i(a) N_j(b), a = (u - u0) / half_u, b = (v - v0) / half_v, with |a|, |b| <= 1.
 
-    N are the uniform cubic B-splines on [-1, 1] (de Boor, A Practical Guide to Splines, 1978): n cells of equal length
-    have n + 3, of which four are not zero in a cell.
+    N are the uniform cubic B-splines on [-1, 1] (de Boor, A Practical Guide to Splines, 1978): n + 3 for n cells of
+    equal length, of which four are nonzero on a cell.
     """
 
     coefficients: Array = eqx.field(metadata=quantity("m"))  # (n_u + 3, n_v + 3) for n_u x n_v cells
-    loop: PreparedSpline | None = None  # once it has been made
+    loop: PreparedSpline | None = None  # set by `unstacked`
 
     name: ClassVar[str] = "spline"
 
     @property
     def cells(self) -> tuple[int, int]:
-        """How many cells there are along u and v."""
+        """Number of cells along u and v."""
         return self.coefficients.shape[-2] - 3, self.coefficients.shape[-1] - 3
 
     def unstacked(self) -> SplinePatch:
-        """The same patch with the table of its cells and its polynomial for the fan: made once before a loop."""
+        """The same patch with the table of its cells and the polynomial for the fan; call it once, before a loop."""
         if self.loop is not None:
             return self
         return eqx.tree_at(lambda s: s.loop, self, self._loop(), is_leaf=lambda x: x is None)
@@ -79,11 +79,11 @@ class SplinePatch(RectanglePatch):
         return jnp.einsum("pi,jiuv,qj->uvpq", powers, windows, powers).reshape(n_u * n_v, 16)
 
     def nearest_polynomial(self, degree: int = FAN_DEGREE) -> PolynomialPatch:
-        """The polynomial patch of a total degree that is nearest in the mean over the rectangle."""
+        """The polynomial patch of a total degree that is nearest in the mean square over the rectangle."""
         along, across = (jnp.asarray(polynomial_projection(n, degree), float) for n in self.cells)
         powers = jnp.asarray(legendre_to_powers(degree), float)
         series = along @ self.coefficients @ across.T
-        # Legendre polynomials are orthogonal: leaving out terms leaves the nearest polynomial without them.
+        # Legendre polynomials are orthogonal, so truncation gives the nearest polynomial of the remaining terms.
         series = jnp.where(jnp.add.outer(jnp.arange(degree + 1), jnp.arange(degree + 1)) <= degree, series, 0.0)
         square = powers.T @ series @ powers
         c = tuple(square[i, j] for i, j in exponents(degree))
@@ -95,7 +95,7 @@ class SplinePatch(RectanglePatch):
         return replace(self, coefficients=self.coefficients + added, loop=None)
 
     def profile(self, u: Scalar) -> SurfaceProfile:
-        """The patch along v at one u, near enough to start a search; only for v on the fitted rectangle."""
+        """An approximation of the patch along v at one u, to start searches; only for v on the fitted rectangle."""
         return self._loop().fan.profile(u)
 
     def _inside(self, a: Scalar, b: Scalar) -> tuple[Jet, Scalar, Scalar]:
@@ -113,21 +113,21 @@ class SplinePatch(RectanglePatch):
 
 
 def _cell(a: Scalar, n: int) -> tuple[Scalar, Scalar]:
-    """Which of n cells holds a place within +-1, and where in the cell."""
+    """Which of n cells a coordinate within +-1 is in, and the coordinate in that cell, 0 to 1."""
     t = (a + 1) * (0.5 * n)
-    k = jnp.clip(t.astype(jnp.int32), 0, n - 1)  # a place that is not finite falls into some cell
+    k = jnp.clip(t.astype(jnp.int32), 0, n - 1)  # any valid cell for a value that is not finite
     return k, t - k.astype(t.dtype)
 
 
 @jax.custom_jvp
 def _row(table: Array, coefficients: Array, i: Scalar, k: Scalar) -> tuple[Scalar, ...]:
-    """The sixteen numbers of the table's row of cell (i, k)."""
+    """The sixteen numbers of the table's row for cell (i, k)."""
     return _loaded(table, i * (coefficients.shape[1] - 3) + k)
 
 
 @_row.defjvp
 def _row_jvp(primals: tuple, tangents: tuple) -> tuple[tuple[Scalar, ...], tuple[Scalar, ...]]:
-    """By the coefficients themselves: what reverse mode sums up is then of their size, not of the table's."""
+    """Derivatives by the coefficients, not by the table, so that reverse mode accumulates the smaller arrays."""
     _, _, i, k = primals
     changes, powers = tangents[1], jnp.asarray(CELL_POWERS, tangents[1].dtype)
 
@@ -150,7 +150,7 @@ def _loaded(table: Array, cell: Scalar) -> tuple[Scalar, ...]:
 def _loaded_of_many(
     size: int, mapped: list[bool], table: Array, cell: Scalar
 ) -> tuple[tuple[Scalar, ...], tuple[bool, ...]]:
-    """Members' tables end to end are one table, whose rows are counted through."""
+    """Concatenates the tables of a batch into one, with consecutive row numbers."""
     if not mapped[1]:
         cell = jnp.broadcast_to(cell, (size, *cell.shape))
     if mapped[0]:
@@ -167,7 +167,7 @@ def _cubic(c: Sequence[Scalar], x: Scalar) -> tuple[Scalar, Scalar, Scalar]:
 
 
 def cubic_basis(x: Floats) -> tuple[tuple[Floats, ...], tuple[Floats, ...]]:
-    """The four basis functions of a cell and their derivatives by its own coordinate x, 0 to 1; on the host."""
+    """Values and derivatives of a cell's four basis functions at its coordinate x, 0 to 1; on the host."""
     y = 1 - x
     x2, y2 = x * x, y * y
     return (
@@ -177,7 +177,7 @@ def cubic_basis(x: Floats) -> tuple[tuple[Floats, ...], tuple[Floats, ...]]:
 
 
 def cell_of(a: NDArray[np.float64], n: int) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-    """On the host: the cell of each a, and the place in it; beyond [-1, 1] the end cells' own polynomials."""
+    """Cell of each a, and the coordinate in it; beyond [-1, 1] the end cells' polynomials continue. On the host."""
     t = 0.5 * n * (a + 1)
     k = np.clip(t.astype(np.int64), 0, n - 1)
     return k, t - k
@@ -185,7 +185,7 @@ def cell_of(a: NDArray[np.float64], n: int) -> tuple[NDArray[np.int64], NDArray[
 
 @lru_cache(maxsize=64)
 def polynomial_projection(n: int, degree: int) -> NDArray[np.float64]:
-    """(degree + 1, n + 3): from the coefficients of a spline of n cells to the Legendre series nearest in the mean."""
+    """Matrix (degree + 1, n + 3) from the coefficients of n cells to the Legendre series nearest in the mean square."""
     nodes, weights = np.polynomial.legendre.leggauss(degree // 2 + 3)  # exact: cubics times Legendre polynomials
     a = ((2 * np.arange(n)[:, None] + 1 + nodes) / n - 1).ravel()
     weight = np.tile(weights / n, n)
@@ -200,8 +200,8 @@ def polynomial_projection(n: int, degree: int) -> NDArray[np.float64]:
 
 @lru_cache(maxsize=16)
 def interpolation(n: int, degree: int) -> NDArray[np.float64]:
-    """(n + 3, degree + 1): from a Legendre series to the coefficients of the spline of n cells with its values at the
-    knots, and at one more beyond either end."""
+    """Matrix (n + 3, degree + 1) from a Legendre series to the coefficients of the spline of n cells that interpolates
+    it at the knots and at one more beyond either end."""
     a = 2 * (np.arange(n + 3) - 1) / n - 1
     k, x = cell_of(a, n)
     basis = np.zeros((n + 3, n + 3))

@@ -1,6 +1,6 @@
-"""The cells of a spline and its coefficients, found for given vertices: penalised least squares on shorter cells.
+"""Fits a spline's cells and coefficients to vertices, by penalised least squares on successively shorter cells.
 
-The penalty is mild and on curvature: see `pftwin.geometry.patch.fit`. Host side.
+For the penalty on curvature see `pftwin.geometry.patch.fit`. Runs on the host.
 """
 
 from __future__ import annotations
@@ -19,22 +19,22 @@ if TYPE_CHECKING:
     from scipy.sparse import csc_array, csr_matrix
 
 Pair = tuple[float, float]
-LONGEST_CELL, SHRINKING = 4e-3, 0.8  # the first attempt's cells [m], and how much shorter the next one's are
-FEWEST_VERTICES = 16  # as many as the coefficients of a single cell
+LONGEST_CELL, SHRINKING = 4e-3, 0.8  # length of the cells in the first attempt [m], and factor for each further one
+FEWEST_VERTICES = 16  # the number of coefficients of a single cell
 
 
 @dataclass(frozen=True, eq=False)
 class FittedSpline:
-    """A spline on a rectangle, and the vertices that it was fitted to."""
+    """A spline on a rectangle and the vertices that it was fitted to."""
 
     vertices: Vertices
     center: Pair  # of the rectangle [m]
     half: Pair
-    a: Floats  # the vertices' places in it, -1 to 1, (n,)
-    b: Floats
+    a: Floats  # the vertices' coordinates in it along u, -1 to 1, (n,)
+    b: Floats  # and along v
     cells: tuple[int, int]
     coefficients: Floats  # (n_u + 3, n_v + 3) [m]
-    rms: float  # of the heights' residuals [m]
+    rms: float  # of the height residuals [m]
 
     def values(self) -> tuple[Floats, Floats, Floats]:
         """Heights at the vertices [m] and slopes along u and v [-], (n,) each."""
@@ -46,7 +46,7 @@ class FittedSpline:
 
 
 def refined_spline(v: Vertices, tolerance: float, smoothing: float) -> FittedSpline:
-    """The spline with the longest cells of those tried that reach the tolerance [m]; if none do, the best.
+    """Fits the spline with the longest cells (among those tried) that reach the tolerance [m]; else the best one.
 
     Raises:
         InputError: too few vertices, or all of them on a line.
@@ -79,7 +79,7 @@ def refined_spline(v: Vertices, tolerance: float, smoothing: float) -> FittedSpl
 
 
 def _rectangle(v: Vertices) -> tuple[Pair, Pair]:
-    """Center and half size of the rectangle that holds all vertices: where there are none a spline goes on gently."""
+    """Centre and half size of the rectangle that contains all vertices."""
     spread = np.linalg.svd(np.stack([v.u - v.u.mean(), v.v - v.v.mean()]), compute_uv=False)
     if not spread[1] > 1e-6 * spread[0]:
         raise InputError("all vertices lie on a line of the chart", where=v.source, remedy="a larger region")
@@ -88,7 +88,7 @@ def _rectangle(v: Vertices) -> tuple[Pair, Pair]:
 
 
 def _basis(a: Floats, b: Floats, cells: tuple[int, int], along: int = 0, across: int = 0) -> csr_matrix:
-    """(vertices, coefficients): the tensor-product basis, or a derivative of it by the cells' own coordinates."""
+    """Tensor-product basis (vertices, coefficients), or a derivative of it by the cells' coordinates."""
     from scipy.sparse import csr_matrix
 
     (i, x), (j, y) = (cell_of(c, n) for c, n in zip((a, b), cells, strict=True))
@@ -101,12 +101,12 @@ def _basis(a: Floats, b: Floats, cells: tuple[int, int], along: int = 0, across:
 
 
 def _solved(basis: csr_matrix, v: Vertices, cells: tuple[int, int], half: Pair, smoothing: float) -> Floats:
-    """The coefficients (n,) that make mean weighted squared error + smoothing^4 * mean squared curvature least."""
+    """Coefficients (n,) that minimize mean weighted squared error + smoothing^4 * mean squared curvature."""
     from scipy.sparse import csc_array, diags_array, kron
     from scipy.sparse.linalg import spsolve
 
     def derivative(n: int, order: int, step: float) -> csc_array:
-        """By differences of a row of n + 3 coefficients."""
+        """Derivative of a given order as differences of n + 3 coefficients."""
         stencil = {0: [1.0], 1: [-1.0, 1.0], 2: [1.0, -2.0, 1.0]}[order]
         rows = n + 3 - order
         return csc_array(diags_array(stencil, offsets=range(order + 1), shape=(rows, n + 3)) / step**order)
@@ -116,6 +116,6 @@ def _solved(basis: csr_matrix, v: Vertices, cells: tuple[int, int], half: Pair, 
     for share, along, across in ((1.0, 2, 0), (2.0, 1, 1), (1.0, 0, 2)):
         bend = kron(derivative(n_u, along, step_u), derivative(n_v, across, step_v), format="csc")
         system = system + share * smoothing**4 / (n_u * n_v) * (bend.T @ bend)
-    # Heights from their mean: what is solved for is of the size of the relief, not of the distance to the axis.
+    # Subtract the mean, so that the solution has the size of the relief, not of the distance to the axis.
     level = np.average(v.h, weights=v.weight)
     return level + spsolve(system, basis.T @ (v.weight / len(v.h) * (v.h - level)))

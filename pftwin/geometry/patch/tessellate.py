@@ -1,8 +1,8 @@
-"""Triangle meshes of a smooth surface given over a chart, of stated deviation. Host side.
+"""Tessellation of a smooth surface over a chart to a given deviation; runs on the host.
 
-A grid of lines u = const and v = const, spaced by the curvature along them (a chord of length s under curvature k stays
-within s^2 k / 8 of the curve and turns by s k), then checked against the surface between its vertices and refined until
-the deviation holds.
+The grid lines u = const and v = const are spaced by the curvature along them (a chord of length s on a curve of
+curvature k deviates by s^2 k / 8 and turns by s k). The mesh is then compared with the surface between its vertices and
+refined until it is within the deviation.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from pftwin.base.errors import InputError
 from pftwin.geometry.mesh.mesh import SurfaceMesh
 from pftwin.geometry.patch.implant import FemoralComponent
 
-_LONGEST = 5e-3  # of any grid spacing [m]
-_SAMPLES = 241  # along u and v, where the curvature is looked at
+_LONGEST = 5e-3  # largest grid spacing [m]
+_SAMPLES = 241  # samples of the curvature along u and v
 _MOST_TRIANGLES = 2_000_000
-_INSIDE = ((0.5, 0.5), (0.5, 0.0), (0.0, 0.5), (1 / 3, 1 / 3))  # where the deviation is sampled in a triangle
+_INSIDE = ((0.5, 0.5), (0.5, 0.0), (0.0, 0.5), (1 / 3, 1 / 3))  # points of a triangle where the deviation is sampled
 
 
 def tessellate(surface: FemoralComponent, *, deviation: float, angle: float | None = None) -> SurfaceMesh:
-    """Mesh a surface over its rectangle (`center`, `half_size`); arguments and errors as in `FemoralComponent.mesh`."""
+    """Meshes a surface over its rectangle (`center`, `half_size`); arguments and errors as `FemoralComponent.mesh`."""
     if not (math.isfinite(deviation) and deviation > 0):
         raise InputError(f"a deviation of {deviation} m", where="deviation", expected="a positive length, e.g. 0.1e-3")
     if angle is not None and not 0 < angle < math.pi / 2:
@@ -57,9 +57,9 @@ def tessellate(surface: FemoralComponent, *, deviation: float, angle: float | No
 def points_and_normals(
     surface: FemoralComponent, u: NDArray, v: NDArray
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Points and unit normals in the femur frame at arrays of (u, v) of one shape, each (..., 3).
+    """Points [m] and unit normals, (..., 3) each, in the femur's frame at arrays of u and v [m] of one shape.
 
-    Evaluated at a padded length, so that meshes of many sizes share a few compiled programs.
+    Arrays are padded so that meshes of many sizes share a few compiled programs.
     """
     n = u.size
     padded = 1 << max(12, (n - 1).bit_length())
@@ -87,7 +87,7 @@ def _densities(
         turn = np.linalg.norm(np.diff(normals, axis=axis), axis=2)
         curvature = (turn / step).max(axis=1 - axis)
         stretch = (step / np.diff(samples[axis])[:, None].reshape((-1, 1) if axis == 0 else (1, -1))).max(axis=1 - axis)
-        per_metre = np.maximum(np.sqrt(curvature / (4 * deviation)), 1 / _LONGEST)  # half the deviation along each
+        per_metre = np.maximum(np.sqrt(curvature / (4 * deviation)), 1 / _LONGEST)  # half the deviation per direction
         if angle is not None:
             per_metre = np.maximum(per_metre, curvature / angle)
         result.append(per_metre * stretch)
@@ -95,13 +95,13 @@ def _densities(
 
 
 def _spaced(samples: NDArray, density: NDArray) -> NDArray[np.float64]:
-    """Lines between the ends, with at least the stated density between each two samples."""
+    """Positions of grid lines between the ends, with at least the given density between samples."""
     total = np.concatenate([[0.0], np.cumsum(density * np.diff(samples))])
     return np.interp(np.linspace(0, total[-1], math.ceil(total[-1]) + 1), total, samples)
 
 
 def _mesh(surface: FemoralComponent, u: NDArray, v: NDArray) -> tuple[SurfaceMesh, float]:
-    """The grid's mesh, and the largest distance found between it and the surface [m]."""
+    """Mesh of the grid, and the largest sampled distance between it and the surface [m]."""
     grid = np.meshgrid(u, v, indexing="ij")
     points, _ = points_and_normals(surface, grid[0].ravel(), grid[1].ravel())
     k = np.arange(len(u) * len(v)).reshape(len(u), len(v))

@@ -1,1 +1,1 @@
-"""Lines that run over obstacles on the bones."""
+"""Wrapping of muscle and ligament lines over obstacles on the bones."""

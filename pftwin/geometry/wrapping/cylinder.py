@@ -1,4 +1,4 @@
-"""The taut line around a cylinder, in closed form."""
+"""The taut line (shortest path) around a cylinder, in closed form."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from pftwin.geometry.wrapping.obstacle import Obstacle, TautLine, straight, wher
 
 
 class Cylinder(Obstacle):
-    r"""An endless cylinder.
+    r"""An infinite cylinder.
 
-    Seen along its axis the line is two tangents and an arc between them; unrolled it is straight, so it climbs evenly
-    along the axis: L^2 = (t1 + r theta + t2)^2 + dz^2. It runs over the nearer side, or, where there is a `side`, over
-    that one: it never passes the half-plane from the axis away from it, however far around that takes it.
+    Seen along the axis the line is two tangents with an arc between them. Unrolled it is straight, so it has a constant
+    slope along the axis: L^2 = (t1 + r theta + t2)^2 + dz^2. It wraps the nearer side or, if `side` is given, that
+    side: then it never crosses the half-plane from the axis opposite to `side`, however long the way around.
     """
 
     radius: Scalar = eqx.field(metadata=quantity("m", positive=True))
@@ -38,7 +38,7 @@ class Cylinder(Obstacle):
         length = jnp.sqrt(jnp.square(level) + jnp.square(rise))
 
         def way(e: _End, turn: Scalar, rise: Scalar) -> Vec3:
-            """From an end to where it touches, at the slope that the line has throughout."""
+            """Vector from an end to the tangent point, with the line's slope along the axis."""
             flat = axis.cross(e.across) * (turn * self.radius) - e.across * e.tangent
             return flat * (level / (length * e.squared)) + axis * (rise / length)
 
@@ -59,7 +59,7 @@ class Cylinder(Obstacle):
         return _End(across, height, squared, tangent, jnp.arctan2(tangent, self.radius), outside)
 
     def _angle(self, start: Vec3, end: Vec3, axis: Vec3, outside: Scalar) -> Scalar:
-        """From start to end about the axis, positive as the axis turns [rad]; anything where one of them is inside."""
+        """Angle from start to end about the axis, right-handed [rad]; arbitrary if an end is inside the cylinder."""
 
         def between(a: Vec3, b: Vec3) -> Scalar:
             return jnp.arctan2(a.cross(b).dot(axis), jnp.where(outside, a.dot(b), 1.0))
@@ -68,7 +68,7 @@ class Cylinder(Obstacle):
 
 
 class _End(NamedTuple):
-    """An end of the line as the cylinder sees it."""
+    """An end of the line relative to the cylinder."""
 
     across: Vec3  # from the axis, at right angles to it [m]
     height: Scalar  # along the axis [m]

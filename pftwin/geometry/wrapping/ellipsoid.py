@@ -1,7 +1,7 @@
-"""The taut line around an ellipsoid: the shortest of those that lie in a plane.
+"""The taut line around an ellipsoid, approximated by the shortest planar one.
 
-An ellipsoid stretched to the unit sphere has circles for sections, and tangents in closed form. All below is in that
-sphere but for lengths, which are those of the stretched-back vectors.
+Coordinates are scaled so that the ellipsoid is the unit sphere, whose plane sections are circles with tangents in
+closed form. Lengths are those of the vectors scaled back.
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ from pftwin.base.quantities import quantity
 from pftwin.base.spatial import Quaternion, Scalar, Vec3
 from pftwin.geometry.wrapping.obstacle import Obstacle, TautLine, straight, where
 
-NODES = 5  # of Gauss and Legendre's, along each half of the arc
-LEAST_STEP, LONGEST_STEP, MOST_STEPS = 1e-5, 0.4, 12  # of Newton's method for the plane's turn; [rad], [rad]
-FLAT = 1e-14  # curvature by the turn that is rounding: a line that hardly touches is as long in any plane [m]
+NODES = 5  # Gauss-Legendre nodes along each half of the arc
+LEAST_STEP, LONGEST_STEP, MOST_STEPS = 1e-5, 0.4, 12  # Newton's method for the plane's angle [rad], [rad], [-]
+FLAT = 1e-14  # second derivative of the length that is rounding error: the line hardly touches [m]
 
 
 class Ellipsoid(Obstacle):
     r"""An ellipsoid.
 
-    In each plane through both ends the line is two tangents and an arc between them. With t the plane's turn about the
-    straight line, L is the least L(t) on the side on which that passes the centre. At each end the direction is what
-    the length says, minus dL/dp, so that pull and energy belong together.
+    In each plane through both ends the line is two tangents with an arc between them. With t the plane's angle about
+    the straight line, L is the smallest L(t) on the side on which the straight line passes the centre. The direction at
+    an end p is minus dL/dp, so that force and energy are consistent.
     """
 
     radii: Vec3 = eqx.field(metadata=quantity("m", positive=True))
@@ -47,12 +47,12 @@ class Ellipsoid(Obstacle):
         return (1 - self._stretched(point).norm()) * jnp.minimum(jnp.minimum(r.x, r.y), r.z)
 
     def _stretched(self, point: Vec3) -> Vec3:
-        """The point seen from the centre, where the ellipsoid is the unit sphere."""
+        """The point relative to the centre, in the coordinates in which the ellipsoid is the unit sphere."""
         p, r = self.orientation.rotation().unapply(point - self.center), self.radii
         return Vec3(p.x / r.x, p.y / r.y, p.z / r.z)
 
     def _chord(self, start: Vec3, end: Vec3) -> tuple[Scalar, _Chord]:
-        """Whether the straight line passes through, and that line in the sphere; one that does, where it does not."""
+        """Whether the straight line passes through, and its chord; a substitute chord that does if it does not."""
         p, q = self._stretched(start), self._stretched(end)
         line = q - p
         squared, ahead = line.squared_norm(), -p.dot(line)
@@ -68,26 +68,26 @@ class Ellipsoid(Obstacle):
 
 
 class _Chord(NamedTuple):
-    """A line through the sphere, along x, from outside to outside; y and z lie across it.
+    """A line through the unit sphere along x, with both ends outside; y and z are perpendicular to it.
 
-    Its planes hold x and t = y cos(turn) + z sin(turn), the way from the line to the arc.
+    A plane of angle `turn` contains x and t = y cos(turn) + z sin(turn), the direction from the line to the arc.
     """
 
-    start: Scalar  # coordinates along x
+    start: Scalar  # coordinates of the ends along x
     end: Scalar
-    aside: tuple[Scalar, Scalar]  # and along y and z
+    aside: tuple[Scalar, Scalar]  # the line's coordinates along y and z
     tangents: tuple[Scalar, Scalar]  # lengths of the tangents from the ends
-    along: Scalar  # squares and products of x, y and z stretched back: xx [m^2]
+    along: Scalar  # scalar products of x, y and z scaled back: xx [m^2]
     mixed: tuple[Scalar, Scalar]  # xy, xz
     across: tuple[Scalar, Scalar, Scalar]  # yy, yz, zz
     outward: tuple[Scalar, Scalar, Scalar]  # of y and z divided by the squared radii: yy, yz, zz [1/m^2]
 
     @staticmethod
     def of(p: Vec3, q: Vec3, radii: Vec3) -> _Chord:
-        """Between two points."""
+        """The chord between two points."""
         line = q - p
         x = line * (1 / line.norm())
-        # Two directions across it, after Duff et al. 2017, J Comput Graph Tech 6:1.
+        # Two perpendicular directions, after Duff et al. 2017, J Comput Graph Tech 6:1.
         sign = jnp.where(x.z < 0, -1.0, 1.0)
         a = -1 / (sign + x.z)
         b = x.x * x.y * a
@@ -107,24 +107,24 @@ class _Chord(NamedTuple):
         )
 
     def section(self, turn: Scalar) -> tuple[Scalar, Scalar, Scalar]:
-        """The circle in which a plane cuts the sphere: the line's coordinate along t, its own off the plane, radius."""
+        """Circle in which a plane cuts the sphere: the line's coordinate along t, the plane's distance, the radius."""
         c, s = jnp.cos(turn), jnp.sin(turn)
         off = self.aside[1] * c - self.aside[0] * s
         return self.aside[0] * c + self.aside[1] * s, off, jnp.sqrt(1 - jnp.square(off))
 
     def length(self, turn: Scalar) -> Scalar:
-        """Length of the taut line in the plane with that turn [m]."""
+        """Length of the taut line in the plane of an angle [m]."""
         level, _, radius = self.section(turn)
         c, s = jnp.cos(turn), jnp.sin(turn)
         mixed = self.mixed[0] * c + self.mixed[1] * s
         across = self.across[0] * c * c + 2 * self.across[1] * s * c + self.across[2] * s * s
 
         def stretch(c: Scalar, s: Scalar) -> Scalar:
-            """Length of x c - t s, stretched back: along the circle where that is at t c + x s."""
+            """Length of x c - t s, scaled back: the tangent of the circle at t c + x s."""
             return jnp.sqrt(self.along * c * c - 2 * mixed * s * c + across * s * s)
 
         def touch(end: Scalar, tangent: Scalar) -> tuple[Scalar, Scalar]:
-            """Where the tangent from an end touches the circle: along t and x, from its centre, in radii."""
+            """Tangent point of an end on the circle: along t and x, from the circle's centre, in radii."""
             squared = jnp.square(level) + jnp.square(end)
             return (level * radius - end * tangent) / squared, (end * radius + level * tangent) / squared
 
@@ -134,11 +134,11 @@ class _Chord(NamedTuple):
         middle = middle[0] / size, middle[1] / size
         half = first[0] * middle[1] - first[1] * middle[0]  # sine of half the arc
 
-        # The nodes are an axis in front: unrolled, the program of second derivatives takes minutes to compile.
+        # The nodes are a leading axis: unrolled, second derivatives take minutes to compile.
         share, weight = (a.reshape(-1, *[1] * jnp.ndim(half)) for a in _quadrature())
 
         def inner(end: tuple[Scalar, Scalar]) -> Scalar:
-            """The arc's length over that of the chord from its middle to an end, at shares of that."""
+            """Length of the arc from its middle to an end, divided by `radius * half`."""
             c, s = (m[None] + share * (e - m)[None] for m, e in zip(middle, end, strict=True))
             squared = c * c + s * s
             stretched = jnp.sqrt(self.along[None] * c * c - 2 * mixed[None] * s * c + across[None] * s * s)
@@ -148,23 +148,23 @@ class _Chord(NamedTuple):
         return self.tangents[0] * stretch(*first) + radius * half * arc + self.tangents[1] * stretch(*last)
 
     def outward_turn(self, y: Scalar, z: Scalar) -> Scalar:
-        """The turn of the plane that holds the ellipsoid's normal at a point, by its coordinates across the line."""
+        """Angle of the plane with the ellipsoid's normal at a point of coordinates y and z [rad]."""
         yy, yz, zz = self.outward
         return jnp.arctan2(yz * y + zz * z, yy * y + yz * z)
 
 
 def _quadrature() -> tuple[np.ndarray, np.ndarray]:
-    """Nodes and weights from 0 to 1."""
+    """Gauss-Legendre nodes and weights from 0 to 1."""
     nodes, weights = np.polynomial.legendre.leggauss(NODES)
     return 0.5 + 0.5 * nodes, 0.5 * weights
 
 
 @jax.custom_jvp
 def _shortest(chord: _Chord) -> Scalar:
-    """The turn of the plane in which the line is shortest [rad].
+    """Angle of the plane in which the line is shortest [rad].
 
-    That plane holds the normal about the middle of the arc: from where a straight line would emerge first, this is
-    found by repetition, then by Newton's method, down to where the slope is zero.
+    That plane nearly contains the surface normal at the middle of the arc, which gives a start by fixed-point
+    iteration; Newton's method then finds the zero of the slope.
     """
     turn = chord.outward_turn(*chord.aside)
     for _ in range(2):
@@ -186,7 +186,7 @@ def _shortest(chord: _Chord) -> Scalar:
 
 @_shortest.defjvp
 def _follow(chords: tuple[_Chord], changes: tuple[_Chord]) -> tuple[Scalar, Scalar]:
-    """The slope stays zero."""
+    """Implicit differentiation: the slope stays zero."""
     turn = _shortest(*chords)
     _, curvature = _slopes(*chords, turn)
     _, change = jax.jvp(lambda chord: _slope(chord, turn), chords, changes)
@@ -194,10 +194,10 @@ def _follow(chords: tuple[_Chord], changes: tuple[_Chord]) -> tuple[Scalar, Scal
 
 
 def _slope(chord: _Chord, turn: Scalar) -> Scalar:
-    """Derivative of the length by the turn [m]."""
+    """Derivative of the length by the plane's angle [m]."""
     return jax.jvp(chord.length, (turn,), (jnp.ones_like(turn),))[1]
 
 
 def _slopes(chord: _Chord, turn: Scalar) -> tuple[Scalar, Scalar]:
-    """First and second derivative of the length by the turn [m]."""
+    """First and second derivative of the length by the plane's angle [m]."""
     return jax.jvp(lambda t: _slope(chord, t), (turn,), (jnp.ones_like(turn),))

@@ -16,7 +16,7 @@ from pftwin.base.spatial import Scalar, Vec3
 class TautLine(NamedTuple):
     """The shortest line from a start to an end that does not pass through an obstacle.
 
-    Its length changes by minus each direction times the displacement of that end.
+    The gradient of its length with respect to an end is minus the direction there.
     """
 
     length: Scalar  # [m]
@@ -25,22 +25,22 @@ class TautLine(NamedTuple):
 
 
 class Obstacle(eqx.Module):
-    """Something fixed to a body that lines of force run over where they touch it."""
+    """A convex obstacle fixed to a body, over which muscle and ligament lines wrap."""
 
     center: Vec3 = eqx.field(metadata=quantity("m", frame="obstacle's body"))
     body: str = eqx.field(static=True)  # "femur", "tibia" or "patella"
 
     @abstractmethod
     def around(self, start: Vec3, end: Vec3) -> TautLine:
-        """The taut line between points of the body's frame [m], or between many; straight from a point inside."""
+        """The taut line between points of the body's frame [m], or arrays of them; straight if a point is inside."""
 
     @abstractmethod
     def depth(self, point: Vec3) -> Scalar:
-        """How deep a point of the body's frame lies within, at least [m]; not positive for one outside."""
+        """Lower bound on the depth of a point of the body's frame inside [m]; not positive for a point outside."""
 
 
 def straight(start: Vec3, end: Vec3) -> TautLine:
-    """The line past an obstacle; where the points coincide its directions are zero, with finite derivatives."""
+    """The straight line; directions are zero, with finite derivatives, if the points coincide."""
     line = end - start
     length = line.norm()
     way = line * (1 / jnp.where(length > 1e-9, length, 1e-9))
@@ -48,5 +48,5 @@ def straight(start: Vec3, end: Vec3) -> TautLine:
 
 
 def where(condition: Scalar, one: TautLine, other: TautLine) -> TautLine:
-    """One line where a condition holds, the other elsewhere."""
+    """Selects one line where a condition is true, else the other."""
     return jax.tree.map(lambda a, b: jnp.where(condition, a, b), one, other)

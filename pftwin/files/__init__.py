@@ -1,1 +1,1 @@
-"""What is read from disk and written to it: motion capture, scene files, results, other programs."""
+"""File formats: motion capture, scene files, results, and exchange with other programs."""

@@ -1,11 +1,11 @@
-"""Checks of a NetCDF-4 file before it is read: the size of its variables, and that the file itself holds them.
+"""Safety checks of a NetCDF-4 file before it is read: the size of its variables, and that the file contains their data.
 
-HDF5 lets a file of a few kilobytes announce variables of any size (unwritten parts are filled in), compress zeros a
-thousandfold, and fetch its numbers from other files of the machine. Nothing that pftwin writes does any of this.
+HDF5 allows a file of a few kilobytes to declare variables of any size (unwritten parts are filled in), to compress
+zeros a thousandfold, and to read data from other files. Files written by pftwin do none of this.
 
-The file's global heaps, which hold the variables' dimensions, are walked first. A heap (HDF5 File Format Specification
-3.0, section III.E) is "GCOL", a version, its size, and objects one after the other, each with its own size. At an
-object of size zero the library (2.0) loops for ever, inside C code that no time limit of Python can stop.
+First the global heaps, which store the variables' dimensions, are checked. A heap (HDF5 File Format Specification 3.0,
+section III.E) consists of "GCOL", a version, its size, and a sequence of objects, each with its size. At an object of
+size zero the library (2.0) enters an endless loop in C code, which no time limit in Python can stop.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ _AGAIN = "copy the file again, or simulate again"
 
 
 def check_netcdf(file: Path) -> list[str]:
-    """Refuses a file that is too large, now or unpacked, or that leads out of itself.
+    """Checks a file.
 
     Returns:
         The names of its groups.
 
     Raises:
-        InputError: it does, or it is no NetCDF-4.
+        InputError: the file is too large, packed or unpacked; it refers to other files; it is not NetCDF-4.
     """
     size = file.stat().st_size
     if size > RESULT_BYTES:
@@ -40,7 +40,7 @@ def check_netcdf(file: Path) -> list[str]:
     try:
         with h5py.File(file, "r") as opened:
             total = [0]
-            # What is returned ends the visit; an error would have to pass through HDF5, which it does not survive.
+            # A returned value ends the visit. Do not raise: an exception does not survive its way through HDF5.
             wrong = opened.visititems_links(lambda name, link: _in_link(link, name, file))
             wrong = wrong or opened.visititems(lambda name, item: _in_item(item, name, file, total))
             if wrong is not None:
@@ -63,7 +63,7 @@ def _in_item(item: Any, name: str, file: Path, total: list[int]) -> InputError |
         return _external_reference_error(name, file)
     announced, there = item.nbytes, item.id.get_storage_size()
     total[0] += announced
-    # A chunk is unpacked whole, however little of it counts.
+    # A chunk is always unpacked as a whole.
     chunk = 0 if item.chunks is None else math.prod(map(int, (item.dtype.itemsize, *item.chunks)))
     if total[0] > RESULT_BYTES or chunk > RESULT_BYTES:
         return _too_large(f"{max(total[0], chunk) / 1e9:.1f} GB of variables", file)
@@ -92,15 +92,15 @@ def not_netcdf(file: Path, error: Exception) -> InputError:
 
 
 _BEGIN = b"GCOL\x01\x00\x00\x00"
-_HEADER = 16  # bytes, of a heap and of an object
+_HEADER = 16  # size of a heap's and of an object's header [bytes]
 _ALIGNED = 8
 
 
 def check_heaps(file: Path) -> None:
-    """Walks every global heap, objects to the end.
+    """Checks every global heap and its objects.
 
     Raises:
-        InputError: one that does not end where it says, or an object that takes no room.
+        InputError: a heap that does not end where its size says, or an object of size zero.
     """
     if not file.stat().st_size:
         return
@@ -121,7 +121,7 @@ def _whole(data: mmap.mmap, at: int) -> bool:
     while size - place >= _HEADER:
         index = int.from_bytes(data[at + place : at + place + 2], "little")
         room = int.from_bytes(data[at + place + 8 : at + place + _HEADER], "little")
-        # What is free counts its own header; an object does not, and is filled up.
+        # The size of the free space includes its header; that of an object does not, and is padded.
         taken = room if index == 0 else _HEADER + -(-room // _ALIGNED) * _ALIGNED
         if not 0 < taken <= size - place:
             return False

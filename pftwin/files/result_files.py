@@ -1,4 +1,4 @@
-"""Results as files: NetCDF, CSV, OpenSim storage. Written whole or not at all."""
+"""Reads and writes results as files: NetCDF, CSV, OpenSim storage. Writing is atomic."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from xarray import Dataset
 
 _QUATERNION = "component"
-GEOMETRY = "geometry"  # the group of a result's file that says what there is to draw
+GEOMETRY = "geometry"  # the group of a result's file with the geometry to draw
 
 
 def save_dataset(
@@ -33,19 +33,19 @@ def save_dataset(
 
     Args:
         data: the file's root.
-        path: where to.
-        groups: further datasets, by the name of their group; compressed.
-        encoding: how variables of the root are packed, as xarray has it.
+        path: target file.
+        groups: additional datasets by the name of their group; written compressed.
+        encoding: encoding of the root's variables, as in xarray.
 
     Raises:
-        OutputError: the folder is missing, the path is a folder, or the place cannot be written to.
+        OutputError: the folder is missing, the path is a folder, or the file cannot be written.
     """
     with written_whole(path) as temporary:
         temporary.write_bytes(_netcdf(data, groups or {}, dict(encoding or {})))
 
 
 def _netcdf(data: Dataset, groups: Mapping[str, Dataset], encoding: dict[str, dict[str, Any]]) -> memoryview:
-    """The file's content, made in memory: a disk that is full under HDF5's own writing can end the process."""
+    """Content of the file, made in memory, since a full disk while HDF5 writes can end the process."""
     import io
 
     import h5netcdf
@@ -61,10 +61,10 @@ def _netcdf(data: Dataset, groups: Mapping[str, Dataset], encoding: dict[str, di
 
 
 def load_dataset(path: str | os.PathLike[str], *, group: str | None = None) -> Dataset:
-    """A dataset that `save_dataset` wrote, or one of its groups, read into memory.
+    """Reads a dataset written by `save_dataset`, or one of its groups, into memory.
 
     Raises:
-        InputError: no such file, not NetCDF-4, too large, not whole in itself, or no such group.
+        InputError: no such file, not NetCDF-4, too large, data in other files or missing, or no such group.
     """
     from xarray import load_dataset as load
 
@@ -88,7 +88,7 @@ def load_dataset(path: str | os.PathLike[str], *, group: str | None = None) -> D
 
 
 def motion_dataset(result: Any) -> Dataset:
-    """The dataset of a `Result`, or of the file of one.
+    """Dataset of a `Result`, or of a result's file.
 
     Raises:
         InputError: no such file, or not a result of one simulation.
@@ -107,13 +107,13 @@ def motion_dataset(result: Any) -> Dataset:
 
 
 def finite_frames(data: Dataset) -> np.ndarray:
-    """Numbers of the frames at which patella and tibia have a finite pose."""
+    """Indices of the frames at which patella and tibia have a finite pose."""
     names = ("patella_position", "patella_quaternion", "tibia_position", "tibia_quaternion")
     return np.flatnonzero(np.isfinite(np.concatenate([data[n].values for n in names], axis=1)).all(axis=1))
 
 
 def save_csv(data: Dataset, path: str | os.PathLike[str]) -> None:
-    """Writes one column per variable and component, units in the header.
+    """Writes a CSV file with one column per variable and component, units in the header.
 
     Raises:
         OutputError: as `save_dataset`.
@@ -124,7 +124,7 @@ def save_csv(data: Dataset, path: str | os.PathLike[str]) -> None:
 
 
 def save_sto(data: Dataset, path: str | os.PathLike[str]) -> None:
-    """Writes an OpenSim storage file: angles in degrees and the header says so, all else in SI units.
+    """Writes an OpenSim storage file (.sto): angles in degrees, as its header states, all else in SI units.
 
     Raises:
         OutputError: as `save_dataset`.
@@ -134,7 +134,7 @@ def save_sto(data: Dataset, path: str | os.PathLike[str]) -> None:
 
 
 def reservations(data: Dataset) -> list[str]:
-    """What a file without attributes has to say of a motion, in lines of its header."""
+    """Lines with the verdict and notes on a result, for the header of a format without attributes."""
     return [f"{name.title()}: {data.attrs[name]}" for name in ("verdict", "note") if data.attrs.get(name)]
 
 
@@ -145,7 +145,7 @@ def write_storage(
     columns: Mapping[str, np.ndarray],
     notes: Iterable[str] = (),
 ) -> None:
-    """Writes columns (n,) in OpenSim's storage format, angles in degrees; notes are lines of the header.
+    """Writes columns (n,) in OpenSim's storage format, angles in degrees; `notes` are lines of the header.
 
     Raises:
         OutputError: as `save_dataset`.
@@ -158,7 +158,7 @@ def write_storage(
 
 
 def flat_columns(data: Dataset) -> tuple[dict[str, np.ndarray], dict[str, str]]:
-    """Columns (n,) and their units by name: components get _x, _y, _z, quaternions _qw ... _qz, elements _1, _2 ..."""
+    """Columns (n,) and their units by name; suffixes are _x, _y, _z, of quaternions _qw ... _qz, else _1, _2 ..."""
     columns: dict[str, np.ndarray] = {}
     units: dict[str, str] = {}
     for name, variable in data.data_vars.items():

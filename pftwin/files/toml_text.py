@@ -1,4 +1,4 @@
-"""TOML that a program writes: templates, and how numbers and words stand in them."""
+"""Writes TOML from templates, with formatters for numbers and strings."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 
 def render_toml(package: str, template: str, **values: Any) -> str:
-    """The text of a template in a package's folder, with `number`, `list`, `numbers`, `text` as below for filters."""
+    """Renders a template in a package's folder; `number`, `list`, `numbers`, `text` are filters: the functions below."""
     from jinja2 import Environment, PackageLoader
 
     environment = Environment(loader=PackageLoader(package, ""), keep_trailing_newline=True, autoescape=False)
@@ -18,20 +18,20 @@ def render_toml(package: str, template: str, **values: Any) -> str:
 
 
 def toml_number(value: Any, scale: float = 1.0) -> str:
-    """A number, times a scale, to twelve digits."""
+    """Formats a number, times a scale, with twelve digits."""
     return f"{scale * float(value):.12g}"
 
 
 def toml_list(values: Any, scale: float = 1.0) -> str:
-    """A list of any numbers, likewise."""
+    """Formats a list of numbers, times a scale, with twelve digits."""
     return "[" + ", ".join(toml_number(v, scale) for v in values) + "]"
 
 
 def toml_array(values: Any) -> str:
-    """A number, or a list of numbers or of such lists, likewise."""
+    """Formats a number or nested lists of numbers with twelve digits."""
     return toml_number(values) if np.ndim(values) == 0 else "[" + ", ".join(toml_array(v) for v in values) + "]"
 
 
 def toml_string(words: str) -> str:
-    """A string; the words may come from a stranger's file."""
+    """Formats a string with escapes, since the words may come from an untrusted file."""
     return json.dumps("".join(c if c.isprintable() else " " for c in words), ensure_ascii=False)

@@ -1,4 +1,4 @@
-"""From files of a motion laboratory to poses of segments: read, fill gaps, filter, fit."""
+"""Motion capture: reads files, fills gaps, filters, and fits segments' poses to markers."""
 
 from pftwin.files.mocap.bones import mended_bones
 from pftwin.files.mocap.c3d import read_c3d, read_c3d_channels

@@ -1,4 +1,4 @@
-"""Frames in which a recorded femur or tibia jumps out and back: found by their motion in each other, and filled."""
+"""Detects frames in which a recorded femur or tibia jumps out and back, by their relative motion, and fills them."""
 
 from __future__ import annotations
 
@@ -13,27 +13,30 @@ from pftwin.files.mocap.jumps import APART, TURNED, in_words, jumps, turned
 from pftwin.files.mocap.poses import PoseSeries
 from pftwin.files.mocap.tables import runs
 
-_NEAR = 1e-3  # [m] from its mean: farther off, places of the knee count by distance rather than by its square
+_NEAR = 1e-3  # [m] scale of the soft-L1 loss on the knee's distance from its mean position
 
 
 def mended_bones(
     femur: PoseSeries | None, tibia: PoseSeries, *, max_gap_s: float, speed: float, spin: float
 ) -> tuple[PoseSeries | None, PoseSeries, list[str]]:
-    """Both bones' poses, with stretches filled in which one jumps out and back, and what was done, in words.
+    """Fills runs of frames in which femur or tibia jumps out and back.
 
-    Out of line is what `jumps` finds of the tibia in the femur, at the point that moves least in both: near the knee,
-    wherever the bones' frames are. Filled are positions and quaternions, by the cubic spline through the frames around,
-    of the bone that is farther off that spline; of the other too where they are out of line even so.
+    Outliers are those that `jumps` finds for the tibia in the femur, at the point that moves least in both: near the
+    knee, wherever the bones' frames are. The bone that is farther from the cubic spline through the frames around is
+    replaced by that spline (positions and quaternions); the other one too in frames that remain outliers.
 
     Args:
-        femur: None for one that does not move.
-        tibia: at the same times.
-        max_gap_s: longest stretch that is filled [s].
-        speed: at which the tibia may move along the femur [m/s].
-        spin: at which it may turn [rad/s].
+        femur: poses; None for a fixed femur.
+        tibia: poses at the same times.
+        max_gap_s: longest run that is filled [s].
+        speed: largest speed of the tibia relative to the femur [m/s].
+        spin: largest angular speed of the tibia relative to the femur [rad/s].
+
+    Returns:
+        Poses of femur and tibia, and descriptions of what was filled.
 
     Raises:
-        InputError: a longer stretch, or one at the start or end, naming its frames.
+        InputError: a longer run, or one at the start or end, naming its frames.
     """
     bones = [tibia] if femur is None else [femur, tibia]
     knee = _knee(_in_femur(bones))
@@ -83,7 +86,7 @@ def _where(frames: NDArray[np.bool_], there: PoseSeries, elsewhere: PoseSeries) 
 
 
 def _knee(seen: PoseSeries) -> Floats:
-    """The tibia's point (3,) that moves least in the femur, in frames that are far off hardly counted."""
+    """Point (3,) of the tibia [m] that moves least in the femur, by a robust fit."""
     from scipy.optimize import least_squares
 
     turns = seen.matrices()
@@ -97,17 +100,17 @@ def _knee(seen: PoseSeries) -> Floats:
 
 
 def _spline(poses: PoseSeries, odd: NDArray[np.bool_]) -> PoseSeries:
-    """The poses on the spline through those of the frames that are not odd."""
+    """Poses on the spline through the frames that are not marked odd."""
     from scipy.interpolate import CubicSpline
 
-    kept = PoseSeries(poses.times[~odd], poses.positions[~odd], poses.quaternions[~odd])  # signs without the odd ones
+    kept = PoseSeries(poses.times[~odd], poses.positions[~odd], poses.quaternions[~odd])  # continuous signs
     curve = CubicSpline(kept.times, np.concatenate([kept.positions, kept.quaternions], axis=1))(poses.times)
     quaternions = curve[:, 3:] / np.linalg.norm(curve[:, 3:], axis=1, keepdims=True)
     return replace(poses, positions=curve[:, :3], quaternions=quaternions)
 
 
 def _off(poses: PoseSeries, curve: PoseSeries) -> Floats:
-    """How far (n,) each frame is off the spline, in what two frames may differ by however close."""
+    """Deviation (n,) of each frame from the spline, relative to the difference allowed between any two frames."""
     away = np.linalg.norm(poses.positions - curve.positions, axis=1)
     return np.maximum(away / APART, turned(poses.quaternions, curve.quaternions) / TURNED)
 

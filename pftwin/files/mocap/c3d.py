@@ -1,4 +1,4 @@
-"""Marker trajectories and analog channels from C3D files, read by ezc3d (the extra "c3d")."""
+"""Reads marker trajectories and analog channels from C3D files with ezc3d (the extra "c3d")."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from pftwin.files.mocap.units import known_unit, length_factor
 
 
 def read_c3d(path: str | os.PathLike[str], *, units: str | None = None) -> MarkerTrajectories:
-    """The 3D points of a C3D file.
+    """Reads the 3D points of a C3D file.
 
-    A point is missing (NaN) where its residual is negative, a coordinate is NaN, or all three are exactly 0 (older
-    writers store missing points so, ezc3d issue 128). The first frame's time is that of the header's first frame.
+    A point is missing (NaN) if its residual is negative, a coordinate is NaN, or all three are exactly 0 (as older
+    writers store missing points, ezc3d issue 128). The first frame's time is that of the header's first frame.
 
     Args:
         path: the file.
-        units: unit of length, for a file without POINT:UNITS or with a wrong one (a warning says where they differ).
+        units: unit of length, for a file without POINT:UNITS or with a wrong one (with a warning if they differ).
 
     Raises:
         InputError: missing, empty, truncated or damaged file; no points; no rate; no, unknown or implausible unit.
@@ -48,14 +48,14 @@ def read_c3d(path: str | os.PathLike[str], *, units: str | None = None) -> Marke
 
 
 def read_c3d_channels(path: str | os.PathLike[str]) -> Table:
-    """The analog channels of a C3D file (load cells, force plates), in SI units, at their own rate.
+    """Reads the analog channels of a C3D file (load cells, force plates), in SI units, at their own rate.
 
-    Each channel's offset and scale are applied. Columns have the channels' labels, "channel 7" (from 1) where one has
-    none, and the units of ANALOG:UNITS. A unit that is not known (mV/V) is kept as it stands there, with the values as
-    they are; no unit is "1". The first sample is taken at the time of the header's first frame.
+    Each channel's offset and scale are applied. Columns are named by the channels' labels, or "channel 7" (from 1)
+    without a label, with the units of ANALOG:UNITS. Values in an unknown unit (mV/V) are not converted and keep it; a
+    missing unit is "1". The first sample's time is that of the header's first frame.
 
     Raises:
-        InputError: missing, empty, truncated or damaged file; no channels; no rate; two channels of one label.
+        InputError: missing, empty, truncated or damaged file; no channels; no rate; two channels with the same label.
         MissingExtraError: ezc3d is not installed.
     """
     data = _load(path)
@@ -64,7 +64,7 @@ def read_c3d_channels(path: str | os.PathLike[str]) -> Table:
     if samples.ndim != 3 or 0 in samples.shape:
         raise InputError("the file holds no analog data", where=path, expected="analog channels")
     times = _times(data, "ANALOG", samples.shape[2], path)
-    columns = _rid_of_wrong_offsets(samples[0].T, data["parameters"])
+    columns = _corrected_channels(samples[0].T, data["parameters"])
     labels = _texts(parameters, "LABELS", samples.shape[1])
     names = tuple(label or f"channel {i}" for i, label in enumerate(labels, start=1))
     units = {}
@@ -74,8 +74,8 @@ def read_c3d_channels(path: str | os.PathLike[str]) -> Table:
     return Table(times, names, columns, units, source=str(path))
 
 
-def _rid_of_wrong_offsets(samples: np.ndarray, parameters: Any) -> np.ndarray:
-    """Channels (n, k) as (integer - offset) * scale; ezc3d takes offsets without their sign, and integers as signed."""
+def _corrected_channels(samples: np.ndarray, parameters: Any) -> np.ndarray:
+    """Channels (n, k) as (integer - offset) * scale; ezc3d reads offsets as unsigned, and integers as signed."""
 
     def of(key: str, default: float) -> np.ndarray:
         values = [float(v) for v in _values(parameters["ANALOG"], key)]
@@ -112,13 +112,13 @@ def _text(parameters: Any, key: str) -> str | None:
 
 
 def _values(parameters: Any, key: str) -> list[Any]:
-    """The values of a list: 255 fit in one parameter, more follow in KEY2 to KEY9."""
+    """Values of a list: up to 255 are in parameter KEY, more in KEY2 to KEY9."""
     names = (key, *(f"{key}{i}" for i in range(2, 10)))
     return [v for name in names for v in parameters.get(name, {}).get("value", [])]
 
 
 def _texts(parameters: Any, key: str, count: int) -> tuple[str, ...]:
-    """One text for each of `count` points or channels; empty where there is none."""
+    """One string for each of `count` points or channels; empty if there is none."""
     texts = [str(v).strip() for v in _values(parameters, key)]
     return tuple((texts + [""] * count)[:count])
 

@@ -1,8 +1,8 @@
-"""Whether bytes are a whole C3D file, before ezc3d reads it.
+"""Checks that bytes are a complete C3D file, before ezc3d reads it.
 
-ezc3d may loop for ever on damaged parameters, and shortens truncated files without a warning. So the chain of
-parameters is walked first, and the length of the data section is compared with the header (layout: c3d.org user guide,
-"The C3D file format").
+ezc3d may loop forever on damaged parameters, and silently shortens truncated files. So the chain of parameters is
+checked first, and the length of the data section is compared with the header (layout: c3d.org user guide, "The C3D file
+format").
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ _INTEL, _DEC, _MIPS = 84, 85, 86
 
 
 def check_c3d_structure(content: bytes, *, where: object) -> None:
-    """Refuse bytes that are not a whole C3D file.
+    """Checks that bytes are a complete C3D file.
 
     Raises:
         InputError: no C3D signature, a damaged or incomplete parameter section, a truncated data section.
@@ -35,12 +35,12 @@ def check_c3d_structure(content: bytes, *, where: object) -> None:
     if len(content) < 20:
         raise _truncated("its header", where)
     _check_channels(content, order, counts, where)
-    if processor != _DEC:  # the sign of DEC's float is elsewhere
+    if processor != _DEC:  # DEC's floats have their sign elsewhere
         _check_length(content, order, where)
 
 
 def _walk_parameters(content: bytes, position: int, order: str, where: object) -> dict[tuple[bytes, bytes], int]:
-    """How many values each parameter has, by the names of its group and its own."""
+    """Number of values of each parameter, by the names of its group and parameter."""
     groups: dict[int, bytes] = {}
     counts: dict[tuple[int, bytes], int] = {}
     while True:
@@ -73,7 +73,7 @@ def _walk_parameters(content: bytes, position: int, order: str, where: object) -
 
 
 def _check_channels(content: bytes, order: str, counts: dict[tuple[bytes, bytes], int], where: object) -> None:
-    """Every analog channel has a scale and an offset: ezc3d reads beyond the end of lists that are shorter."""
+    """Checks that every analog channel has a scale and an offset: ezc3d reads beyond the end of shorter lists."""
     (samples,), (each,) = (struct.unpack_from(order + "H", content, at) for at in (4, 18))
     channels = samples // max(each, 1)
     for key in (b"SCALE", b"OFFSET"):
@@ -86,14 +86,14 @@ def _check_channels(content: bytes, order: str, counts: dict[tuple[bytes, bytes]
 
 
 def _check_record(content: bytes, begin: int, end: int, group: int, where: object) -> None:
-    """A group's or parameter's data and description lie within its record."""
+    """Checks that the data and description of a group or parameter are within its record."""
     end = min(end, len(content))
     if group > 0:
         if begin + 2 > end:
             raise _damaged(where)
         kind, dimensions = struct.unpack_from("bB", content, begin)
         begin += 2 + dimensions
-        # ezc3d crashes on a text without dimensions, a single character, which no program is known to write.
+        # ezc3d crashes on a string without dimensions (a single character), which no known program writes.
         if kind not in (-1, 1, 2, 4) or not (kind == -1) <= dimensions <= 7 or begin > end:
             raise _damaged(where)
         begin += abs(kind) * math.prod(content[begin - dimensions : begin])
@@ -110,7 +110,7 @@ def _check_length(content: bytes, order: str, where: object) -> None:
     (scale,) = struct.unpack_from(order + "f", content, 12)
     (block,) = struct.unpack_from(order + "H", content, 16)
     if last == 0xFFFF or last < first or block < 2:
-        return  # a longer recording than the header can count: nothing to compare with
+        return  # more frames than the header can count: nothing to compare with
     frame = (4 * points + analogs) * (4 if scale < 0 else 2)
     wanted = (block - 1) * _BLOCK + (last - first + 1) * frame
     if len(content) < wanted:

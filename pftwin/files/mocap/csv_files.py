@@ -1,4 +1,4 @@
-"""Tables and markers from and to CSV files with a header line."""
+"""Reads and writes tables and markers as CSV files with a header line."""
 
 from __future__ import annotations
 
@@ -19,26 +19,26 @@ Units = Mapping[str, str] | str | None
 
 
 def read_csv(path: str | os.PathLike[str], *, time_column: str | None = None, units: Units = None) -> Table:
-    """A numeric table with one header line, in SI units.
+    """Reads a numeric table with one header line and converts it to SI units.
 
-    Units come from the header ("quadriceps_N", "Fz (kN)", "angle [deg]") or from the argument, and are converted to SI;
-    the columns' names are kept without their unit. Quaternion components (..._qw), "frame" and "status" have none.
+    Units come from the header ("quadriceps_N", "Fz (kN)", "angle [deg]") or from the argument; columns are named
+    without their unit. Quaternion components (..._qw), "frame" and "status" are dimensionless.
     Lines that begin with # are comments. The delimiter is a comma, a semicolon or a tab. Empty cells are NaN.
 
     Args:
         path: the file.
-        time_column: the header of the column of times; else the one called time or t.
-        units: {column: unit} with names as in the header, with or without unit; or one unit for every column whose
-            header has none ("1": no dimension).
+        time_column: header of the column of times; by default the one called time or t.
+        units: {column: unit} with names as in the header, with or without unit; or one unit for all columns without a
+            unit in the header ("1": dimensionless).
 
     Raises:
         InputError: missing, empty, truncated, binary or non-numeric content (naming file, line and column); a column
-            without unit; unknown or contradictory units; a name twice; no time column; repeated or unsorted times.
+            without unit; unknown or contradictory units; repeated names; no time column; repeated or unsorted times.
     """
     labels, values = _read_columns(path)
     at = _time_index(labels, time_column, path)
     parts = [split_unit(label) for label in labels]
-    if isinstance(units, str):  # it is meant for columns without one, and not for the time
+    if isinstance(units, str):  # for columns without a unit, but not for the time
         told = {label: units for i, label in enumerate(labels) if parts[i][1] is None and i != at}
     else:
         told = dict(units or {})
@@ -69,18 +69,18 @@ def read_marker_csv(
     units: str | None = None,
     time_unit: str | None = None,
 ) -> MarkerTrajectories:
-    """Markers from a table with the columns NAME_x, NAME_y, NAME_z, with or without a unit ("NAME_x_mm").
+    """Reads markers from a table with the columns NAME_x, NAME_y, NAME_z, with or without a unit ("NAME_x_mm").
 
-    Missing markers are empty cells, NaN or three exact zeros. All other columns but the time and "frame" are refused.
+    Missing markers are empty cells, NaN or three exact zeros. Other columns except the time and "frame" are errors.
 
     Args:
         path: the file.
-        time_column: the header of the column of times (s or ms); else the one called time or t.
-        units: unit of length where the header has none.
-        time_unit: unit of the times ("s", "ms") where the header has none.
+        time_column: header of the column of times (s or ms); by default the one called time or t.
+        units: unit of length if the header has none.
+        time_unit: unit of the times ("s", "ms") if the header has none.
 
     Raises:
-        InputError: as `read_csv`; a marker without all three coordinates, or with one of them twice ("A_x" and "Ax");
+        InputError: as `read_csv`; a marker with missing or repeated coordinates ("A_x" and "Ax");
             an implausible unit.
     """
     labels, values = _read_columns(path)
@@ -111,7 +111,7 @@ def read_marker_csv(
 
 
 def write_csv(path: str | os.PathLike[str], data: Table | MarkerTrajectories) -> None:
-    """Write a table or markers as CSV with units in the header; missing values are empty cells.
+    """Writes a table or markers as CSV with units in the header; missing values are empty cells.
 
     Raises:
         OutputError: the file cannot be written.
@@ -133,7 +133,7 @@ def _quote(label: str) -> str:
 
 
 def _read_columns(path: str | os.PathLike[str]) -> tuple[list[str], np.ndarray]:
-    """Labels (k) and values (n, k) as they stand in the file."""
+    """Labels (k) and values (n, k) as in the file, without conversion."""
     lines, ended = read_lines(path)
     used = [(i, line) for i, line in enumerate(lines, start=1) if line.strip() and not line.lstrip().startswith("#")]
     if not used:

@@ -1,4 +1,4 @@
-"""Filters of marker recordings, and the filling of gaps before them."""
+"""Filters for marker and force recordings, and gap filling."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from pftwin.files.mocap.tables import runs
 def butterworth_lowpass(
     signal: ArrayLike, rate: float, cutoff: float = 12.0, order: int = 2, *, correct_two_passes: bool = False
 ) -> NDArray[np.float64]:
-    """Butterworth low-pass run forwards and backwards along the first axis.
+    """Zero-phase Butterworth low-pass filter, run forwards and backwards along the first axis.
 
-    Michaud et al. 2024 filter marker trajectories so, with order 2 and 12 Hz.
+    Michaud et al. 2024 filter marker trajectories in this way, with order 2 and 12 Hz.
 
     Args:
         signal: (n, ...) samples.
@@ -60,24 +60,24 @@ def butterworth_lowpass(
 
 
 def samples_needed(rate: float, cutoff: float, order: int) -> int:
-    """The shortest signal that `butterworth_lowpass` takes: one more than it continues beyond each end.
+    """Shortest signal that `butterworth_lowpass` accepts: one sample more than the padding at each end.
 
-    The continuation is by point reflection, for as long as one pass remembers.
+    The padding is a point reflection, as long as the memory of one pass.
     """
     return 1 + max(3 * (order + 1), math.ceil(order * rate / cutoff))
 
 
 def singular_spectrum_filter(signal: ArrayLike, window: int = 30, components: int | None = None) -> NDArray[np.float64]:
-    """Smooth a signal by singular spectrum analysis: keep its leading components.
+    """Smooths a signal by singular spectrum analysis, keeping the leading components.
 
-    The signal's lagged copies form a Hankel matrix (window x (n - window + 1)); its leading singular triples are kept,
-    and averages over the anti-diagonals turn them back to a signal (Golyandina & Zhigljavsky 2013, chapter 2).
-    Michaud et al. 2024 filter measured forces so, with window 30.
+    The signal's lagged copies form a Hankel matrix (window x (n - window + 1)). Its leading singular triples are kept
+    and converted back to a signal by averaging over the anti-diagonals (Golyandina & Zhigljavsky 2013, chapter 2).
+    Michaud et al. 2024 filter measured forces in this way, with window 30.
 
     Args:
         signal: (n,) samples, or (n, k) for k signals filtered one by one.
         window: length of the lag window [samples].
-        components: how many components to keep. None: those whose singular value lies above the optimal threshold for
+        components: number of components to keep. None: those whose singular value is above the optimal threshold for
             noise of unknown level, omega(beta) times the median one (Gavish & Donoho 2014, IEEE Trans Inf Theory
             60:5040), and at least one.
 
@@ -130,7 +130,7 @@ def _checked(signal: ArrayLike) -> NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class Gap:
-    """A run of frames (indices, both included) in which a marker was not seen."""
+    """A run of frames (indices, both inclusive) in which a marker was not seen."""
 
     marker: str
     first_frame: int
@@ -139,16 +139,16 @@ class Gap:
 
     @property
     def frames(self) -> int:
-        """Length of the gap."""
+        """Number of frames in the gap."""
         return self.last_frame - self.first_frame + 1
 
     def in_words(self) -> str:
-        """The frames, counted from 1: "frames 3 to 5"."""
+        """Description of the frames, counted from 1: "frames 3 to 5"."""
         return f"frames {self.first_frame + 1} to {self.last_frame + 1}"
 
 
 def find_gaps(markers: MarkerTrajectories) -> list[Gap]:
-    """Every gap of every marker, in the order of markers and time."""
+    """All gaps of all markers, ordered by marker and time."""
     return [
         Gap(name, int(first), int(end) - 1, False)
         for name, missing in zip(markers.names, markers.missing.T, strict=True)
@@ -159,15 +159,15 @@ def find_gaps(markers: MarkerTrajectories) -> list[Gap]:
 def fill_gaps(
     markers: MarkerTrajectories, *, max_gap_s: float = 0.1, keep_long: bool = False
 ) -> tuple[MarkerTrajectories, list[Gap]]:
-    """Fill interior gaps by the cubic spline through the frames around them; `select` the markers needed first.
+    """Fills interior gaps by the cubic spline through the frames around them; `select` the markers needed first.
 
     Args:
         markers: the recording.
         max_gap_s: longest gap that is filled [s] (duration of the missing frames).
-        keep_long: leave gaps that cannot be filled as NaN instead of refusing (`cluster_poses` can do without).
+        keep_long: leave gaps that cannot be filled as NaN instead of raising (`cluster_poses` accepts them).
 
     Returns:
-        The filled markers, and every gap that was found, each with `filled`.
+        The filled markers, and all gaps that were found.
 
     Raises:
         InputError: a gap longer than `max_gap_s` or at the recording's start or end, naming marker and frames.

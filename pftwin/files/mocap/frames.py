@@ -1,4 +1,4 @@
-"""Frames of segments from markers: three points (Vaughan), or a least-squares fit to all markers of a cluster."""
+"""Segments' poses from markers: three points (Vaughan), or a least-squares fit to all markers of a cluster."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from pftwin.files.mocap.markers import MarkerTrajectories
 from pftwin.files.mocap.poses import PoseSeries
 from pftwin.files.mocap.tables import quoted_list
 
-# Below this ratio of width to length a group of points is a line: 0.2 mm of noise on 10 mm of width is 1 deg already.
+# Ratio of width to length below which points count as collinear: 0.2 mm of noise on 10 mm of width is already 1 deg.
 _COLLINEAR = 0.02
 
 
 def three_point_frames(
     a: ArrayLike, b: ArrayLike, c: ArrayLike, times: ArrayLike, *, axes: str = "xy", source: str = "three points"
 ) -> PoseSeries:
-    """Frames from three points, after Vaughan et al. (1992), Dynamics of Human Gait, chapter 3.
+    """Poses from three points, after Vaughan et al. (1992), Dynamics of Human Gait, chapter 3.
 
-    The origin is `a`. The first of `axes` points from a to b; the second lies in the plane of the three points, on c's
+    The origin is `a`. The first of `axes` points from a to b; the second is in the plane of the three points, on c's
     side; the third completes a right-handed frame.
 
     Args:
@@ -31,7 +31,7 @@ def three_point_frames(
         source: for messages.
 
     Raises:
-        InputError: missing points, points that coincide or lie on a line (naming the frames, from 1), unknown axes.
+        InputError: missing points, points that coincide or are collinear (naming the frames, from 1), unknown axes.
     """
     if len(axes) != 2 or len(set(axes)) != 2 or not set(axes) <= set("xyz"):
         raise InputError(f"axes {axes!r}", where="axes", expected="two different letters of xyz, as in 'xy'")
@@ -67,24 +67,24 @@ def cluster_poses(
     names: Sequence[str] | None = None,
     source: str = "cluster",
 ) -> PoseSeries:
-    """Poses that fit a cluster of markers best in the sense of least squares (Kabsch 1976; Soederkvist & Wedin 1993).
+    """Least-squares poses of a cluster of markers (Kabsch 1976; Soederkvist & Wedin 1993).
 
-    Each frame uses the markers that are seen (not NaN). The rotation is always proper.
+    Each frame uses the markers that are present (not NaN). The rotation is always proper.
 
     Args:
         measured: (n, m, 3) metres in the laboratory; NaN where missing.
-        reference: (m, 3) metres: the same markers in the segment's frame.
+        reference: (m, 3) metres, the same markers in the segment's frame.
         times: (n,) seconds.
         names: the markers' names, for messages.
         source: for messages.
 
     Returns:
-        Poses of the segment's frame in the laboratory; `residual_rms` is the root mean square distance of the markers
-        seen in a frame from their fitted places [m].
+        Poses of the segment's frame in the laboratory; `residual_rms` is the root mean square distance of a frame's
+        markers from their fitted positions [m].
 
     Raises:
-        InputError: wrong shapes, a reference marker that is missing, frames with fewer than three markers or with
-            collinear ones (naming frames, from 1, and markers).
+        InputError: wrong shapes, a missing reference marker, frames with fewer than three markers or collinear ones
+            (naming frames, from 1, and markers).
     """
     p, r = np.asarray(measured, dtype=np.float64), np.asarray(reference, dtype=np.float64)
     if p.ndim != 3 or r.shape != p.shape[1:] or r.shape[1:] != (3,):
@@ -123,7 +123,7 @@ def cluster_poses(
 
 
 def segment_poses(markers: MarkerTrajectories, reference: Mapping[str, ArrayLike], *, source: str = "") -> PoseSeries:
-    """`cluster_poses` by marker names: `reference` gives each marker's place (3,) [m] in the segment's frame."""
+    """`cluster_poses` by marker names: `reference` has each marker's position (3,) [m] in the segment's frame."""
     names = list(reference)
     chosen = markers.select(names)
     places = np.array([*reference.values()], dtype=np.float64)
@@ -132,10 +132,10 @@ def segment_poses(markers: MarkerTrajectories, reference: Mapping[str, ArrayLike
 
 
 def mean_cluster(markers: MarkerTrajectories, names: Sequence[str]) -> dict[str, NDArray[np.float64]]:
-    """A cluster's mean shape over a recording, for use as `reference` where no static trial exists.
+    """Mean shape of a cluster over a recording by generalised Procrustes analysis, as `reference` without static trial.
 
-    The frame has its origin in the mean of the markers and the laboratory's axes as they are in the first frame in
-    which all markers are seen. Generalised Procrustes: fit, average, repeat.
+    The frame's origin is the mean of the markers; its axes are those of the laboratory in the first frame in which all
+    markers are present.
 
     Raises:
         InputError: unknown names, no frame with all markers, fewer than three or collinear markers.
@@ -156,7 +156,7 @@ def mean_cluster(markers: MarkerTrajectories, names: Sequence[str]) -> dict[str,
 
 
 def spans_plane(points: NDArray[np.float64], seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """In which frames (n,) the points (n, m, 3) that are seen (n, m) are three or more, and on no line."""
+    """Which frames (n,) have three or more points (n, m, 3) that are seen (n, m) and not collinear."""
     count = np.maximum(seen.sum(axis=1), 1)[:, None, None]
     there = np.where(seen[:, :, None], points, 0.0)
     centred = np.where(seen[:, :, None], there - there.sum(axis=1, keepdims=True) / count, 0.0)

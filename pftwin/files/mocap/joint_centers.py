@@ -1,4 +1,4 @@
-"""Centres of joints from the motion: the point about which markers of a neighbouring segment turn."""
+"""Functional joint centres: the point about which the markers of an adjacent segment rotate."""
 
 from __future__ import annotations
 
@@ -9,20 +9,20 @@ from numpy.typing import ArrayLike, NDArray
 
 from pftwin.base.errors import InputError
 
-_CAMERAS = 1e-4  # noise [m] that markers have at least, however well a motion fits: 0.1 mm
-_MORE_THAN_NOISE = 2.0  # times the squares that noise alone makes: below, centres lie anywhere, often among the markers
+_CAMERAS = 1e-4  # [m] smallest noise assumed for markers, however well a motion fits
+_MORE_THAN_NOISE = 2.0  # smallest ratio of a direction's squares to those of noise alone; below, centres are arbitrary
 
 
 @dataclass(frozen=True, eq=False)
 class JointCenter:
-    """A centre, and how well the motion tells it.
+    """A joint centre and its accuracy.
 
     Attributes:
-        point: (3,) place in the frame of the markers' coordinates [m].
-        deviation: its standard deviation in the direction that the motion tells worst [m]; infinite where it tells
-            nothing, as along the axis of a hinge, or no more than the markers' noise would.
-        residual_rms: root mean square change of the markers' distances from it [m].
-        reach: how far the markers turn about it from the middle of their paths [rad].
+        point: (3,) position in the frame of the markers' coordinates [m].
+        deviation: standard deviation in the worst determined direction [m]; infinite if the motion does not determine
+            it better than the markers' noise would, as along the axis of a hinge.
+        residual_rms: root mean square change of the markers' distances from the centre [m].
+        reach: largest rotation of the markers about the centre from the middle of their paths [rad].
     """
 
     point: NDArray[np.float64]
@@ -32,16 +32,15 @@ class JointCenter:
 
 
 def sphere_center(points: ArrayLike, *, source: str = "joint centre") -> JointCenter:
-    """The common centre of spheres on which markers move, each on one of its own radius, by least squares.
+    """Least-squares common centre of the spheres on which markers move, each with its own radius.
 
-    Minimised is how much each marker's distance from the centre changes. The search starts at the closed form of Gamage
-    and Lasenby (2002, J Biomech 35:87), which minimises changes of squared distances and is biased by noise (Halvorsen
-    2003, J Biomech 36:999).
+    The changes of each marker's distance from the centre are minimised. The search starts at the closed-form solution
+    of Gamage and Lasenby (2002, J Biomech 35:87), which minimises changes of squared distances and is biased by noise
+    (Halvorsen 2003, J Biomech 36:999).
 
-    The deviation is that of least squares with the residual's variance, or that of 0.1 mm where it is less. Where
-    residuals of successive frames are alike, as those of skin and of filtered markers are, there is less in them than
-    their number says: the variance is larger by 1 + 2 sum r_k, of their correlations at k frames apart up to the first
-    that is not positive.
+    The standard deviation is that of least squares with the residuals' variance, or that of 0.1 mm if larger. Since
+    residuals of successive frames are correlated (skin motion, filtered markers), the variance is multiplied by
+    1 + 2 sum r_k, with their correlations at lags of k frames up to the first that is not positive.
 
     Args:
         points: (n, m, 3) metres in the frame of the segment in which the centre is fixed; NaN where missing. One marker
@@ -49,7 +48,7 @@ def sphere_center(points: ArrayLike, *, source: str = "joint centre") -> JointCe
         source: for messages.
 
     Raises:
-        InputError: another shape; fewer places than the centre and its distances have unknowns.
+        InputError: another shape; fewer positions than unknowns (the centre and the distances).
     """
     p = np.asarray(points, dtype=np.float64)
     if p.ndim != 3 or p.shape[1:] != (p.shape[1], 3):
@@ -66,7 +65,7 @@ def sphere_center(points: ArrayLike, *, source: str = "joint centre") -> JointCe
     count = np.maximum(np.bincount(marker), 1)
 
     def about_mean(values: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Values (k, ...) less their mean over each marker's frames."""
+        """Values (k, ...) minus their mean over each marker's frames."""
         rows = values.reshape(marker.size, -1)
         mean = np.stack([np.bincount(marker, column) / count for column in rows.T], axis=-1)
         return (rows - mean[marker]).reshape(values.shape)
@@ -88,7 +87,7 @@ def sphere_center(points: ArrayLike, *, source: str = "joint centre") -> JointCe
         gtol=1e-14,
     )
     change, rays = found.fun, directions(found.x)
-    noise = float(np.mean((change / np.maximum(distances(found.x), 1e-12)) ** 2))  # that directions have of it
+    noise = float(np.mean((change / np.maximum(distances(found.x), 1e-12)) ** 2))  # mean squared noise of directions
     deviation = _deviation(about_mean(rays), change, marker, marker.size - unknown, noise)
     mean = rays - about_mean(rays)
     cosine = np.sum(rays * mean, axis=1) / np.maximum(np.linalg.norm(mean, axis=1), 1e-12)
@@ -103,13 +102,13 @@ def _deviation(
     freedom: int,
     noise: float,
 ) -> float:
-    """Standard deviation in the worst direction, from the slopes (k, 3) and values (k,) of the residuals."""
+    """Standard deviation [m] in the worst direction, from derivatives (k, 3) and values (k,) of the residuals."""
     least = float(np.linalg.eigvalsh(slopes.T @ slopes)[0])
     if not least > (1e-14 + _MORE_THAN_NOISE * noise) * marker.size:
         return np.inf
     from scipy.signal import correlate
 
-    products = np.zeros(marker.size)  # of residuals that are k frames apart, over all markers
+    products = np.zeros(marker.size)  # of residuals at a lag of k frames, summed over all markers
     for each in (change[marker == i] for i in np.unique(marker)):
         products[: each.size] += correlate(each, each)[each.size - 1 :]
     alike = int(np.argmax(np.append(products, 0.0) <= 0))

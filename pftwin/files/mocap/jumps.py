@@ -1,8 +1,8 @@
-"""Frames in which a patella is somewhere else than the frames around say: mistaken, not moved.
+"""Detects outlier frames, in which the pose of a patella jumps faster than it can move.
 
-What is measured frame by frame (by registration of images, or from markers that were swapped) is wrong for single
-frames or stretches of them, and right in between. Kept is the longest series of frames of which each can be reached
-from the one before, by a patella in its groove: as fast as any, or several times as fast as this one usually is.
+Poses measured frame by frame (by image registration, or from markers that were swapped) are wrong in single frames or
+in runs of frames. All frames are outliers except the longest sequence in which each frame can be reached from the one
+before at a plausible speed: that of any patella in its groove, or several times the usual speed of this one.
 """
 
 from __future__ import annotations
@@ -15,18 +15,18 @@ from numpy.typing import NDArray
 from pftwin.files.mocap.poses import PoseSeries
 from pftwin.files.mocap.tables import runs
 
-APART, TURNED = 5e-3, np.radians(15.0)  # [m], [rad] that two frames of a good recording may differ by, however close
-_SPEED, _SPIN = 0.25, 6.0  # [m/s], [rad/s] at which a patella may move in the femur, and
-_FASTER = 8.0  # times its usual speed, the lower quartile: where two frames in five are wrong, four steps in five are
-_COASTS = 3  # frames for which it is taken to go on moving at that speed where others are skipped
-_BACK = 200  # frames before each that are tried, and the end of the longest series before these
-_NAMED = 8  # stretches that are named
+APART, TURNED = 5e-3, np.radians(15.0)  # [m], [rad] difference allowed between any two frames, at zero time
+_SPEED, _SPIN = 0.25, 6.0  # [m/s], [rad/s] speed allowed for a patella in the femur, or, if larger,
+_FASTER = 8.0  # this multiple of its usual speed (lower quartile: if 2 of 5 frames are wrong, so are 4 of 5 steps)
+_COASTS = 3  # largest number of frames' time for which motion at that speed is allowed when frames are skipped
+_BACK = 200  # number of preceding frames tried as predecessors, besides the end of the longest earlier sequence
+_NAMED = 8  # largest number of runs listed in a message
 Frames = NDArray[np.intp]
 Reached = Callable[[Frames, Frames | int, NDArray[np.float64]], NDArray[np.bool_]]
 
 
 def jumps(poses: PoseSeries, *, speed: float = _SPEED, spin: float = _SPIN) -> NDArray[np.bool_]:
-    """Which frames (n,) of a patella in its femur are out of line; of another body, with its speeds [m/s, rad/s]."""
+    """Which frames (n,) of a patella in the femur are outliers; for another body give its speeds [m/s], [rad/s]."""
     n, times = poses.times.size, poses.times
     if n < 2:
         return np.zeros(n, bool)
@@ -41,12 +41,12 @@ def jumps(poses: PoseSeries, *, speed: float = _SPEED, spin: float = _SPIN) -> N
 
 
 def out_of_line(times: NDArray[np.float64], reached: Reached, *, coasting: float | None = None) -> NDArray[np.bool_]:
-    """Which frames (n,) are not of the longest series of which each can be reached from the one before.
+    """Which frames (n,) are not in the longest sequence in which each frame can be reached from the one before.
 
     Args:
         times: (n,) seconds, increasing.
-        reached: from earlier frames, later ones or one, and the seconds to move in: which can be reached from which.
-        coasting: seconds to move in at most where frames are skipped; those of three frames by default.
+        reached: function of earlier frames, later frames and the seconds between them: whether these can be reached.
+        coasting: largest time for the motion when frames are skipped [s]; by default that of three frames.
     """
     n = times.size
     if reached(np.arange(n - 1), np.arange(1, n), np.diff(times)).all():
@@ -72,12 +72,12 @@ def out_of_line(times: NDArray[np.float64], reached: Reached, *, coasting: float
 
 
 def coasts(times: NDArray[np.float64]) -> float:
-    """For how long [s] a body is taken to go on moving where frames are skipped."""
+    """Default time [s] for which motion is allowed when frames are skipped."""
     return _COASTS * float(np.median(np.diff(times))) if times.size > 1 else 0.0
 
 
 def in_words(odd: NDArray[np.bool_]) -> str:
-    """The frames, counted from 1: "frames 3 to 5, 9"."""
+    """Describes frames (n,) bool, counted from 1: "frames 3 to 5, 9"."""
     stretches = [f"{a + 1}" if b == a + 1 else f"{a + 1} to {b}" for a, b in runs(odd)]
     more = f" and {len(stretches) - _NAMED} more stretches" if len(stretches) > _NAMED else ""
     return f"frame{'s' if odd.sum() > 1 else ''} {', '.join(stretches[:_NAMED])}{more}"

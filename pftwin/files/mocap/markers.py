@@ -1,4 +1,4 @@
-"""Marker trajectories: positions of named points over time."""
+"""Marker trajectories: positions of named points over time, with plausibility checks."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ from pftwin.base.errors import InputError
 from pftwin.base.text_files import refuse_repeated
 from pftwin.files.mocap.tables import Sampled, uniform_times, unknown_name
 
-# Motion capture of a person or a rig: between a marker cluster's size and a large laboratory's.
+# [m] Plausible extent of all markers: from the size of a marker cluster to that of a large laboratory.
 _SMALLEST_SPREAD, _LARGEST_SPREAD = 0.01, 50.0
-# Markers are balls of 6 to 14 mm, and cameras merge two that nearly touch; six of them are on two segments at least. Of
-# rigs and persons in centimetres that are labelled millimetres, nearest neighbours are 4 to 9 "mm" apart.
+# [m] Markers are balls of 6 to 14 mm, and cameras merge two that nearly touch; six markers are on two or more segments.
+# If centimetres are labelled as millimetres, nearest neighbours are 4 to 9 "mm" apart.
 _NEAREST, _SMALLEST_OF_SIX = 0.012, 0.1
-_FASTEST = 100.0  # [m/s]; markers on limbs reach 10, on a golf club 50
+_FASTEST = 100.0  # [m/s] markers on limbs reach 10 m/s, on a golf club 50 m/s
 
 
 @dataclass(frozen=True, eq=False)
 class MarkerTrajectories(Sampled):
-    """Positions of m markers at n evenly spaced times.
+    """Positions of m markers at n uniformly spaced times.
 
     Args:
-        times: (n,) seconds, strictly increasing and evenly spaced; rounding of printed times is taken out.
-        names: m marker names, each once.
+        times: (n,) seconds, strictly increasing and uniformly spaced; rounding of printed times is removed.
+        names: m unique marker names.
         positions: (n, m, 3) metres; NaN where a marker is missing (all three coordinates together).
-        source: where the data come from, for messages.
+        source: origin of the data, for messages.
 
     Raises:
-        InputError: uneven, repeated or unsorted times (naming the row), shapes that do not match, repeated names.
+        InputError: non-uniform, repeated or unsorted times (naming the row), shapes that do not match, repeated names.
     """
 
     times: NDArray[np.float64]
@@ -52,7 +52,7 @@ class MarkerTrajectories(Sampled):
 
     @property
     def missing(self) -> NDArray[np.bool_]:
-        """(n, m): where a marker was not seen."""
+        """Where a marker is missing, (n, m)."""
         return np.isnan(self.positions[..., 0])
 
     def _index(self, name: str) -> int:
@@ -61,20 +61,20 @@ class MarkerTrajectories(Sampled):
         return self.names.index(name)
 
     def marker(self, name: str) -> NDArray[np.float64]:
-        """Trajectory (n, 3) [m] of one marker; an unknown name is an InputError that offers the nearest known ones."""
+        """Trajectory (n, 3) [m] of a marker; for an unknown name raises InputError with the closest known names."""
         return self.positions[:, self._index(name)]
 
     def select(self, names: Sequence[str]) -> MarkerTrajectories:
-        """The named markers only, in that order."""
+        """The named markers, in this order."""
         index = [self._index(name) for name in names]
         return replace(self, names=tuple(names), positions=self.positions[:, index])
 
     def with_positions(self, positions: ArrayLike) -> MarkerTrajectories:
-        """The same markers and times with other positions (n, m, 3) [m], filtered ones for instance."""
+        """The same markers and times with other positions (n, m, 3) [m], for instance filtered ones."""
         return replace(self, positions=np.asarray(positions, dtype=np.float64))
 
     def rename(self, names: Mapping[str, str]) -> MarkerTrajectories:
-        """Markers renamed by {old: new}."""
+        """The markers with names replaced by {old: new}."""
         for old in names:
             self._index(old)
         return replace(self, names=tuple(names.get(n, n) for n in self.names))
@@ -88,23 +88,22 @@ def from_file(
     path: str | os.PathLike[str],
     told: bool,
 ) -> MarkerTrajectories:
-    """The markers that a file holds; places that are exactly 0 0 0 are missing.
+    """Makes and checks the markers of a file; positions that are exactly 0 0 0 are missing.
 
-    Several systems write a marker that was not seen as 0 0 0 (or -0 0 0); no real marker rests on the laboratory's
-    origin to the last digit.
+    Several systems write a missing marker as 0 0 0 (or -0 0 0); no real marker is exactly at the laboratory's origin.
 
     Args:
         times: (n,) seconds.
         names: m markers.
         positions: (n, m, 3) metres; NaN where missing.
         path: of the file, for messages.
-        told: whether the caller gave the unit; then what is merely unusual is believed.
+        told: whether the caller gave the unit; then unusual distances are accepted.
 
     Raises:
         InputError: as `MarkerTrajectories`. All markers together span more than 50 m, or two or more of them less than
-            10 mm. Unless told: most markers are less than 12 mm from the nearest other one, or six or more span less
-            than 100 mm in most frames. A marker moves faster than 100 m/s between two frames in which it is seen, as
-            where a number stands for "not seen" in a few rows.
+            10 mm. Unless `told`: most markers are less than 12 mm from the nearest other one, or six or more span less
+            than 100 mm in most frames. A marker moves faster than 100 m/s between two frames in which it is present,
+            for instance because of a number that encodes "missing".
     """
     positions = np.where((positions == 0).all(axis=-1, keepdims=True), np.nan, positions)
     _check_spread(positions, where=path, told=told)
@@ -131,9 +130,9 @@ def _check_spread(positions: NDArray[np.float64], *, where: object, told: bool) 
 
 
 def _check_distances(positions: NDArray[np.float64], where: object) -> None:
-    some = positions[:: max(1, len(positions) // 20)]  # some twenty frames
+    some = positions[:: max(1, len(positions) // 20)]  # about twenty frames
     distances = np.linalg.norm(some[:, :, None] - some[:, None], axis=-1)
-    apart = distances[np.isfinite(distances) & (distances > 0)]  # virtual markers may lie in one place
+    apart = distances[np.isfinite(distances) & (distances > 0)]  # virtual markers may coincide
     if not apart.size:
         return
     distances[~(distances > 0)] = np.inf

@@ -1,4 +1,4 @@
-"""Poses of bodies from files: tables of positions and quaternions, or of the 4 x 4 matrices that OpenSim JAM writes."""
+"""Reads poses of bodies: tables of positions and quaternions, or of 4 x 4 matrices as OpenSim JAM writes them."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ _PARTS = ("px", "py", "pz", "qw", "qx", "qy", "qz")
 _ENTRIES = tuple(f"T{row}{column}" for row in range(1, 5) for column in range(1, 5))
 _FIRST = f"_{_ENTRIES[0]}"
 _MATRICES = (".sto", ".mot")  # suffixes of files of matrices
-_RIGID = 1e-3  # largest entry by which axes may fail to be of length one and at right angles: rounding
-_FARTHEST = 10.0  # distance from the origin beyond which no laboratory reaches [m]
+_RIGID = 1e-3  # tolerance for the entries of R^T R - 1: rounding
+_FARTHEST = 10.0  # largest plausible distance from the laboratory's origin [m]
 
 
 def read_poses(
     path: str | os.PathLike[str], bodies: Sequence[str] | None = None, *, rate: float | None = None
 ) -> dict[str, PoseSeries]:
-    """Poses of bodies in the frame in which the file tells them.
+    """Reads poses of bodies, in the file's reference frame.
 
     A table (.csv) has the columns time_s and BODY_px_m, _py_m, _pz_m, BODY_qw, _qx, _qy, _qz of each body; other units
     of length and time are converted. A file of matrices (.sto, .mot) has time and BODY_T11, BODY_T12 ... BODY_T44:
@@ -36,14 +36,14 @@ def read_poses(
 
     Args:
         path: the file.
-        bodies: those wanted; all that the file holds by default.
-        rate: frames per second, where `time` in a file of matrices counts frames.
+        bodies: names of the bodies to read; by default all.
+        rate: frames per second, if `time` in a file of matrices is a frame number.
 
     Raises:
-        InputError: as `read_csv` and `read_sto`; a body that is not there (with the nearest known names) or incomplete;
+        InputError: as `read_csv` and `read_sto`; an unknown body (with the closest known names) or an incomplete one;
             rows without a pose; quaternions that are not unit; matrices that are singular, mirrored or transposed;
-            positions in other units than metres; rows that repeat the one before; times that count frames without a
-            rate, or a rate beside times in seconds.
+            positions that are not in metres; rows that repeat the one before; frame numbers as times without a rate,
+            or a rate for times in seconds.
     """
     if rate is not None and not (np.isfinite(rate) and rate > 0):
         raise InputError(f"found {rate!r}", where="rate", expected="frames per second, a positive number")
@@ -51,7 +51,7 @@ def read_poses(
         return _of_matrices(path, bodies, rate)
     if rate is not None:
         raise InputError("a rate beside times in seconds", where=path, expected="one of both", remedy="no rate")
-    table = read_csv(path, units="1")  # other columns (an angle, a flag) are not looked at
+    table = read_csv(path, units="1")  # other columns (an angle, a flag) are ignored
     found = {}
     for body in _wanted(table, "_qw", bodies, "columns BODY_px_m ... BODY_qz", path):
         columns = _columns(table, body, _PARTS, path)
@@ -63,21 +63,21 @@ def read_poses(
 
 
 def holds_matrices(path: str | os.PathLike[str]) -> bool:
-    """Whether an STO file holds poses as matrices, rather than coordinates.
+    """Whether an STO file contains poses as matrices, not coordinates.
 
     Raises:
         InputError: as `read_sto`.
     """
     if Path(path).suffix.lower() not in _MATRICES:
         return False
-    with warnings.catch_warnings(action="ignore", category=PftwinWarning):  # whoever reads it then is warned
+    with warnings.catch_warnings(action="ignore", category=PftwinWarning):  # the later reading warns
         return any(name.endswith(_FIRST) for name in read_sto(path, rotational=()).names)
 
 
 def _wanted(
     table: Table, ending: str, bodies: Sequence[str] | None, expected: str, path: str | os.PathLike[str]
 ) -> Sequence[str]:
-    """Names of bodies, of which all are there."""
+    """Names of the bodies to read; raises InputError if one is missing."""
     found = [name.removesuffix(ending) for name in table.names if name.endswith(ending)]
     if not found:
         raise InputError("no poses", where=path, expected=expected)
@@ -112,7 +112,7 @@ def _of_matrices(
 
 
 def _seconds(times: Floats, rate: float | None, path: str | os.PathLike[str]) -> Floats:
-    """Times [s], from frames' numbers if that is what they are."""
+    """Times [s], converted from frame numbers if necessary."""
     numbered = times.size > 1 and bool(np.all(times == np.round(times)))
     if rate is None and numbered:
         found = f"time counts frames, {times[0]:g} to {times[-1]:g}"
@@ -125,7 +125,7 @@ def _seconds(times: Floats, rate: float | None, path: str | os.PathLike[str]) ->
 
 
 def _check_rigid(matrices: Floats, source: str) -> None:
-    """Refuses what is no pose; names the first row of them (from 1)."""
+    """Checks that all matrices are poses; the error names the first wrong row (from 1)."""
     expected = "rotations with a place in metres: axes of length one at right angles, last row 0 0 0 1"
 
     def refuse(wrong: ArrayLike, what: str, remedy: str | None = None) -> None:
@@ -149,7 +149,7 @@ def _check_rigid(matrices: Floats, source: str) -> None:
 
 
 def _check_repeated(rows: Floats, path: str | os.PathLike[str]) -> None:
-    """Refuses a frame that repeats the one before to the last digit, unless nothing moves at all."""
+    """Checks that no frame repeats the one before exactly, unless nothing moves at all."""
     same = (np.diff(rows, axis=0) == 0).all(axis=1)
     if same.any() and not same.all():
         row = int(np.argmax(same)) + 1

@@ -1,6 +1,6 @@
-"""Poses of a body over time.
+"""Time series of a body's poses.
 
-A left knee is mirrored on input: inside, every knee is a right one.
+Left knees are mirrored on input, so that internally every knee is a right one.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ class PoseSeries(Sampled):
     Args:
         times: (n,) seconds, strictly increasing.
         positions: (n, 3) metres, B's origin in A.
-        quaternions: (n, 4), scalar first, rotating B's coordinates to A's. Deviations of the norm from 1 of up to 1e-3
-            are rounding and normalised; signs are chosen such that successive quaternions are continuous.
-        residual_rms: (n,) metres: how well the markers of each frame fit a rigid body; None where not known.
-        source: where the data come from, for messages.
+        quaternions: (n, 4), scalar first, rotating B's coordinates to A's. Norms that differ from 1 by up to 1e-3 are
+            normalised; signs are chosen such that successive quaternions are continuous.
+        residual_rms: (n,) metres: rms distance of each frame's markers from the fitted rigid body; None: unknown.
+        source: origin of the data, for messages.
 
     Raises:
-        InputError: repeated or unsorted times, wrong shapes, missing values, a quaternion that is no unit quaternion;
-            the message names the row (from 1).
+        InputError: repeated or unsorted times, wrong shapes, missing values, a quaternion that is not a unit
+            quaternion; the message names the row (from 1).
     """
 
     times: NDArray[np.float64]
@@ -74,7 +74,7 @@ class PoseSeries(Sampled):
         residual_rms: NDArray[np.float64] | None = None,
         source: str = "poses",
     ) -> PoseSeries:
-        """From rotation matrices (n, 3, 3) whose columns are B's axes in A."""
+        """Makes a series from positions (n, 3) [m] and rotation matrices (n, 3, 3), whose columns are B's axes in A."""
         from scipy.spatial.transform import Rotation
 
         quaternions = Rotation.from_matrix(np.asarray(matrices)).as_quat(scalar_first=True)
@@ -87,7 +87,7 @@ class PoseSeries(Sampled):
         return Rotation.from_quat(self.quaternions, scalar_first=True).as_matrix()
 
     def compose(self, fixed: Pose) -> PoseSeries:
-        """X_AC = X_AB X_BC for a frame C fixed in B, an anatomical frame in a cluster's for instance."""
+        """X_AC = X_AB X_BC for a frame C fixed in B, for instance an anatomical frame in that of a cluster."""
         one = _fixed(fixed, np.zeros(1))
         turned = np.einsum("nij,j->ni", self.matrices(), one.positions[0])
         quaternions = quaternion_product(self.quaternions, one.quaternions)
@@ -108,7 +108,7 @@ class PoseSeries(Sampled):
 
 
 def _fixed(pose: Pose, times: NDArray[np.float64]) -> PoseSeries:
-    """One fixed pose at several times."""
+    """A fixed pose repeated at several times."""
     position, quaternion = host_array(pose.position), host_array(pose.orientation)
     if position.shape != (3,) or quaternion.shape != (4,):
         raise InputError(f"a batch of poses of shape {position.shape[:-1]}", where="pose", expected="one fixed pose")
@@ -117,7 +117,7 @@ def _fixed(pose: Pose, times: NDArray[np.float64]) -> PoseSeries:
 
 
 def quaternion_product(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Hamilton product of quaternions (..., 4), scalar first: first b, then a."""
+    """Hamilton product of quaternions (..., 4), scalar first: the rotation b followed by a."""
     aw, av = a[..., :1], a[..., 1:]
     bw, bv = b[..., :1], b[..., 1:]
     scalar = aw * bw - np.sum(av * bv, axis=-1, keepdims=True)
@@ -125,7 +125,7 @@ def quaternion_product(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArra
 
 
 def check_same_times(a: PoseSeries, b: PoseSeries) -> None:
-    """Refuse two recordings whose frames are not taken at the same times.
+    """Checks that two recordings have the same times.
 
     Raises:
         InputError: different numbers of frames, or times.
@@ -142,11 +142,11 @@ def check_same_times(a: PoseSeries, b: PoseSeries) -> None:
 
 
 def mirror_left_markers(markers: MarkerTrajectories, *, medial_lateral: str) -> MarkerTrajectories:
-    """Markers mirrored about the sagittal plane: the coordinate on the laboratory's medial-lateral axis changes sign.
+    """Mirrors markers about the sagittal plane: the coordinate along the medial-lateral axis changes its sign.
 
     Args:
         markers: of a left knee.
-        medial_lateral: "x", "y" or "z".
+        medial_lateral: the laboratory's medial-lateral axis, "x", "y" or "z".
     """
     return replace(
         markers, positions=markers.positions * _reflection(medial_lateral), source=f"{markers.source} (mirrored)"
@@ -154,10 +154,10 @@ def mirror_left_markers(markers: MarkerTrajectories, *, medial_lateral: str) -> 
 
 
 def mirror_left_poses(poses: PoseSeries, *, medial_lateral: str, body_medial_lateral: str) -> PoseSeries:
-    """Poses mirrored about the sagittal plane.
+    """Mirrors poses about the sagittal plane.
 
-    p' = S p, R' = S R S_b with the reflections S in the parent's and S_b in the body's axes.
-    The body's own geometry must be mirrored along `body_medial_lateral` too.
+    p' = S p, R' = S R S_b with the reflections S in the parent's and S_b in the body's axes. The body's geometry must
+    be mirrored along `body_medial_lateral` too.
 
     Args:
         poses: of a body of a left knee.

@@ -1,4 +1,4 @@
-"""Tables from OpenSim's STO and MOT files."""
+"""Reads tables from OpenSim's STO and MOT files."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from pftwin.base.errors import InputError, PftwinWarning
 from pftwin.base.text_files import read_lines
 from pftwin.files.mocap.tables import Table, quoted_list, row_values, unknown_name
 
-# Columns that hold no angle whatever inDegrees says: translations, forces, centres of pressure, muscle states; with a
-# side behind them, as in OpenSim JAM's knee_tx_r, or none. Each alternative has a greatest length: with \w* in one, a
-# search takes the square of a name's length. The last parts are those of what pftwin exports.
+# Columns that are never angles, whatever inDegrees says: translations, forces, centres of pressure, muscle states; with
+# or without a suffix for the side, as in OpenSim JAM's knee_tx_r. Each alternative has a limited length: with \w* a
+# search would take quadratic time. The last parts are names that pftwin exports.
 _NO_ANGLE = re.compile(
     r"((^|_)t[xyz]|_[vpmf][xyz]\d?|_q[wxyz]|activation|excitation|length)(_r|_l|_right|_left)?$", re.IGNORECASE
 )
@@ -27,20 +27,20 @@ _NO_ANGLE_PARTS = (  # anywhere in the name's last word
 
 
 def read_sto(path: str | os.PathLike[str], *, rotational: Collection[str] | None = None) -> Table:
-    """A STO or MOT file; angles in radians.
+    """Reads a STO or MOT file; angles are in radians.
 
-    The header's nRows and nColumns are not trusted: rows are counted, and a warning says where they disagree. The flag
-    inDegrees is honoured and kept as `Table.in_degrees`, but the format does not tell which columns are angles. Name
-    them; else all columns are taken for angles except those that are named like translations (..._tx, ..._tx_r), forces
+    Rows are counted, with a warning if they disagree with the header's nRows or nColumns. The flag inDegrees is used
+    and returned as `Table.in_degrees`, but the format does not state which columns are angles. If `rotational` does not
+    name them, all columns are taken as angles except those with names of translations (..._tx, ..._tx_r), forces
     (..._vx, ..._px, ...force), moments or muscle states, and a warning lists what was converted.
 
     Args:
         path: the file.
-        rotational: names or patterns ("*_flexion*", "*") of the columns that hold angles or angular velocities. Empty:
+        rotational: names or patterns ("*_flexion*", "*") of the columns that are angles or angular velocities. Empty:
             none. Used only if the file is in degrees.
 
     Returns:
-        The columns; units "rad" ("rad/s" for ".../speed") where converted or known to be angles, else "".
+        The columns; units are "rad" ("rad/s" for ".../speed") if converted or known to be angles, else "".
 
     Raises:
         InputError: missing, empty, truncated, binary or non-numeric content (naming file, line and column); no time
@@ -97,7 +97,7 @@ def _may_be_angle(name: str) -> bool:
 
 def _angles(names: tuple[str, ...], rotational: Collection[str] | None, path: object) -> set[str]:
     if rotational is None:
-        # "/jointset/knee_r/knee_angle_r/value" is judged by the coordinate's name
+        # For "/jointset/knee_r/knee_angle_r/value" the coordinate's name decides.
         chosen = {n for n in names if _may_be_angle(re.sub(r"/(value|speed)$", "", n))}
         message = (
             f"{path}: inDegrees=yes, and the format does not say which columns are angles; "

@@ -1,8 +1,9 @@
-"""Markers that leave the cluster they belong to for some frames: hidden, taken for another one, or exchanged.
+"""Detects and repairs mislabelled or misplaced markers of a cluster, which leave its shape for some frames.
 
-Skin moves markers of a segment against each other, slowly. Frames in which they jump against each other are found as
-those of a patella are (`pftwin.files.mocap.jumps`). For each the simplest mistake is looked for that explains it: two
-markers exchanged, one astray, two astray. What is judged is the cluster's shape, by that in the good frames around.
+Skin moves markers of a segment relative to each other, but slowly. Frames in which they jump relative to each other are
+detected like the outliers of a patella (`pftwin.files.mocap.jumps`). For each such frame the simplest explanation is
+searched: two markers exchanged, one misplaced, two misplaced. The reference is the cluster's shape in the good frames
+around.
 """
 
 from __future__ import annotations
@@ -21,23 +22,23 @@ from pftwin.files.mocap.frames import cluster_poses, spans_plane
 from pftwin.files.mocap.jumps import Frames, coasts, in_words, out_of_line
 from pftwin.files.mocap.markers import MarkerTrajectories
 
-_APART = 8e-3  # [m] by which skin and noise may move markers against each other, however soon, or
-_STEPS = 5.0  # times their usual step between frames, the lower quartile; and besides
-_SPEED, _DRIFT = 0.15, 0.04  # [m/s] of skin, for a few frames, and for long
-_CLEARER = 3.0  # times as well has an explanation to fit as the next one of its kind
+_APART = 8e-3  # [m] relative motion of markers by skin and noise that is always allowed, or, if larger,
+_STEPS = 5.0  # this multiple of their usual step between frames (lower quartile); in addition
+_SPEED, _DRIFT = 0.15, 0.04  # [m/s] speeds of skin, for a few frames, and for longer times
+_CLEARER = 3.0  # factor by which an explanation must fit better than the next one of its kind
 Kind = Literal["in place", "exchanged", "left out", "unexplained"]
 
 
 @dataclass(frozen=True, eq=False)
 class Stray:
-    """Markers of a cluster, what was done about them, and in which frames (n,)."""
+    """Markers of a cluster that were misplaced, how they were repaired, and in which frames (n,)."""
 
     markers: tuple[str, ...]
     kind: Kind
     frames: NDArray[np.bool_]
 
     def in_words(self) -> str:
-        """What was done, and where, for people."""
+        """Description of the repair and its frames."""
         names = ", ".join(self.markers)
         where = f"{in_words(self.frames)} of {self.frames.size} (counted from 1)"
         if self.kind == "left out":
@@ -51,14 +52,17 @@ class Stray:
 def mended_cluster(
     markers: MarkerTrajectories, reference: Mapping[str, ArrayLike]
 ) -> tuple[MarkerTrajectories, list[Stray]]:
-    """The markers of a cluster, those that stray put where the others say, and those that were exchanged put back.
+    """Repairs a cluster: misplaced markers are placed by means of the others, exchanged markers are swapped back.
 
-    Nothing is decided with fewer than four markers, nor where two explanations fit about alike: such frames stay as
-    they are and are told as unexplained.
+    With fewer than four markers, or if two explanations fit about equally well, frames are not changed and are reported
+    as unexplained.
 
     Args:
         markers: as recorded, before gaps are filled; NaN where missing.
-        reference: each marker's place (3,) [m] in the segment's frame, as of `segment_poses`.
+        reference: each marker's position (3,) [m] in the segment's frame, as for `segment_poses`.
+
+    Returns:
+        The cluster's markers, and the repairs and unexplained frames.
     """
     names = list(reference)
     chosen = markers.select(names)
@@ -82,7 +86,7 @@ def mended_cluster(
 
 
 class _Cluster:
-    """Markers (n, m, 3) of a cluster, and where they are in it."""
+    """Markers (n, m, 3) of a cluster, also in the cluster's frame."""
 
     def __init__(self, positions: Floats, times: Floats, places: Floats) -> None:
         self.positions, self.times, self.places = positions, times, places
@@ -99,16 +103,16 @@ class _Cluster:
         self.odd = out_of_line(times, reached, coasting=np.inf)
 
     def _room(self, passed: Floats) -> Floats:
-        """How far markers may move against each other in some seconds [m]."""
+        """Relative motion of markers [m] that is allowed in some seconds."""
         return self.apart + _SPEED * np.minimum(passed, self.coasting) + _DRIFT * passed
 
     def _moved(self, one: Frames, other: Frames | int) -> Floats:
-        """How far the marker that moved most in the cluster did between frames [m]."""
+        """Largest motion of a marker in the cluster's frame between frames [m]."""
         away = np.linalg.norm(self._local[one] - self._local[other], axis=-1)
         return np.where(np.isnan(away), 0.0, away).max(axis=-1)
 
     def explained(self, k: int) -> tuple[Kind, Sequence[int], Floats]:
-        """What happened in a frame, to which markers, and all markers' places (m, 3) put right [m]."""
+        """Explanation of a frame: its kind, the markers concerned, and all markers' repaired positions (m, 3) [m]."""
         good = np.flatnonzero(~self.odd)
         room = float(self._room(np.abs(self.times[good] - self.times[k]).min()))
         shape, seen = self._shape(k, good), np.flatnonzero(np.isfinite(self.positions[k]).all(axis=1))
@@ -126,12 +130,12 @@ class _Cluster:
             if misfit[best] <= room and clear:
                 which = [a for a, there in zip(at, usable, strict=True) if there][best]
                 put = np.where(np.isnan(measured[best]), fitted[best], measured[best])
-                put[~np.isin(np.arange(len(put)), seen)] = np.nan  # never seen there
+                put[~np.isin(np.arange(len(put)), seen)] = np.nan  # not seen in this frame
                 return kind, which, put
         return "unexplained", seen.tolist(), self.positions[k]
 
     def _shape(self, k: int, good: Frames) -> Floats:
-        """Places (m, 3) in the cluster as the good frames around have them [m]."""
+        """Positions (m, 3) in the cluster's frame, interpolated between the good frames around [m]."""
         shape = self.places.copy()
         for i in range(len(shape)):
             there = good[np.isfinite(self._local[good, i, 0])]
@@ -141,7 +145,7 @@ class _Cluster:
 
 
 def _explanations(points: Floats, seen: Frames) -> Iterator[tuple[Kind, list[tuple[int, ...]], Floats]]:
-    """Mistakes of each kind, simplest first: which markers, and the others' places (h, m, 3) without the mistake."""
+    """Hypotheses of each kind, simplest first: the markers concerned, and positions (h, m, 3) without the mistake."""
     yield "in place", [()], points[None]
     if seen.size < 4:
         return

@@ -1,4 +1,4 @@
-"""A table of signals over time (forces, lengths, angles), and checks on the times of a recording."""
+"""Tables of signals over time (forces, lengths, angles), and checks of a recording's times."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from pftwin.base.errors import InputError
 from pftwin.base.text_files import check_row_length, numbers, refuse_repeated
 
-# Printed times are rounded (three decimals at 120 Hz: 6 % of an interval); a lost frame is 100 % off.
+# Printed times are rounded (three decimals at 120 Hz: 6 % of an interval); a lost frame deviates by 100 %.
 _ROUNDING_SHARE = 0.1
 
 
@@ -39,12 +39,12 @@ def increasing_times(times: ArrayLike, *, where: object) -> NDArray[np.float64]:
 
 
 def uniform_times(times: ArrayLike, *, where: object) -> NDArray[np.float64]:
-    """The even grid that the recorded times stand for: t0 + i (t_last - t0) / (n - 1).
+    """Replaces recorded times by the uniform grid t0 + i (t_last - t0) / (n - 1).
 
-    A recording's times are an even grid, rounded when printed; the rounding would show up as noise in velocities.
+    Recorded times are a uniform grid, rounded when printed; the rounding would add noise to velocities.
 
     Raises:
-        InputError: a time lies more than a tenth of an interval from the grid; the message names the row.
+        InputError: a time is more than a tenth of an interval from the grid; the message names the row.
     """
     t = increasing_times(times, where=where)
     if t.size < 3:
@@ -65,34 +65,34 @@ def uniform_times(times: ArrayLike, *, where: object) -> NDArray[np.float64]:
 
 
 class Sampled:
-    """Base of tables, markers and poses: arrays whose first axis is the n times."""
+    """Base class of tables, markers and poses: arrays whose first axis is the n times."""
 
     if TYPE_CHECKING:
         times: NDArray[np.float64]
         source: str
 
     def _array(self, field: str, shape: tuple[int, ...]) -> NDArray[np.float64]:
-        """A copy of a field's array, if it has this shape."""
+        """A copy of a field's array; raises InputError for another shape."""
         array = np.array(getattr(self, field), dtype=np.float64)
         if array.shape != shape:
             raise InputError(f"{field} of shape {array.shape}", where=self.source, expected=f"{shape}")
         return array
 
     def _set(self, **values: object) -> None:
-        """Sets the fields of a frozen dataclass as they are checked."""
+        """Sets fields of the frozen dataclass while they are checked."""
         for name, value in values.items():
             object.__setattr__(self, name, value)
 
     @property
     def rate(self) -> float:
-        """Sampling rate [Hz]; uneven times, or a single one, are an InputError."""
+        """Sampling rate [Hz]; raises InputError for non-uniform times or a single frame."""
         if self.times.size < 2:
             raise InputError("one frame has no sampling rate", where=self.source, expected="at least two frames")
         grid = uniform_times(self.times, where=self.source)
         return float((grid.size - 1) / (grid[-1] - grid[0]))
 
     def between(self, start: float, end: float) -> Self:
-        """The frames with start <= t <= end [s], to within a rounding error; none of them is an InputError."""
+        """Frames with start <= t <= end [s], within rounding error; raises InputError if there are none."""
         slack = 1e-9 * max(1.0, abs(start), abs(end))
         keep = (self.times >= start - slack) & (self.times <= end + slack)
         if not keep.any():
@@ -107,13 +107,12 @@ class Table(Sampled):
     """k named columns at n times, in SI units.
 
     Args:
-        times: (n,) seconds, strictly increasing. They may be uneven (results of adaptive integrators are); `rate`
-            refuses those that are.
-        names: k column names, each once.
+        times: (n,) seconds, strictly increasing; may be non-uniform, as from adaptive integrators (then `rate` raises).
+        names: k unique column names.
         values: (n, k); NaN where a cell was empty.
-        units: unit of each column by name ("m", "rad", "N", "1", or "" where the file does not tell).
-        source: where the data come from, for messages.
-        in_degrees: the flag of an OpenSim file, as it stood there; None for other files.
+        units: unit of each column by name ("m", "rad", "N", "1", or "" if the file does not state it).
+        source: origin of the data, for messages.
+        in_degrees: flag of an OpenSim file; None for other files.
 
     Raises:
         InputError: repeated or unsorted times (naming the row), shapes that do not match, repeated names.
@@ -134,13 +133,13 @@ class Table(Sampled):
         self._set(times=times, names=names, values=values, units=units)
 
     def column(self, name: str) -> NDArray[np.float64]:
-        """One column (n,); an unknown name is an InputError that offers the nearest known ones."""
+        """One column (n,); for an unknown name raises InputError with the closest known names."""
         if name not in self.names:
             raise unknown_name("column", name, self.names, where=self.source)
         return self.values[:, self.names.index(name)]
 
     def select(self, names: Sequence[str]) -> Table:
-        """The named columns only, in that order."""
+        """A table of the named columns, in this order."""
         values = np.stack([self.column(name) for name in names], axis=1)
         return replace(self, names=tuple(names), values=values)
 
@@ -148,16 +147,16 @@ class Table(Sampled):
 def row_values(
     rows: Sequence[tuple[int, Sequence[str]]], labels: Sequence[str], *, ended: bool, path: object
 ) -> NDArray[np.float64]:
-    """Numbers (n, k) of a text file's rows.
+    """Parses the rows of a text file as numbers (n, k).
 
     Args:
-        rows: line (from 1) and cells of each row.
-        labels: the k columns.
-        ended: whether the file's last line has a line end; if not, a short last row is called truncated.
+        rows: line number (from 1) and cells of each row.
+        labels: names of the k columns.
+        ended: whether the file's last line has a line end; if not, a short last row is reported as truncated.
         path: for messages.
 
     Raises:
-        InputError: no rows; one of another length; a cell that is not a number.
+        InputError: no rows; a row of another length; a cell that is not a number.
     """
     values = []
     for line, cells in rows:
@@ -170,7 +169,7 @@ def row_values(
 
 
 def unknown_name(kind: str, name: str, known: Iterable[str], *, where: object) -> InputError:
-    """The error for a `kind` ("marker", "column", "unit") called `name` that is not among `known`."""
+    """Makes the error for an unknown `name` of a `kind` ("marker", "column", "unit"), with the closest known names."""
     known = list(known)
     by_lower = {k.lower(): k for k in reversed(known)}
     close = [by_lower[c] for c in difflib.get_close_matches(name.lower(), list(by_lower), n=3, cutoff=0.5)]
@@ -181,12 +180,12 @@ def unknown_name(kind: str, name: str, known: Iterable[str], *, where: object) -
 
 
 def quoted_list(names: Iterable[object], limit: int = 8) -> str:
-    """A readable list of the first `limit` names."""
+    """Formats the first `limit` names, in quotes, and the number of further ones."""
     items = [str(n) for n in names]
     tail = f" and {len(items) - limit} more" if len(items) > limit else ""
     return ", ".join(items[:limit]) + tail
 
 
 def runs(mask: NDArray[np.bool_]) -> NDArray[np.intp]:
-    """First and end (k, 2) of the runs of True in a mask (n,); the end is the first index after a run."""
+    """First index and first index after the end, (k, 2), of the runs of True in a mask (n,)."""
     return np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8))).reshape(-1, 2)

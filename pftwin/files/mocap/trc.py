@@ -1,8 +1,8 @@
-"""Marker trajectories from and to TRC files (Motion Analysis' text format).
+"""Reads and writes marker trajectories as TRC files (Motion Analysis' text format).
 
-The reader takes what programs write in practice (compare opensim-core issues 2345, 2289): a blank line after the
-header or none, trailing and extra tabs, empty cells, any line ends, coordinate labels that do not count from 1, and
-header counts that disagree with the rows (the rows are believed, a warning says so).
+The reader accepts the variants found in practice (compare opensim-core issues 2345, 2289): an optional blank line after
+the header, trailing and extra tabs, empty cells, any line ends, coordinate labels that do not count from 1, and header
+counts that disagree with the rows (the rows are used, with a warning).
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ _COORDINATE = re.compile(r"^[XYZ]\d*$", re.IGNORECASE)
 
 
 def read_trc(path: str | os.PathLike[str], *, units: str | None = None) -> MarkerTrajectories:
-    """The markers of a TRC file.
+    """Reads the markers of a TRC file.
 
-    A marker is missing (NaN) on a row where any of its cells is empty or NaN, or where all three are exactly 0 or -0,
-    as several systems write it; also where all three are -9999 or the like, which a warning says.
+    A marker is missing (NaN) on a row if any of its cells is empty or NaN, or if all three are exactly 0 or -0, as
+    several systems write it; with a warning also if all three are -9999 or similar.
 
     Args:
         path: the file.
-        units: unit of length, for a file whose header has none or a wrong one (a warning says where they differ).
+        units: unit of length, for a file whose header has none or a wrong one (with a warning if they differ).
 
     Raises:
         InputError: missing, empty, truncated, binary or non-numeric content (naming file, line and column); no, unknown
@@ -59,7 +59,7 @@ def read_trc(path: str | os.PathLike[str], *, units: str | None = None) -> Marke
 
 
 def write_trc(path: str | os.PathLike[str], markers: MarkerTrajectories) -> None:
-    """Write markers as a TRC file: millimetres to 1e-6 mm, seconds to 1e-9 s, empty cells where a marker is missing.
+    """Writes markers as a TRC file: millimetres to 1e-6 mm, seconds to 1e-9 s, empty cells for missing markers.
 
     Raises:
         OutputError: the file cannot be written.
@@ -68,7 +68,7 @@ def write_trc(path: str | os.PathLike[str], markers: MarkerTrajectories) -> None
 
 
 def trc_text(name: str, markers: MarkerTrajectories) -> str:
-    """The text of such a file of this name."""
+    """Text of a TRC file of this name."""
     n, m = markers.missing.shape
     rate = f"{markers.rate:.12g}" if n > 1 else "1"
     lines = [
@@ -81,7 +81,7 @@ def trc_text(name: str, markers: MarkerTrajectories) -> str:
     ]
     millimetres = markers.positions * 1e3
     origin = (np.abs(millimetres) < 5e-7).all(axis=-1)
-    millimetres[origin, 0] = 1e-6  # 0 0 0 would be read as a missing marker
+    millimetres[origin, 0] = 1e-6  # exactly 0 0 0 would be read as missing
     for i in range(n):
         cells = ["" if v != v else f"{v:.6f}" for v in millimetres[i].ravel()]
         lines.append(f"{i + 1}\t{markers.times[i]:.9f}\t" + "\t".join(cells))
@@ -114,7 +114,7 @@ def _header(lines: list[str]) -> dict[str, str]:
 def _rows(
     lines: list[str], start: int, names: tuple[str, ...], ended: bool, path: object
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Numbers of frames (n,), times (n,) and positions (n, m, 3) in the file's unit."""
+    """Frame numbers (n,), times (n,) and positions (n, m, 3) in the file's unit."""
     width = 2 + 3 * len(names)
     last = max((i for i, line in enumerate(lines) if line.strip()), default=0)
     rows: list[list[float]] = []
@@ -132,7 +132,7 @@ def _rows(
         if i == last and not ended:
             check_row_length(len(cells), max(width, len(cells)), path=path, line=i + 1, broken_off=True)
         if len(cells) < width and (len(cells) - 2) % 3 == 0 and len(cells) > 2:
-            cells += [""] * (width - len(cells))  # empty cells at the row's end that the writer left away
+            cells += [""] * (width - len(cells))  # empty cells that the writer omitted at the end of the row
         check_row_length(len(cells), width, path=path, line=i + 1, broken_off=False)
         numbers(cells[1:2], lambda _: "Time", path=path, line=i + 1, allow_missing=False)
         rows.append(numbers(cells, column, path=path, line=i + 1))
@@ -143,7 +143,7 @@ def _rows(
 
 
 def _check_axes(header: list[str], below: list[str], markers: int, path: object) -> None:
-    """Refuse coordinates that are labelled in another order than x, y, z, in which they are read."""
+    """Checks that coordinates are labelled in the order x, y, z, in which they are read."""
     for number, line in enumerate(header, start=1):
         cells = _cells(line)
         order = next((c for c in cells if re.fullmatch(r"\([xyz](/[xyz]){2}\)", c, re.IGNORECASE)), "")
@@ -162,7 +162,7 @@ def _check_axes(header: list[str], below: list[str], markers: int, path: object)
 
 
 def _check_frames(frames: np.ndarray, path: object) -> None:
-    """Refuse numbers of frames with a gap: the times go on evenly, so one of the two is wrong."""
+    """Checks that frame numbers have no gap: the times are uniform, so one of the two would be wrong."""
     if frames.size < 2 or not np.isfinite(frames).all():
         return
     steps, times = np.unique(np.diff(frames), return_counts=True)
@@ -178,7 +178,7 @@ def _check_frames(frames: np.ndarray, path: object) -> None:
 
 
 def _placeholders_to_missing(positions: np.ndarray) -> int:
-    """NaN where all coordinates are one number of four or more nines; how many there were."""
+    """Sets positions whose coordinates all are the same number of four or more nines to NaN; returns their count."""
     size = np.abs(positions[..., 0])
     nines = np.isin(size, [10.0**digits - 1 for digits in range(4, 10)])
     found = nines & (positions == positions[..., :1]).all(axis=-1)

@@ -1,4 +1,4 @@
-"""Units of files, converted to SI at the edge; never guessed."""
+"""Units in files and their conversion to SI; units are never guessed."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import warnings
 from pftwin.base.errors import InputError, PftwinWarning
 from pftwin.files.mocap.tables import unknown_name
 
-# SI unit: units as written, with their factors to it
+# For each SI unit: the units that are converted to it, with their factors.
 _OF_SI: dict[str, dict[str, float]] = {
     "m": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254},
     "s": {"s": 1.0, "ms": 1e-3},
@@ -26,7 +26,7 @@ _OF_SI: dict[str, dict[str, float]] = {
     "V": {"V": 1.0, "mV": 1e-3},
     "1": {"1": 1.0, "-": 1.0},
 }
-SI_UNITS = frozenset(_OF_SI)  # that files can have
+SI_UNITS = frozenset(_OF_SI)  # all SI units to which units of files are converted
 _UNITS = {unit: (si, factor) for si, units in _OF_SI.items() for unit, factor in units.items()}
 _WORDS = {
     "m": ("meter", "metre"),
@@ -38,7 +38,7 @@ _WORDS = {
     "N": ("newton",),
 }
 _LONG_NAMES = {name: unit for unit, words in _WORDS.items() for word in words for name in (word, f"{word}s")}
-# "strand_1" and "zoom_in" are names, not quantities: these units count in brackets only.
+# Units that are recognized in brackets only, since "strand_1" and "zoom_in" are names.
 _BRACKETS_ONLY = {"1", "-", "in"}
 _DIMENSIONLESS = re.compile(r"(^|_)q[wxyz]$|^frame#?$|^status$", re.IGNORECASE)
 
@@ -47,7 +47,7 @@ def to_si(unit: str, *, where: object) -> tuple[str, float]:
     """SI unit and the factor that converts to it.
 
     Raises:
-        InputError: a unit that is not known.
+        InputError: an unknown unit.
     """
     known = known_unit(unit)
     if known is None:
@@ -56,7 +56,7 @@ def to_si(unit: str, *, where: object) -> tuple[str, float]:
 
 
 def known_unit(unit: str) -> tuple[str, float] | None:
-    """As `to_si`; None for a unit that is not known."""
+    """Like `to_si`, but None for an unknown unit."""
     text = unit.strip()
     spelled = (text, _LONG_NAMES.get(text.lower(), ""), text.lower())
     return next((_UNITS[candidate] for candidate in spelled if candidate in _UNITS), None)
@@ -65,10 +65,10 @@ def known_unit(unit: str) -> tuple[str, float] | None:
 def length_factor(header: str | None, argument: str | None, *, where: object) -> float:
     """Metres per unit of length, from a file's header or the caller's argument.
 
-    The argument wins over the header (the way out when a header is wrong), with a warning where the two differ.
+    The argument overrides the header (in case the header is wrong), with a warning if they differ.
 
     Raises:
-        InputError: neither gives a unit, or it is not a length.
+        InputError: neither gives a unit, or it is not a unit of length.
     """
     if not (argument or header):
         found = "no unit of length in the file, and none given"
@@ -86,12 +86,12 @@ def length_factor(header: str | None, argument: str | None, *, where: object) ->
 
 
 def split_unit(column: str) -> tuple[str, str | None]:
-    """Name and unit of a column: "Fz_N", "Fz (N)", "Fz [N]"; (name, None) where the header gives no unit.
+    """Splits a column's header, such as "Fz_N", "Fz (N)", "Fz [N]", into name and unit; None if it has no unit.
 
-    Components of quaternions (..._qw, _qx, _qy, _qz), "frame" and "status" have no dimension: their unit is "1".
+    Quaternion components (..._qw, _qx, _qy, _qz), "frame" and "status" are dimensionless: their unit is "1".
     """
     column = column.strip()
-    if column.endswith(("]", ")")):  # by hand: a pattern would take the square of the length
+    if column.endswith(("]", ")")):  # no regular expression, which would take quadratic time
         opening = max(column.rfind("["), column.rfind("("))
         name, unit = column[: max(opening, 0)].strip(), column[opening + 1 : -1].strip()
         if name and not set(unit) & set(")]"):

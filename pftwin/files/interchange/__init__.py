@@ -1,7 +1,7 @@
-"""Import and export: results as .mot, .sto, .glb and .csv; OpenSim's models as scene folders.
+"""Exchange with other programs: exports results as .mot, .sto, .glb and .csv; imports OpenSim models as scene folders.
 
 pftwin.interchange.export("case2.nc", "case2.glb")  # or a `Result`
-pftwin.interchange.import_osim("knee.osim", "knee")  # writes knee/scene.toml and says what was left out
+pftwin.interchange.import_osim("knee.osim", "knee")  # writes knee/scene.toml and a list of what was not imported
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
-"""A result's file in another program's format, chosen by the suffix; OpenSim's motion files (.mot) are written here.
+"""Exports a result to another program's format, chosen by the suffix; writes OpenSim's motion files (.mot).
 
-Joint coordinates have the names and sequence of the models of OpenSim JAM (Lenhart et al. 2015, Ann Biomed Eng
-43:2675): tibia and patella each move in the femur by a joint of three rotations about the axes z, x, y (fixed to the
-moving body, in that order) and three translations along the femur's axes; flexion counts negatively about z. OpenSim's
-axes are x anterior, y proximal, z lateral (of a right knee); those of results are proximal, lateral, anterior.
+Joint coordinates have the names and order of the OpenSim JAM models (Lenhart et al. 2015, Ann Biomed Eng 43:2675):
+tibia and patella each move relative to the femur by a joint with three rotations about the axes z, x, y (fixed to the
+moving body, in this order) and three translations along the femur's axes; flexion is negative about z. OpenSim's axes
+are x anterior, y proximal, z lateral (of a right knee); those of results are x proximal, y lateral, z anterior.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from pftwin.results.result import Result
 
 
-# Rows: OpenSim's x, y, z in a result's axes.
+# Rows: OpenSim's axes x, y, z in the axes of results.
 AXES = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 SEQUENCE = "ZXY"
 SIGNS = np.array([-1.0, 1.0, 1.0])
@@ -33,13 +33,13 @@ JOINTS = {"tibia": ("knee", ("flex", "add", "rot")), "patella": ("pf", ("flex", 
 
 
 def save_mot(data: Dataset, path: str | os.PathLike[str]) -> None:
-    """Writes the motion of tibia and patella in the femur, for OpenSim's models and its tools.
+    """Writes the motion of tibia and patella relative to the femur, for OpenSim's models and tools.
 
-    Frames that are not finite are left out, with a warning.
+    Frames that are not finite are omitted, with a warning.
 
     Raises:
-        InputError: no frame that is finite.
-        OutputError: the folder is missing, the path is a folder, or the place cannot be written to.
+        InputError: no finite frame.
+        OutputError: the folder is missing, the path is a folder, or the file cannot be written.
     """
     finite = finite_frames(data)
     lost = data.sizes["time"] - finite.size
@@ -55,9 +55,9 @@ def save_mot(data: Dataset, path: str | os.PathLike[str]) -> None:
 
 
 def coordinates(data: Dataset) -> dict[str, Floats]:
-    """The twelve coordinates (n,) of a result's dataset by name [deg] and [m]: of the tibia, then of the patella.
+    """Twelve joint coordinates (n,) by name, of the tibia, then the patella: rotations [deg] and translations [m].
 
-    Left knees were mirrored to right ones on input, and stay so.
+    Left knees were mirrored to right ones on input, and are not mirrored back.
     """
     from scipy.spatial.transform import Rotation
 
@@ -76,15 +76,15 @@ FORMATS = (".mot", ".sto", ".glb", ".csv")
 
 
 def export(result: Result | str | os.PathLike[str], path: str | os.PathLike[str]) -> None:
-    """Writes a result in the format that the suffix names: .mot, .sto, .glb or .csv.
+    """Writes a result in the format of the suffix: .mot, .sto, .glb or .csv.
 
     Args:
-        result: a result, or the file of one.
-        path: where to.
+        result: a result, or the path of a result's file.
+        path: target file.
 
     Raises:
         InputError: no such file, or not a result.
-        OutputError: an unknown suffix, or a place that cannot be written to.
+        OutputError: an unknown suffix, or the file cannot be written.
     """
     target = check_format(path)
     if target.suffix.lower() == ".glb":
@@ -97,7 +97,7 @@ def export(result: Result | str | os.PathLike[str], path: str | os.PathLike[str]
 
 
 def check_format(path: str | os.PathLike[str]) -> Path:
-    """The path; a suffix that is not known is an OutputError."""
+    """Returns the path; raises OutputError for an unknown suffix."""
     target = Path(path)
     if target.suffix.lower() not in FORMATS:
         raise OutputError(f"{target}: unknown format {target.suffix!r}; expected: {', '.join(FORMATS)}")

@@ -1,9 +1,9 @@
-"""An animated scene as a binary glTF 2.0 file (.glb), for viewers, slides and game engines.
+"""Exports a result as an animated binary glTF 2.0 file (.glb), for viewers, slides and game engines.
 
-trimesh writes the meshes and the tree of nodes; the animation's samplers are added to its buffers. Lengths in metres.
-The node `femur` turns the femur's frame (proximal, lateral, anterior) upright: proximal is glTF's +y, anterior +z, and
-lateral of a right knee -x. Below it `patella` and `tibia` have the result's poses as translation and rotation at every
-frame.
+trimesh writes the meshes and the node tree; the animation's samplers are added to its buffers. Lengths are in metres.
+The node `femur` rotates the femur's frame (proximal, lateral, anterior) to glTF's: proximal is +y, anterior +z, and
+lateral of a right knee -x. Its children `patella` and `tibia` have the result's poses as translation and rotation at
+every frame.
 """
 
 from __future__ import annotations
@@ -32,28 +32,28 @@ UPRIGHT = np.array([[0.0, -1.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0,
 _EVERY = 10**9  # frames: all of them
 _ROD, _SIDES = "rod", 12
 _TENDON = (190, 120, 100, 255)
-_PALE = 110  # opacity of what is schematic or continued, of 255
-_SEE_THROUGH = 0.7  # parts that drawings show with less opacity are pale here
-_MM = 1e-3  # shapes are drawn in mm
+_PALE = 110  # opacity of schematic or extrapolated parts, of 255
+_SEE_THROUGH = 0.7  # parts with less opacity in drawings are pale here
+_MM = 1e-3  # shapes are in mm
 _FLOAT = 5126  # glTF's code of a 32-bit float
 
 
 class PartTrack(NamedTuple):
-    """Where something is in the femur's frame, frame by frame (n); its fields are glTF's."""
+    """Motion of a node in the femur's frame over n frames; the fields are named as in glTF."""
 
     translation: Floats  # (n, 3) [m]
     rotation: Floats  # (n, 4) scalar first, continuous in sign
-    scale: Floats | None = None  # (n, 3), of what changes its length
+    scale: Floats | None = None  # (n, 3), for parts whose length changes
 
 
 def save_glb(result: Result | str | os.PathLike[str], path: str | os.PathLike[str]) -> None:
     """Writes the moving knee: component, button, bones, tendons and ligaments.
 
-    Time begins at 0. Frames that are not finite are left out; between frames viewers interpolate.
+    Time starts at 0. Frames that are not finite are omitted; viewers interpolate between frames.
 
     Raises:
-        InputError: no such file, not a result, nothing to draw, or fewer than two frames that are finite.
-        OutputError: the folder is missing, the path is a folder, or the place cannot be written to.
+        InputError: no such file, not a result, nothing to draw, or fewer than two finite frames.
+        OutputError: the folder is missing, the path is a folder, or the file cannot be written.
     """
     from pftwin.results.viewer.recorded import Recorded
 
@@ -63,7 +63,7 @@ def save_glb(result: Result | str | os.PathLike[str], path: str | os.PathLike[st
 
 
 def _glb(result: Recorded) -> bytes:
-    """The file's content."""
+    """Content of the file."""
     from trimesh.exchange.gltf import export_glb
 
     rods = _rods(result)
@@ -83,7 +83,7 @@ def _glb(result: Recorded) -> bytes:
 
 
 def _rods(result: Recorded) -> dict[str, PartTrack]:
-    """Every line of force as a rod: what carries a cylinder of length and radius 1 along z with its middle at 0."""
+    """Tracks of all lines of force as rods: they move a cylinder of length and radius 1 along z, centred at 0."""
     found = {}
     for name, group in result.lines.items():
         ends, start = group.ends
@@ -95,11 +95,11 @@ def _rods(result: Recorded) -> dict[str, PartTrack]:
 
 
 def rod(start: Floats, end: Floats, radius: float) -> PartTrack:
-    """The track of a rod of this radius between points (n, 3) [m]."""
+    """Track of a rod of a radius [m] between points (n, 3) [m]."""
     along = end - start
     length = np.linalg.norm(along, axis=1)
     x, y, z = (along / np.where(length > 0, length, 1.0)[:, None]).T
-    turn = np.stack([1.0 + z, -y, x, np.zeros_like(z)], axis=1)  # the shortest way from z there
+    turn = np.stack([1.0 + z, -y, x, np.zeros_like(z)], axis=1)  # the shortest rotation from z
     size = np.linalg.norm(turn, axis=1)
     turn = np.where((size > 1e-6)[:, None], turn, [0.0, 1.0, 0.0, 0.0])
     turn /= np.linalg.norm(turn, axis=1)[:, None]
@@ -149,7 +149,7 @@ def _painted(mesh: Trimesh, colour: tuple[int, ...]) -> Trimesh:
 
 
 def _about(result: Recorded) -> dict[str, Any]:
-    """The file's metadata: title, source, frame and first time."""
+    """Metadata of the file: title, source, frame and first time."""
     return {
         "title": str(result.data.attrs.get("title", result.name)),
         "source": str(result.data.attrs.get("source", "")),
@@ -160,13 +160,13 @@ def _about(result: Recorded) -> dict[str, Any]:
 
 
 def _animate(buffers: Any, tree: dict[str, Any], times: Floats, tracks: dict[str, PartTrack]) -> None:
-    """Adds to a tree that trimesh has made one channel for each of translation, rotation and scale of what moves."""
+    """Adds animation channels (translation, rotation, scale) of the moving nodes to the glTF tree made by trimesh."""
 
     def accessor(key: str, values: Floats) -> int:
-        """The number of an accessor to these rows."""
+        """Adds an accessor for the rows of `values` and returns its number."""
         data = np.ascontiguousarray(values, dtype="<f4")
         width = data.shape[1]
-        buffers[f"animation {key}"] = data.tobytes()  # whole numbers of four bytes
+        buffers[f"animation {key}"] = data.tobytes()  # a multiple of four bytes
         tree["accessors"][f"animation {key}"] = {
             "bufferView": len(buffers) - 1,
             "componentType": _FLOAT,
@@ -183,7 +183,7 @@ def _animate(buffers: Any, tree: dict[str, Any], times: Floats, tracks: dict[str
     samplers: list[dict[str, Any]] = []
     for name, track in tracks.items():
         node = tree["nodes"][numbers[name]]
-        node.pop("matrix", None)  # what is animated must not have one
+        node.pop("matrix", None)  # animated nodes must not have a matrix
         turn = track.rotation[:, [1, 2, 3, 0]]  # glTF's quaternions have the scalar last
         for path, values in track._replace(rotation=turn)._asdict().items():
             if values is not None:

@@ -1,6 +1,6 @@
-"""Muscles of an OpenSim model that pull at the patella as their activation says: tensions over a motion.
+"""Tensions over a motion, from activations, of an OpenSim model's muscles that insert on the patella.
 
-An activation is one number for all of them, or a file has one over time for each.
+Activations are one number for all muscles, or a file with a time course for each.
 """
 
 from __future__ import annotations
@@ -30,27 +30,27 @@ from pftwin.files.mocap.sto import read_sto
 
 FILE = "tensions.csv"
 _WHERE = "activation"
-_ROUNDED = 1e-6  # by which optimisers leave the range of an activation
-_STILL = 1e-6  # what moves by less stays where it is [m]
-_BENT, _STAYED = np.radians(5.0), 1e-3  # a knee that bends, and a patella that does not move with it [m]
+_ROUNDED = 1e-6  # tolerance on the range of activations, for the rounding of optimisers
+_STILL = 1e-6  # smaller motions do not count [m]
+_BENT, _STAYED = np.radians(5.0), 1e-3  # [rad] flexion of a bending knee, [m] motion of a fixed patella
 
 
 class Activated(NamedTuple):
-    """Muscles, and what is written of them."""
+    """Muscles with their tensions and origins."""
 
-    muscles: list[PatellarMuscle]  # with their ends in the first frame
+    muscles: list[PatellarMuscle]  # with the end points of the first frame
     tensions: Floats  # (n, muscles) [N]
     origins: Floats  # (n, muscles, 3) in their bodies' frames [m]
-    notes: list[str]
+    notes: list[str]  # for the user
 
     @property
     def moving(self) -> set[str]:
-        """Bodies on which the origin of a muscle moves."""
+        """Bodies relative to which the origin of a muscle moves."""
         moved = np.ptp(self.origins, axis=0).max(axis=-1) > _STILL
         return {m.body for m, own in zip(self.muscles, moved, strict=True) if own}
 
     def table(self, times: Floats) -> str:
-        """The file of tensions, with the origins of muscles on bodies where they move."""
+        """CSV text of tensions, and of the origins on the bodies in `moving`."""
         names, columns = ["time_s"], [times]
         for k, muscle in enumerate(self.muscles):
             names.append(f"{muscle.line}_tension_N")
@@ -62,11 +62,11 @@ class Activated(NamedTuple):
 
 
 class _Pulling(NamedTuple):
-    """A muscle that can have a tension."""
+    """A muscle whose tension can be computed."""
 
     muscle: PatellarMuscle
     path: PathOverMotion
-    straight: list[str]  # objects that its path wraps over in the model, and not here
+    straight: list[str]  # wrap objects of the model that are not supported here
 
 
 def activated(
@@ -76,10 +76,10 @@ def activated(
     given: float | str | os.PathLike[str],
     objects: Wraps,
 ) -> Activated:
-    """The tensions of muscles that end on the patella, by their activations, which are given as for `_activations`.
+    """Computes the tensions of muscles that insert on the patella; `given` is as for `_activations`.
 
     Raises:
-        InputError: no such activation or file; no muscle that could have a tension; numbers that no muscle has.
+        InputError: an invalid activation or file; no muscle with a computable tension; invalid muscle parameters.
     """
     bodies = MovingBodies(knee, motion)
     notes: list[str] = []
@@ -101,7 +101,7 @@ def activated(
     forces = [read_force(p.muscle.element, class_defaults(knee.model.root)) for p in found]
     said, values = _activations(given, [p.muscle.name for p in found], motion.times)
     patella, tibia = (motion.poses[body].relative_to(motion.poses[knee.femur]) for body in (knee.patella, knee.tibia))
-    # Where a measured patella is out of line, lengths are as between the frames around.
+    # In outlier frames of a measured patella, lengths are interpolated from the frames around.
     out = jumps(patella) if motion.measured else np.zeros(motion.times.size, bool)
     lengths = [np.interp(motion.times, motion.times[~out], p.path.lengths[~out]) for p in found]
     pulls = np.stack([f.tensions(x, a) for f, x, a in zip(forces, lengths, values.T, strict=True)], axis=1)
@@ -113,7 +113,7 @@ def activated(
 
 
 def _lengths_said(patella: PoseSeries, tibia: PoseSeries, out: np.ndarray) -> str:
-    """What is to be known of the patella's poses at which the lengths were taken."""
+    """Remarks on the patella's poses for which the lengths were computed."""
     text = f", in {in_words(out)}, where that is out of line, as between the frames around" if out.any() else ""
     bent = np.abs(tibia.quaternions @ tibia.quaternions[0]).min()
     if 2 * np.arccos(min(bent, 1.0)) > _BENT and np.ptp(patella.positions, axis=0).max() < _STAYED:
@@ -154,13 +154,13 @@ def _remarks(found: Sequence[_Pulling], forces: Sequence[MuscleForce], values: F
 
 
 def _activations(given: float | str | os.PathLike[str], names: Sequence[str], times: Floats) -> tuple[str, Floats]:
-    """Activations (n, muscles) of named muscles at the times of a motion (n,) [s], and in words where they are from.
+    """Activations (n, muscles) of named muscles at the times of a motion (n,) [s], and a description of their source.
 
-    Given is one of all muscles, 0 to 1; or a STO, MOT or CSV file of activations over time, in columns called like the
-    muscles or by their paths ("/forceset/NAME/activation").
+    `given` is one activation for all muscles, 0 to 1, or a STO, MOT or CSV file of activations over time, with columns
+    named by the muscles or their paths ("/forceset/NAME/activation").
 
     Raises:
-        InputError: no such file, no column of a muscle, times that do not cover the motion, values beyond 0 to 1.
+        InputError: no such file, no column for a muscle, times that do not cover the motion, values outside 0 to 1.
     """
     try:
         number = float(str(given))
@@ -174,7 +174,7 @@ def _activations(given: float | str | os.PathLike[str], names: Sequence[str], ti
 
 
 def _recorded(path: Path, names: Sequence[str], times: Floats) -> Floats:
-    """Activations at the motion's times, linearly between those of a file."""
+    """Activations at the motion's times, by linear interpolation in a file."""
     table = read_csv(path, units="1") if path.suffix.lower() == ".csv" else read_sto(path, rotational=())
     labels = {n.removesuffix("/activation").removesuffix(".activation").rpartition("/")[2]: n for n in table.names}
     if missing := [name for name in names if name not in labels]:

@@ -1,4 +1,4 @@
-"""A recording of an OpenSim model's markers as clusters of femur and tibia: which markers, and which stretch of it."""
+"""Selects the markers of an OpenSim model's femur, tibia and patella in a recording, and the usable time range."""
 
 from __future__ import annotations
 
@@ -26,19 +26,19 @@ from pftwin.files.mocap import (
 
 MAX_GAP = 0.1  # longest gap that is filled [s]
 CUTOFF, ORDER = 12.0, 2  # of the filter [Hz], as Michaud et al. 2024 filter markers
-LEAST = 3  # markers of a segment
+LEAST = 3  # smallest number of markers of a segment
 
 
 @dataclass
 class Recording:
-    """The markers of a knee in the stretch of a recording that can be used, gaps filled, and what they are fixed to."""
+    """Markers of a knee in the usable time range of a recording, gaps filled, with their positions on the segments."""
 
     markers: MarkerTrajectories
-    clusters: dict[str, dict[str, Floats]]  # by part, "femur", "tibia" and "patella": places (3,) by recorded name [m]
+    clusters: dict[str, dict[str, Floats]]  # positions (3,) [m] by part (femur, tibia, patella) and recorded name
     used: frozenset[str]  # the model's names of these markers
-    cutoff: float | None  # of the filter that the scene is to apply [Hz]; None: the rate is too low for it
-    start: tuple[Floats, Floats]  # of the patella in the femur: place [m] and quaternion
-    notes: list[str]
+    cutoff: float | None  # cut-off of the filter for the scene [Hz]; None: the sampling rate is too low for it
+    start: tuple[Floats, Floats]  # start pose of the patella in the femur: position [m] and quaternion
+    notes: list[str]  # for the user
     order: int = ORDER  # of the filter
 
 
@@ -51,13 +51,13 @@ def read_recording(
     without: Sequence[str] = (),
     joint_centers: bool = False,
 ) -> Recording:
-    """The longest stretch of a recording in which femur and tibia are both known, by three markers or more of each.
+    """Reads the longest range of a recording in which femur and tibia each have three or more markers.
 
     The options are those of `import_osim`.
 
     Raises:
-        InputError: what the file's reader refuses; names that may mean several; fewer than three markers of a segment,
-            or never together; markers on a line; a stretch too short for the filter; a femur without a hip.
+        InputError: as the file's reader; ambiguous names; fewer than three markers of a segment, or never at the same
+            time; collinear markers; a range too short for the filter; a femur without a hip.
     """
     raw = read_markers(path, units=units)
     centers = find_centers(knee) if joint_centers else []
@@ -100,7 +100,7 @@ def read_recording(
 def _mended(
     markers: MarkerTrajectories, places: Mapping[str, Mapping[str, Floats]], notes: list[str]
 ) -> MarkerTrajectories:
-    """The markers, those put right that leave their segment's cluster for some frames."""
+    """The markers, repaired in frames in which they leave their segment's cluster."""
     positions, column = markers.positions.copy(), {name: k for k, name in enumerate(markers.names)}
     for held in (h for part, h in places.items() if part != "patella" and len(h) >= LEAST):
         mended, strays = mended_cluster(markers, held)
@@ -116,7 +116,7 @@ def _known(
     own: Sequence[OsimMarker],
     knee: OsimKnee,
 ) -> tuple[MarkerTrajectories, dict[str, dict[str, Floats]]]:
-    """The longest stretch in which all segments are known, and the markers that tell it; with the joints' centres."""
+    """Markers, and joint centres if any, in the longest range in which all segments are known; and their clusters."""
     segments = sorted(places.keys() - {"patella"})
     least = {p: max(0, LEAST - len(centers)) if p == "femur" else LEAST for p in segments}
     for part in segments:
@@ -130,7 +130,7 @@ def _known(
 
 
 def _left_out(without: Sequence[str], names: Mapping[str, str], where: str) -> set[str]:
-    """The recording's names of markers to leave out."""
+    """Names, in the recording, of the markers to leave out."""
     found = {name: names.get(name, name) for name in without}
     if strange := [name for name, theirs in found.items() if theirs not in names.values()]:
         problem = f"no marker {strange[0]!r} of the knee to leave out"
@@ -157,8 +157,8 @@ def _refuse_few(
 
 
 def _seen(places: Mapping[str, Floats], markers: MarkerTrajectories, *, throughout: bool) -> dict[str, Floats]:
-    """Those of the markers that are seen in every frame, or in any."""
-    most = 0 if throughout else markers.times.size - 1  # frames in which it may be missing
+    """Markers that are present in every frame (`throughout`), or in any."""
+    most = 0 if throughout else markers.times.size - 1  # largest number of frames in which a marker may be missing
     lost = dict(zip(markers.names, np.count_nonzero(markers.missing, axis=0), strict=True))
     return {name: place for name, place in places.items() if lost[name] <= most}
 
@@ -166,12 +166,11 @@ def _seen(places: Mapping[str, Floats], markers: MarkerTrajectories, *, througho
 def _stretch(
     markers: MarkerTrajectories, segments: Mapping[str, list[str]], least: Mapping[str, int]
 ) -> MarkerTrajectories:
-    """The longest stretch in which enough markers of each segment are seen in all of its frames; the first of
-    several.
+    """The longest range (the first of several) in all frames of which enough markers of each segment are present.
 
-    One of less than two frames is an InputError.
+    Raises InputError if it has fewer than two frames.
     """
-    counts = {}  # (n + 1, m): in how many of the frames before each was seen
+    counts = {}  # (n + 1, m): number of earlier frames in which each marker is present
     for part, names in segments.items():
         seen = ~markers.select(names).missing
         counts[part] = np.concatenate([np.zeros((1, len(names)), int), np.cumsum(seen, axis=0)])
@@ -208,7 +207,7 @@ def _low_passed(markers: MarkerTrajectories, cutoff: float | None) -> MarkerTraj
 def _fit(
     markers: MarkerTrajectories, cluster: Mapping[str, Floats], own: Collection[str], body: str, notes: list[str]
 ) -> PoseSeries:
-    """The poses of a segment; notes how far its markers are off a rigid body, and which of its own to leave out."""
+    """Fits a segment's poses; adds notes on the markers' residuals and on the marker that is best left out."""
     poses = segment_poses(markers, cluster, source=f"{markers.source}, {body}")
     places, seen = np.array([*cluster.values()]), markers.select(list(cluster)).positions
     off = seen - poses.positions[:, None] - np.einsum("nij,mj->nmi", poses.matrices(), places)
@@ -228,10 +227,10 @@ def _fit(
 
 
 def _misfit(seen: Floats, places: Floats) -> float:
-    """Root mean square distance of markers (n, m, 3) from the rigid body (m, 3) that fits each frame best [m].
+    """Root mean square distance of markers (n, m, 3) from the rigid body (m, 3) fitted to each frame [m].
 
-    By the singular values s of the covariance: the sum of squares that is left is |p|^2 + |r|^2 - 2 (s1 + s2 +- s3).
-    Source: Soederkvist & Wedin 1993.
+    With the singular values s of the covariance, the residual sum of squares is |p|^2 + |r|^2 - 2 (s1 + s2 +- s3)
+    (Soederkvist & Wedin 1993).
     """
     p, r = seen - seen.mean(axis=1, keepdims=True), places - places.mean(axis=0)
     u, s, vt = np.linalg.svd(np.einsum("nmi,mj->nij", p, r))
@@ -241,5 +240,5 @@ def _misfit(seen: Floats, places: Floats) -> float:
 
 
 def _rms(off: Floats, axis: tuple[int, ...]) -> NDArray[np.float64]:
-    """Of distances; the coordinates are the last axis."""
+    """Root mean square of the lengths of vectors (last axis) over other axes."""
     return np.sqrt(np.mean(off**2, axis=axis) * 3)

@@ -1,8 +1,7 @@
-"""OpenSim's model files as XML: elements that know their line, and the frames that they name.
+"""Parses OpenSim's XML files: elements with their line numbers, and the frames that they refer to.
 
-The files are strangers': nothing is expanded. A document with a DOCTYPE is refused, so that no entity can be declared
-and none is expanded or fetched; so is one that is nested deeper than any model. Frames are bodies, ground, and what is
-fixed in them at an offset.
+Files are untrusted: a document with a DOCTYPE is rejected, so that no entities can be declared, expanded or fetched,
+and so is one that is nested deeper than any model. Frames are bodies, ground, and frames fixed in them at an offset.
 """
 
 from __future__ import annotations
@@ -21,14 +20,14 @@ from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.base.text_files import MODEL_BYTES, read_bytes
 
-DEEPEST = 64  # elements within each other; models have a dozen
-MOST_ELEMENTS = 200_000  # a whole body has some 25,000: 8,000 for each megabyte
-OLDEST = 40000  # the version of files of OpenSim 4
+DEEPEST = 64  # largest nesting depth; models have about a dozen levels
+MOST_ELEMENTS = 200_000  # a whole-body model has some 25,000, 8,000 per megabyte
+OLDEST = 40000  # oldest supported file version: OpenSim 4
 
 
 @dataclass(slots=True)
 class Element:
-    """An element, its text and what is in it."""
+    """An XML element with its text and children."""
 
     tag: str
     name: str
@@ -36,7 +35,7 @@ class Element:
     line: int
     text: str = ""
     children: list[Element] = field(default_factory=list)
-    # The nearest element around it with a name, which wrappers such as <components> have not: ".." in OpenSim's paths.
+    # The nearest enclosing element with a name (wrappers such as <components> have none): ".." in OpenSim's paths.
     owner: Element | None = field(default=None, repr=False, compare=False)
 
     @property
@@ -49,26 +48,26 @@ class Element:
         return next((c for c in self.children if c.tag in tags), None)
 
     def needed(self, tag: str) -> Element:
-        """The child of that tag; its lack is an InputError."""
+        """The child with a tag; raises InputError if there is none."""
         found = self.child(tag)
         if found is None:
             raise InputError(f"<{self.tag}> {self.name!r} has no <{tag}>", where=self.where)
         return found
 
     def all(self, *tags: str) -> Iterator[Element]:
-        """All elements of these tags below this one, in the file's order."""
+        """All descendants with one of these tags, in the file's order."""
         for c in self.children:
             if c.tag in tags:
                 yield c
             yield from c.all(*tags)
 
     def words(self, tag: str) -> str:
-        """The text of a child, without blanks around it; empty where there is none."""
+        """Stripped text of a child; empty if there is no such child."""
         found = self.child(tag)
         return "" if found is None else found.text.strip()
 
     def numbers(self, count: int | None = None) -> NDArray[np.float64]:
-        """The text as finite numbers; something else, or not so many, is an InputError."""
+        """The text as finite numbers; raises InputError if it is not, or if their count is not `count`."""
         try:
             values = np.array([float(w) for w in self.text.split()])
         except ValueError:
@@ -79,28 +78,28 @@ class Element:
         return values
 
     def numbers_of(self, tag: str, default: Sequence[float], otherwise: Element | None = None) -> Floats:
-        """The numbers of a child, as many as there are in the default, which is taken where there is no such child.
+        """Numbers of a child, as many as in the default, which is returned if there is no such child.
 
-        The child may also be one of `otherwise`: of the element with the defaults of this one's class.
+        If this element lacks the child, that of `otherwise` is used: the element with the class's defaults.
         """
         found = self.child(tag) or (otherwise and otherwise.child(tag))
         return np.array(default) if found is None else found.numbers(len(default))
 
     def number_of(self, tag: str, default: float, otherwise: Element | None = None) -> float:
-        """The number of a child, or the default, likewise."""
+        """Like `numbers_of`, for one number."""
         return float(self.numbers_of(tag, [default], otherwise)[0])
 
     def objects(self) -> list[Element]:
-        """What is in its <objects>, as sets of OpenSim hold their parts; nothing where it has none."""
+        """Children of its <objects>, in which OpenSim's sets store their parts; empty if it has none."""
         held = self.child("objects")
         return [] if held is None else held.children
 
 
 def read_osim(path: str | os.PathLike[str]) -> Element:
-    """The <Model> of a file of OpenSim 4.
+    """Reads the <Model> of an OpenSim 4 file.
 
     Raises:
-        InputError: as `read_xml`; no model, or one of an older version.
+        InputError: as `read_xml`; no model, or an older version.
     """
     root = read_xml(path)
     if root.tag != "OpenSimDocument":
@@ -114,16 +113,16 @@ def read_osim(path: str | os.PathLike[str]) -> Element:
 
 
 def read_xml(path: str | os.PathLike[str]) -> Element:
-    """The outermost element of a file.
+    """Reads an XML file and returns its root element.
 
     Raises:
-        InputError: no such file, no XML (naming the line), a DOCTYPE, more than `MOST_ELEMENTS` elements.
+        InputError: no such file, invalid XML (naming the line), a DOCTYPE, too many or too deeply nested elements.
     """
     content, file = read_bytes(path, max_bytes=MODEL_BYTES), str(path)
     parser = expat.ParserCreate()
     top = Element("", "", file, 1)
     open_ones = [top]
-    texts: list[list[str]] = [[]]  # of the open elements, in pieces: what they hold may come between any two letters
+    texts: list[list[str]] = [[]]  # of the open elements; the parser may deliver text in pieces
     count = 0
 
     def begin(tag: str, attributes: dict[str, str]) -> None:
@@ -160,7 +159,7 @@ def read_xml(path: str | os.PathLike[str]) -> Element:
         raise InputError(f"no valid XML: {words}", where=f"{file}, line {error.lineno}") from None
     except InputError:
         raise
-    except (LookupError, ValueError) as error:  # of the encoding that the first line names
+    except (LookupError, ValueError) as error:  # from the encoding declared in the first line
         raise InputError(f"no readable XML: {error}", where=file, expected="UTF-8") from None
     return top.children[0]
 
@@ -169,14 +168,14 @@ GROUND = "ground"
 
 
 class OsimFrame(NamedTuple):
-    """A place fixed in a body."""
+    """A frame fixed in a body."""
 
     body: str
     pose: Floats  # (4, 4) in the body's frame
 
 
 def placed(element: Element, translation: str, rotation: str = "orientation") -> Floats:
-    """The pose (4, 4) by an element's translation [m] and body-fixed angles [rad], under the tags it has for them."""
+    """Pose (4, 4) from an element's translation [m] and body-fixed angles [rad], which have these tags."""
     pose = np.eye(4)
     pose[:3, 3] = element.numbers_of(translation, (0.0, 0.0, 0.0))
     pose[:3, :3] = Rotation.from_euler("XYZ", element.numbers_of(rotation, (0.0, 0.0, 0.0))).as_matrix()
@@ -184,30 +183,30 @@ def placed(element: Element, translation: str, rotation: str = "orientation") ->
 
 
 class Frames:
-    """Finds the frame that a socket names."""
+    """Resolves the frames that sockets refer to."""
 
     def __init__(self, model: Element) -> None:
         self.bodies = {b.name for b in model.all("Body")}
         self.offsets = list(model.all("PhysicalOffsetFrame"))
 
     def knows(self, name: str) -> bool:
-        """Whether a body, ground or a frame is called so."""
+        """Whether there is a body, ground or a frame of this name."""
         return name == GROUND or name in self.bodies or any(f.name == name for f in self.offsets)
 
     def of(self, element: Element, socket: str = "socket_parent_frame") -> OsimFrame:
-        """The frame that a socket of an element names, as `find`; the lack of a socket is an InputError."""
+        """The frame that an element's socket refers to, see `find`; raises InputError if there is no such socket."""
         return self.find(element.needed(socket).text, element)
 
     def find(self, path: str, near: Element, depth: int = 0) -> OsimFrame:
-        """The frame that the last part of a path names: in this element, a body, ground, or a frame elsewhere.
+        """The frame named by the last part of a path: in this element, a body, ground, or a frame elsewhere.
 
-        A path may begin with ".." for what the element is part of, as meshes and frames in a body's components do. A
-        name that nothing has is an InputError.
+        A path may start with ".." for the element's owner, as for meshes and frames in a body's components. Raises
+        InputError for an unknown name.
 
         Args:
-            path: as the socket has it.
-            near: the element that has the socket.
-            depth: of frames that hang on frames so far.
+            path: path in the socket.
+            near: the element with the socket.
+            depth: number of frames followed so far, each fixed in the next.
         """
         where, steps = near.where, path.strip().split("/")
         while steps[:1] == [".."] and near.owner is not None:
@@ -224,7 +223,7 @@ class Frames:
         return self._of(found[0], depth)
 
     def _of(self, element: Element, depth: int) -> OsimFrame:
-        """The frame that an element itself is."""
+        """The frame that an element defines."""
         if element.tag in ("Body", "Ground"):
             return OsimFrame(GROUND if element.tag == "Ground" else element.name, np.eye(4))
         if element.tag != "PhysicalOffsetFrame":
@@ -233,7 +232,7 @@ class Frames:
         if depth > DEEPEST:
             raise InputError(f"the frame {element.name!r} hangs on itself", where=element.where)
         parent = element.needed("socket_parent").text
-        # A name alone is never that of a frame within this one: it would hang on what hangs on it.
+        # A plain name never refers to a frame inside this one, which would be circular.
         near = element if parent.strip().startswith("..") else Element("", "", element.file, element.line)
         base = self.find(parent, near, depth + 1)
         return OsimFrame(base.body, base.pose @ place)

@@ -1,6 +1,6 @@
-"""Joints of an OpenSim model, and where they put its bodies in ground for given coordinates.
+"""Joints of an OpenSim model: poses of its bodies in ground for given coordinates (forward kinematics).
 
-What a joint's axis, or a coordinate that is coupled to another, does with a coordinate is a function of one variable.
+The displacement along a joint's axis, and a coordinate coupled to another, are functions of one coordinate.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ KINDS = (
 
 
 def function_in(holder: Element, tag: str = "function") -> Function | None:
-    """The function that an element holds, under its own tag or within one called `tag`; None where there is none.
+    """The function that an element contains, directly or within a child `tag`; None if there is none.
 
-    A kind that is not known, or numbers that are none, are an InputError.
+    Raises InputError for an unknown kind or invalid numbers.
     """
     kinds = (
         c for c in (holder.child(tag) or holder).children if c.tag in KINDS or c.tag.endswith(("Function", "Spline"))
@@ -76,10 +76,10 @@ def _through_points(element: Element) -> Function:
 
 
 def spline(x: Floats, y: Floats) -> Function:
-    """SIMM's cubic spline: at the ends its third derivative is that of the cubic through the four outermost points.
+    """SIMM's cubic spline: its third derivative at an end is that of the cubic through the four outermost points.
 
-    Beyond the ends it goes on along its tangent. Source: Forsythe, Malcolm and Moler 1977, subroutine SPLINE; with
-    three points the third derivatives at the ends are zero, and two are joined by a line.
+    Beyond the ends it continues along its tangents. With three points the third derivatives at the ends are zero; two
+    points are joined by a line. Source: Forsythe, Malcolm and Moler 1977, subroutine SPLINE.
     """
     if x.size == 2:
         return continued(make_interp_spline(x, y, 1), x)
@@ -93,7 +93,7 @@ def spline(x: Floats, y: Floats) -> Function:
 
 
 def continued(inside: BSpline | PPoly, x: Floats) -> Function:
-    """A curve through abscissae x, and beyond them its tangents at the ends."""
+    """Extends a curve beyond the first and last abscissa x by its tangents there."""
     slope = inside.derivative()
 
     def value(at: Floats) -> Floats:
@@ -104,7 +104,7 @@ def continued(inside: BSpline | PPoly, x: Floats) -> Function:
 
 
 _X, _Y, _Z = np.eye(3)
-# Rotation axes, then translation axes, of joints whose transform needs no further description.
+# Rotation axes, then translation axes, of joints with a fixed transform.
 PLAIN: dict[str, tuple[tuple[Floats, ...], tuple[Floats, ...]]] = {
     "WeldJoint": ((), ()),
     "PinJoint": ((_Z,), ()),
@@ -118,21 +118,21 @@ JOINTS = (*PLAIN, "CustomJoint")
 
 
 class Coordinate(NamedTuple):
-    """A degree of freedom."""
+    """A degree of freedom; values are in rad or m."""
 
     name: str
-    default: float  # [rad] or [m]
+    default: float
     low: float
     high: float
     rotational: bool
 
 
 class Axis(NamedTuple):
-    """A turn about a direction, or a translation along it."""
+    """A rotation about a direction, or a translation along it."""
 
     direction: Floats  # (3,)
     coordinate: str | None
-    function: Function | None  # None: the coordinate itself
+    function: Function | None  # of the coordinate; None: the coordinate itself
 
 
 @dataclass(frozen=True)
@@ -144,17 +144,17 @@ class Joint:
     where: str
     parent: OsimFrame
     child: OsimFrame
-    rotations: tuple[Axis, ...]  # in this order, fixed to the moving body
+    rotations: tuple[Axis, ...]  # in this order, body-fixed
     translations: tuple[Axis, ...]  # along the parent's frame
     coordinates: tuple[Coordinate, ...]
 
     def check(self) -> None:
-        """Refuses a joint of a kind that is not known, which cannot be followed."""
+        """Raises InputError for a joint of an unknown kind."""
         if self.kind not in JOINTS:
             raise InputError(f"<{self.kind}> {self.name!r}", where=self.where, expected=f"one of: {', '.join(JOINTS)}")
 
     def pose(self, values: dict[str, Floats], count: int) -> Floats:
-        """The child's body in the parent's, (n, 4, 4); a joint of a kind that is not known is an InputError."""
+        """Pose (n, 4, 4) of the child's body in the parent's; raises InputError for a joint of an unknown kind."""
         self.check()
 
         def amount(axis: Axis) -> Floats:
@@ -170,7 +170,7 @@ class Joint:
 
 
 def read_joint(element: Element, frames: Frames) -> Joint:
-    """The joint that an element describes; one of an unknown kind has no axes, and `Joint.check` refuses it."""
+    """Reads a joint; one of an unknown kind has no axes, and `Joint.check` raises."""
     parent, child = (frames.of(element, f"socket_{k}_frame") for k in ("parent", "child"))
     held = element.child("coordinates")
     listed = [] if held is None else held.children
@@ -216,17 +216,17 @@ def _axes(element: Element, names: list[str]) -> tuple[tuple[Axis, ...], tuple[A
 
 @dataclass(frozen=True)
 class Tree:
-    """All joints, by the name of the body that each carries; and coordinates that follow others."""
+    """All joints, by the name of the body that each carries; and the coupled coordinates."""
 
     joints: dict[str, Joint]
-    coupled: dict[str, tuple[str, Function]] = field(default_factory=dict)  # by name: of which it is what function
+    coupled: dict[str, tuple[str, Function]] = field(default_factory=dict)  # by name: the other coordinate, the function
 
     def coordinates(self) -> dict[str, Coordinate]:
         """All coordinates, by name."""
         return {c.name: c for j in self.joints.values() for c in j.coordinates}
 
     def values(self, given: dict[str, Floats], count: int) -> dict[str, Floats]:
-        """Values (n,) of every coordinate: as given, else its default; coupled ones follow others."""
+        """Values (n,) of every coordinate: as given, else its default; coupled ones are computed."""
         out = {n: given.get(n, np.full(count, c.default)) for n, c in self.coordinates().items()}
         for name, (independent, function) in self.coupled.items():
             if name in out and independent in out:
@@ -234,7 +234,7 @@ class Tree:
         return out
 
     def pose(self, body: str, values: dict[str, Floats], count: int) -> Floats:
-        """Pose of a body in ground, (n, 4, 4); one that no chain of joints connects with ground is an InputError."""
+        """Pose (n, 4, 4) of a body in ground; raises InputError if no chain of joints connects it with ground."""
         out, seen = np.tile(np.eye(4), (count, 1, 1)), set()
         while body != GROUND:
             joint = self.joints.get(body)
@@ -246,7 +246,7 @@ class Tree:
         return out
 
     def welded(self, body: str) -> tuple[str, Floats]:
-        """The body that carries this one without a degree of freedom between, and the pose (4, 4) of this one in it."""
+        """The body to which this one is rigidly attached, and the pose (4, 4) of this one in it."""
         out, seen = np.eye(4), set()
         while body in self.joints and self.joints[body].kind == "WeldJoint" and body not in seen:
             seen.add(body)
@@ -256,10 +256,10 @@ class Tree:
 
 
 def read_tree(model: Element, frames: Frames) -> Tree:
-    """The joints of a model, and its coupled coordinates.
+    """Reads the joints of a model and its coupled coordinates.
 
     Raises:
-        InputError: what a joint lacks; functions that are not known.
+        InputError: an incomplete joint; an unknown function.
     """
     elements = [e for holder in model.all("JointSet") for e in holder.needed("objects").children]
     joints = {joint.child.body: joint for joint in (read_joint(e, frames) for e in elements)}

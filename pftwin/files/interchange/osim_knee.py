@@ -1,6 +1,6 @@
-"""Which bodies of an OpenSim model are the knee's: femur, tibia and patella, with the bones that are welded to them.
+"""Finds femur, tibia and patella among the bodies of an OpenSim model, with the bones that are welded to them.
 
-Their meshes are found beside the model, scaled and brought into their bone's frame.
+Their meshes are read from folders beside the model, scaled and transformed to their bone's frame.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from pftwin.files.interchange.osim_document import OsimFrame
 from pftwin.files.interchange.osim_model import LeftOut, Mesh, OsimModel, plain_name
 from pftwin.geometry.mesh.mesh import SurfaceMesh
 
-FOLDER = "geometry"  # of meshes in a scene's folder
+FOLDER = "geometry"  # folder of meshes in a scene's folder
 PARTS = ("femur", "tibia", "patella")
 SIDES = {"right": "_r", "left": "_l"}
 
 
 class OsimKnee(NamedTuple):
-    """Names of three bodies in a model, and the side."""
+    """Names of the knee's bodies in a model, and the side."""
 
     model: OsimModel
     femur: str
@@ -32,13 +32,13 @@ class OsimKnee(NamedTuple):
     side: str
 
     def name(self, part: str) -> str:
-        """The model's name of a part, "femur", "tibia" or "patella"; other bodies keep theirs."""
+        """The model's name of a part "femur", "tibia" or "patella"; other names are returned unchanged."""
         return getattr(self, part) if part in PARTS else part
 
     def placed(self, frame: OsimFrame) -> tuple[str, Floats]:
-        """The part that carries a frame, and the frame's pose (4, 4) in it; other bodies keep their name.
+        """The part that carries a frame (or another body's name), and the frame's pose (4, 4) in it.
 
-        What is welded to a bone is part of it.
+        Bodies welded to a bone are part of it.
         """
         body, pose = self.model.tree.welded(frame.body)
         for part in PARTS:
@@ -48,21 +48,21 @@ class OsimKnee(NamedTuple):
         return body, pose @ frame.pose
 
     def point(self, frame: OsimFrame, place: Floats) -> tuple[str, Floats]:
-        """The part that carries a point (3,) of a frame, and where it is in that part's frame [m]."""
+        """The part that carries a point (3,) of a frame, and the point in that part's frame [m]."""
         part, pose = self.placed(frame)
         return part, pose[:3, :3] @ place + pose[:3, 3]
 
 
 def find_knee(model: OsimModel, side: str | None = None, **named: str | None) -> OsimKnee:
-    """The knee's bodies: as the caller names them, else found by their names and the joints between them.
+    """Finds the knee's bodies, unless the caller names them, by their names and the joints between them.
 
     Args:
-        model: the file's.
-        side: "right" or "left"; None: as the patella's name ends, right where that says nothing.
+        model: the model.
+        side: "right" or "left"; None: by the end of the patella's name, else right.
         named: `femur`, `tibia`, `patella`: names of bodies.
 
     Raises:
-        InputError: a name that is no body's; no patella, femur or tibia to be found, or several.
+        InputError: an unknown body; no or several candidates for patella, femur or tibia.
     """
     tree, file = model.tree, model.root.file
     if side is not None and side not in SIDES:
@@ -106,10 +106,10 @@ class Written(NamedTuple):
 
 
 def load_mesh(mesh: Mesh, knee: OsimKnee, places: list[Path]) -> Written:
-    """A mesh of one of the knee's bones, found in the model's own folder, in Geometry there, or in other places.
+    """Loads a mesh of one of the knee's bones from the model's folder, its subfolder Geometry, or other `places`.
 
     Raises:
-        InputError: no such file, one that cannot be read, a mesh on another body.
+        InputError: no such file, an unreadable file, a mesh on another body.
     """
     from pftwin.geometry.mesh.files import read_triangles
 
@@ -124,7 +124,7 @@ def load_mesh(mesh: Mesh, knee: OsimKnee, places: list[Path]) -> Written:
 
 
 def bones(knee: OsimKnee, places: list[Path], taken: set[str], left: list[LeftOut]) -> Iterator[Written]:
-    """The meshes of the knee's bones; those that cannot be read are left out."""
+    """Meshes of the knee's bones; unreadable ones are added to `left`."""
     meshes = ((body.name, mesh) for body in knee.model.bodies.values() for mesh in body.meshes)
     for body, mesh in meshes:
         if knee.placed(mesh.frame)[0] not in PARTS:
@@ -140,9 +140,9 @@ def bones(knee: OsimKnee, places: list[Path], taken: set[str], left: list[LeftOu
 
 
 def _mesh_file(mesh: Mesh, home: Path, places: list[Path]) -> Path:
-    """The mesh's file, by the last part of its name alone: a model may not say where on this machine to read.
+    """Finds a mesh's file by the last part of its name only, since a model must not choose where to read.
 
-    Models are often written where "Patella.stl" and "patella.stl" are one file: that is found if nothing else is meant.
+    Models often come from systems that ignore case: "Patella.stl" also matches "patella.stl" if that is unambiguous.
     """
     name = mesh.file.replace("\\", "/").rpartition("/")[2]
     if not name:

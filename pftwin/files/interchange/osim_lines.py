@@ -1,6 +1,6 @@
-"""What pulls at the patella in an OpenSim model: its ligaments and its muscles, each with its obstacle.
+"""Ligaments and muscles of an OpenSim model that insert on the patella, each with its wrapping obstacle.
 
-And a tension for each muscle, from one for all of them.
+A total tension can be distributed over the muscles.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _STRENGTH = "max_isometric_force"
 
 
 class OsimStrand(NamedTuple):
-    """A ligament's line, its ends in the frames of patella and other bone [m]."""
+    """A ligament's line, with its ends in the frames of the patella and of the other bone [m]."""
 
     ligament: OsimLigament
     insertion: Floats
@@ -39,38 +39,38 @@ class OsimStrand(NamedTuple):
 
     @property
     def name(self) -> str:
-        """The ligament's, without the strand's number."""
+        """Name of the ligament, without the strand's number."""
         return self.ligament.name.rstrip("0123456789") or self.ligament.name
 
 
 class PatellarMuscle(NamedTuple):
-    """The piece of a muscle's path that ends on the patella, from the point before."""
+    """The last segment of a muscle's path, which ends on the patella."""
 
     element: Element
     insertion: Floats  # on the patella, in its frame [m]
     origin: Floats  # the point before, in its body's frame [m]
-    body: str  # part of the knee that has that point, or the model's name for another body
-    strength: float | None  # its maximum isometric force [N]
-    plain: bool = True  # whether it is all of the muscle at the patella, between two points that stay where they are
-    wraps: tuple[str, ...] = ()  # names of the objects over which that piece may wrap
+    body: str  # part of the knee with that point, or the model's name of another body
+    strength: float | None  # maximum isometric force [N]
+    plain: bool = True  # whether it is the muscle's only segment at the patella, with two fixed end points
+    wraps: tuple[str, ...] = ()  # names of the objects over which the segment may wrap
 
     @property
     def name(self) -> str:
-        """The model's."""
+        """Name in the model."""
         return self.element.name
 
     @property
     def line(self) -> str:
-        """Its name in a scene."""
+        """Name in a scene."""
         return plain_name(self.name)
 
     @property
     def takes_tension(self) -> bool:
-        """Whether a scene can have it with a tension that is shared out."""
+        """Whether a scene can include it with a share of a total tension."""
         return self.plain and self.body in BODIES and self.strength is not None and self.strength > 0
 
     def describe(self) -> str:
-        """Why it was left out, and its two ends, for whoever adds it to the scene."""
+        """Why it was left out, and its two ends, so that users can add it to the scene."""
         insertion, origin = (f"[{', '.join(f'{v:.6g}' for v in place)}]" for place in (self.insertion, self.origin))
         ends = f"insertion_m = {insertion}, origin_m = {origin} on the {self.body}"
         if self.body not in BODIES:
@@ -88,7 +88,7 @@ def pulls(
     activation: float | str | os.PathLike[str] | None,
     wraps: Wraps,
 ) -> tuple[list[tuple[PatellarMuscle, OsimWrap | None]], Activated | None]:
-    """The muscles that pull at the patella with their obstacles: a tension of all, or over time by activation."""
+    """Muscles of the patella with their obstacles, and their tensions: shares of a total, or from activations."""
     muscles = told.muscles = list(_muscles(knee))
     pulled = None
     if quadriceps is not None:
@@ -112,11 +112,11 @@ def pulls(
 
 
 def _muscles(knee: OsimKnee) -> Iterator[PatellarMuscle]:
-    """Those of a model's forces that have a path from elsewhere to the patella, ligaments apart."""
+    """The model's forces, except ligaments, that have a path from another body to the patella."""
     forces = (force for group in knee.model.root.children if group.tag == "ForceSet" for force in group.objects())
     for force in forces:
         points = [] if "Ligament" in force.tag else list(force.all(*POINTS))
-        # A point that moves has functions in place of a location.
+        # A moving point has functions instead of a location.
         places = (p.numbers_of("location", (np.nan,) * 3) for p in points)
         at = [knee.point(knee.model.frames.of(p), place) for p, place in zip(points, places, strict=True)]
         pairs = [(i, j) for i in range(len(at)) for j in (i - 1, i + 1) if at[i][0] == "patella" and 0 <= j < len(at)]
@@ -132,10 +132,10 @@ def _muscles(knee: OsimKnee) -> Iterator[PatellarMuscle]:
 
 
 def shared_tensions(muscles: Sequence[PatellarMuscle], total: float) -> dict[str, float]:
-    """A tension for each muscle by name [N]: of all together, by their maximum isometric forces.
+    """Distributes a total tension [N] over muscles in proportion to their maximum isometric forces; by name [N].
 
     Raises:
-        InputError: a total that is no tension; no muscle that could have one; two of one name.
+        InputError: an invalid total; no suitable muscle; two muscles with the same name.
     """
     if not (np.isfinite(total) and total > 0):
         raise InputError(f"found {total!r}", where="quadriceps", expected="a tension, a positive number of newtons")
@@ -149,7 +149,7 @@ def shared_tensions(muscles: Sequence[PatellarMuscle], total: float) -> dict[str
 
 
 def ligament_lines(knee: OsimKnee, wraps: Wraps, told: Imported) -> list[tuple[OsimStrand, OsimWrap | None]]:
-    """The ligaments of the patella with their obstacles; the others are left out."""
+    """Ligaments of the patella with their obstacles; others are added to what is left out."""
     found = []
     straight: dict[tuple[str, tuple[str, ...]], list[str]] = {}
     for ligament in knee.model.ligaments:
@@ -170,7 +170,7 @@ def ligament_lines(knee: OsimKnee, wraps: Wraps, told: Imported) -> list[tuple[O
 
 
 def _straight(lines: dict[tuple[str, tuple[str, ...]], list[str]]) -> Iterator[str]:
-    """What is said of lines by their common name and the objects over which they do not wrap."""
+    """Notes on lines that do not wrap over some of their objects, grouped by name and objects."""
     for (_, objects), names in lines.items():
         if objects:
             which = names[0] if len(names) == 1 else f"{names[0]} to {names[-1]} ({len(names)} strands)"

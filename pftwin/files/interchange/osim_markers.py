@@ -1,7 +1,7 @@
-"""Markers of an OpenSim model: where they sit on its bodies, and what a recording calls them.
+"""Markers of an OpenSim model: their positions on its bodies, and their names in a recording.
 
-They stand in the model's own <MarkerSet>, or in a file of one as OpenSim 3 and 4 write it. The centres of hip and knee,
-told by the markers of pelvis and tibia, can count as markers of the femur.
+They are read from the model's <MarkerSet>, or from a separate file as OpenSim 3 and 4 write it. The hip and knee
+centres, determined from the markers of pelvis and tibia, can be used as markers of the femur.
 """
 
 from __future__ import annotations
@@ -24,23 +24,23 @@ from pftwin.files.interchange.osim_model import LeftOut
 from pftwin.files.interchange.osim_motion import tree_joint
 from pftwin.files.mocap import MarkerTrajectories, segment_poses
 
-_FRAMES = ("socket_parent_frame", "body")  # of OpenSim 4 and 3
-SAMPLE = 8  # names in a message
+_FRAMES = ("socket_parent_frame", "body")  # in OpenSim 4 and 3
+SAMPLE = 8  # largest number of names in a message
 
 
 class OsimMarker(NamedTuple):
     """A marker of a model."""
 
     name: str
-    part: str  # of the knee: "femur", "tibia", "patella"; or the model's name for another body
+    part: str  # of the knee: "femur", "tibia", "patella"; or the model's name of another body
     place: Floats  # (3,) in its frame [m]
 
 
 def markers_of(knee: OsimKnee, path: str | os.PathLike[str] | None, left: list[LeftOut]) -> list[OsimMarker]:
-    """The markers of a marker file, else of the model; those on bodies that the model lacks are left out.
+    """Markers of a marker file or, without one, of the model; those on unknown bodies are added to `left`.
 
     Raises:
-        InputError: a file that is no <MarkerSet>; a marker without a body or a location; two of one name.
+        InputError: a file without a <MarkerSet>; a marker without a body or a location; two markers of the same name.
     """
     root = knee.model.root
     holder = root.child("MarkerSet") if path is None else _marker_set(path)
@@ -69,17 +69,17 @@ def _placed(elements: Sequence[Element], knee: OsimKnee, left: list[LeftOut]) ->
         location = element.needed("location").numbers(3)
         if frames.knows(held.text.strip().rpartition("/")[2]):
             yield OsimMarker(element.name, *knee.point(frames.find(held.text, element), location))
-        else:  # as in a marker file that was written for another model
+        else:  # for instance in a marker file for another model
             left.append(LeftOut("Marker", element.name, f"no body and no frame is called {held.text.strip()!r}"))
 
 
 def recorded_names(markers: Sequence[OsimMarker], recorded: Sequence[str], where: str) -> dict[str, str]:
-    """What a recording calls the markers, by the model's names; those that it does not have are left out.
+    """Maps the model's marker names to those of a recording; markers that are not recorded are omitted.
 
-    A name is looked for as it stands, then without regard to dots, underscores, blanks, hyphens and capital letters.
+    Names are matched exactly, else ignoring dots, underscores, blanks, hyphens and case.
 
     Raises:
-        InputError: several of the recording may be meant, or one by several of the model's; none at all.
+        InputError: ambiguous names; no match at all.
     """
     alike: dict[str, list[str]] = {}
     for name in recorded:
@@ -112,19 +112,19 @@ def _plain(name: str) -> str:
 
 
 class Center(NamedTuple):
-    """The centre of a joint of the femur, which counts as a marker of it."""
+    """The centre of a joint of the femur, used as a marker of the femur."""
 
     name: str
-    carrier: str  # part whose markers tell where it is
+    carrier: str  # part whose markers determine the position
     there: Floats  # (3,) in the carrier's frame [m]
     place: Floats  # (3,) in the femur's frame [m]
 
 
 def find_centers(knee: OsimKnee) -> list[Center]:
-    """The centres of hip and knee.
+    """Finds the centres of hip and knee.
 
     Raises:
-        InputError: a hip that slides, or a knee that is no joint of the femur: such centres are not fixed in it.
+        InputError: a centre that is not fixed in the femur: a hip with translations, or a knee joint of another body.
     """
     tree = knee.model.tree
     joint, hip = tree.joints[tree_joint(tree, knee.tibia)], tree.joints.get(tree.welded(knee.femur)[0])
@@ -136,7 +136,7 @@ def find_centers(knee: OsimKnee) -> list[Center]:
         )
 
     def carried(joint: Joint) -> tuple[str, Floats]:
-        """The part that carries a joint, and where the moving frame's origin is in it at the default coordinates."""
+        """The part that carries a joint, and the moving frame's origin in it at the default coordinates."""
         pose = joint.pose(tree.values({}, 1), 1)[0] @ joint.child.pose
         return knee.point(OsimFrame(joint.parent.body, pose), np.zeros(3))
 
@@ -154,7 +154,7 @@ def find_centers(knee: OsimKnee) -> list[Center]:
 def with_centers(
     markers: MarkerTrajectories, centers: Sequence[Center], clusters: Mapping[str, Mapping[str, Floats]]
 ) -> MarkerTrajectories:
-    """The markers, and the centres among them; markers of a carrier on a line are an InputError."""
+    """Adds the centres to the markers; raises InputError if a carrier's markers are collinear."""
     if not centers:
         return markers
     columns = [markers.positions]

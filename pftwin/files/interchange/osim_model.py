@@ -1,6 +1,6 @@
-"""What pftwin can use of an OpenSim model: bodies, ligaments of two points, contact meshes; and a list of the rest.
+"""Reads the parts of an OpenSim model that pftwin can use: bodies, joints, two-point ligaments, contact meshes.
 
-What a file does not say is filled in as OpenSim does.
+Missing values have OpenSim's defaults. Unsupported ligaments are listed.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ CONTACT = "Smith2018ArticularContactForce"
 
 
 class LeftOut(NamedTuple):
-    """Something that was not imported."""
+    """A part of the model that was not imported, and why."""
 
     kind: str
     name: str
@@ -44,7 +44,7 @@ class OsimLigament(NamedTuple):
 def _ligaments(
     model: Element, defaults: dict[str, Element], frames: Frames, left: list[LeftOut]
 ) -> Iterator[OsimLigament]:
-    """The ligaments that are straight lines; the others are added to what is left out."""
+    """Ligaments with two points; the others are added to `left`."""
     for element in model.all(LIGAMENT):
         if element.words("appliesForce") == "false":
             left.append(LeftOut(LIGAMENT, element.name, "it is switched off in the model"))
@@ -65,26 +65,26 @@ def _ligaments(
 
 
 class PathWrap(NamedTuple):
-    """An object over which a path may wrap, and between which of its points, which count from 0."""
+    """An object over which a path may wrap, and the range of the path's points, counted from 0."""
 
     name: str
     first: int
-    last: float  # infinite to the path's end
+    last: float  # infinite: to the path's end
 
     def covers(self, start: int, end: int) -> bool:
-        """Whether the path may wrap over it between two of its points."""
+        """Whether the path may wrap over the object between two of its points."""
         return self.first <= start and end <= self.last
 
 
 def path_wraps(force: Element) -> Iterator[PathWrap]:
-    """The objects of a force's path; a range that is not two numbers is an InputError."""
+    """Wrap objects of a force's path; raises InputError if a range is not two numbers."""
     for wrap in force.all("PathWrap"):
-        start, end = wrap.numbers_of("range", (-1.0, -1.0))  # these count from 1; less than that is an end of the path
+        start, end = wrap.numbers_of("range", (-1.0, -1.0))  # counted from 1; below 1: the path's end
         yield PathWrap(wrap.words("wrap_object"), max(int(start), 1) - 1, int(end) - 1 if end >= 1 else math.inf)
 
 
 class Mesh(NamedTuple):
-    """A mesh's file, and where it is."""
+    """A mesh's file, with its frame and scale."""
 
     name: str
     file: str
@@ -94,7 +94,7 @@ class Mesh(NamedTuple):
 
 
 class Body(NamedTuple):
-    """Mass properties, and what is drawn of it."""
+    """A body's mass properties and meshes."""
 
     name: str
     mass: float  # [kg]
@@ -111,7 +111,7 @@ class ContactSurface(NamedTuple):
     modulus: float  # [Pa]
     poisson: float
     thickness: float  # [m]
-    variable: bool  # whether the model measures the thickness against a second mesh
+    variable: bool  # whether the thickness varies, as the distance to a second mesh
 
 
 class OsimContact(NamedTuple):
@@ -125,7 +125,7 @@ class OsimContact(NamedTuple):
 
 @dataclass(frozen=True)
 class OsimModel:
-    """The parts of a model's file."""
+    """The usable parts of a model, and a list of parts that are left out."""
 
     root: Element
     frames: Frames
@@ -139,12 +139,12 @@ class OsimModel:
 
 
 def class_defaults(root: Element) -> dict[str, Element]:
-    """The elements of a model's <defaults>, by class."""
+    """Elements of a model's <defaults>, by class."""
     return {d.tag: d for holder in root.children if holder.tag == "defaults" for d in holder.children}
 
 
 def read_model(root: Element) -> OsimModel:
-    """The parts of a <Model> that pftwin can use; values that are missing or no numbers are an InputError."""
+    """Reads the usable parts of a <Model>; raises InputError for missing or invalid values."""
     frames, left = Frames(root), []
     defaults = class_defaults(root)
     used = Element(root.tag, root.name, root.file, root.line, "", [c for c in root.children if c.tag != "defaults"])
@@ -170,7 +170,7 @@ def _body(element: Element, frames: Frames) -> Body:
 
 
 def _mesh(element: Element, name: str, frame: OsimFrame) -> Mesh:
-    """The mesh that an element names, in a frame."""
+    """The mesh that an element refers to, in a frame."""
     scale = element.numbers_of("scale_factors", (1.0, 1.0, 1.0))
     return Mesh(name, element.words("mesh_file"), frame, scale, element.where)
 
@@ -192,6 +192,6 @@ def _contact(element: Element) -> OsimContact:
 
 
 def plain_name(name: str) -> str:
-    """A name that a scene file takes, in small letters."""
+    """Converts a name to one that is valid in a scene file, in lower case."""
     words = re.sub(r"[^A-Za-z0-9_]+", "_", name).strip("_").lower()
     return words if words[:1].isalpha() else f"part_{words}"

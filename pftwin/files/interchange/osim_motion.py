@@ -1,4 +1,4 @@
-"""How the bones of an OpenSim model move: by a file of coordinates, or bent evenly through a range."""
+"""Motion of the bones of an OpenSim model: from a file of coordinates or poses, or a synthetic flexion."""
 
 from __future__ import annotations
 
@@ -17,37 +17,37 @@ from pftwin.files.mocap.poses import PoseSeries, quaternion_product
 from pftwin.files.mocap.sto import read_sto
 from pftwin.files.mocap.tables import unknown_name
 
-RATE = 100.0  # frames per second of a motion that is made
-FASTEST = np.radians(45.0)  # of it [rad/s]
-FARTHEST = np.radians(90.0)  # of it, where the model's range goes further
+RATE = 100.0  # frames per second of a synthetic flexion
+FASTEST = np.radians(45.0)  # its largest angular speed [rad/s]
+FARTHEST = np.radians(90.0)  # its largest angle, if the model's range is larger [rad]
 GROUND_AS_MODEL = (
     "gravity, and whatever is attached to the ground, are as in the model's: check that this recording is too"
 )
-_TRIED = 1001  # angles of the knee at which the patella is looked for
-_MOVED = 1e-4  # the patella is moved by what moves it by more [m]
+_TRIED = 1001  # number of knee angles that are tried for the patella's start
+_MOVED = 1e-4  # smallest displacement by which a coordinate counts as moving the patella [m]
 
 
 class Motion(NamedTuple):
-    """How femur, tibia and patella move in ground; of the patella only the first frame counts, unless measured."""
+    """Motion of femur, tibia and patella in ground; only the patella's first frame is used, unless it is measured."""
 
-    times: Floats  # (n,)
+    times: Floats  # (n,) [s]
     poses: dict[str, PoseSeries]  # by body
-    said: str
-    measured: bool = False  # whether the patella's are measurements
-    values: dict[str, Floats] | None = None  # of coordinates by name (n,) [rad] or [m]; None: of recorded poses
+    said: str  # description
+    measured: bool = False  # whether the patella's poses are measurements
+    values: dict[str, Floats] | None = None  # coordinates by name, (n,) [rad] or [m]; None for recorded poses
 
 
 def motion_of(
     knee: OsimKnee, path: str | os.PathLike[str] | None, rate: float | None = None, bend: str | None = None
 ) -> Motion:
-    """By a file of coordinates, or of poses as matrices; or bent through its range, where there is none.
+    """Reads the motion from a file of coordinates or of poses as matrices; without a file, flexes the knee.
 
-    A patella that a file of poses does not have stands in the femur's frame where the model has it by default. The
-    options are those of `import_osim`.
+    If a file of poses lacks the patella, it has the model's default pose in the femur. The options are those of
+    `import_osim`.
 
     Raises:
-        InputError: as `read_poses`, `read_sto` and `poses`; poses of no femur or tibia; none of the model's
-            coordinates; no coordinate to bend by; a rate of a file without poses.
+        InputError: as `read_poses`, `read_sto` and `poses`; no poses of femur or tibia; none of the model's
+            coordinates; no coordinate for the flexion; a rate for a file without poses.
     """
     if path is not None and holds_matrices(path):
         return _measured(knee, path, rate)
@@ -59,9 +59,9 @@ def motion_of(
 
 
 def _flexed_through_range(tree: Tree, tibia: str, name: str | None) -> tuple[Floats, dict[str, Floats], str]:
-    """The knee bent from its default to the end of its range: times (n,), coordinates by name, and a description.
+    """Flexion from the default to the end of the range: times (n,), coordinates by name, and a description.
 
-    Smoothly (a polynomial of fifth degree), so that it starts and ends at rest.
+    The time course is a polynomial of fifth degree that starts and ends at rest.
     """
     joint = tree.joints[tree_joint(tree, tibia)]
     joint.check()
@@ -88,7 +88,7 @@ def _flexed_through_range(tree: Tree, tibia: str, name: str | None) -> tuple[Flo
 
 
 def _recorded(tree: Tree, path: str | os.PathLike[str]) -> tuple[Floats, dict[str, Floats], str]:
-    """Coordinates of a .mot or .sto file, by name or by path ("/jointset/knee_r/knee_angle_r/value"), in SI units."""
+    """Reads coordinates of a .mot or .sto file in SI units; columns are names or paths (".../knee_angle_r/value")."""
     known = tree.coordinates()
     names = {label: label.removesuffix("/value").split("/")[-1] for label in read_sto(path, rotational=()).names}
     angles = [label for label, n in names.items() if n in known and known[n].rotational]
@@ -120,10 +120,10 @@ def _measured(knee: OsimKnee, path: str | os.PathLike[str], rate: float | None) 
 
 
 def resting_patella(knee: OsimKnee, tibia: PoseSeries) -> tuple[tuple[Floats, Floats], str]:
-    """Where the model has the patella in the femur, place [m] and quaternion, and a description.
+    """The model's pose of the patella in the femur, position [m] and quaternion, and a description.
 
-    For a tibia in the femur as in the first frame. That is the model's default, unless the coordinate that bends the
-    knee moves the patella too: then at the value for which the model turns the tibia most nearly as it was recorded.
+    This is the default pose, unless the coordinate that flexes the knee also moves the patella: then it is the pose at
+    the value for which the model's tibia is rotated most nearly as in the first recorded frame.
     """
     tree = knee.model.tree
     bending = [c for c in tree.joints[tree_joint(tree, knee.tibia)].coordinates if c.rotational]
@@ -148,7 +148,7 @@ def resting_patella(knee: OsimKnee, tibia: PoseSeries) -> tuple[tuple[Floats, Fl
 
 
 def poses(tree: Tree, bodies: list[str], times: Floats, given: dict[str, Floats]) -> dict[str, PoseSeries]:
-    """Poses of bodies in ground; joints that are not known and functions that overflow are an InputError."""
+    """Poses of bodies in ground; raises InputError for unknown joints and functions that overflow."""
     values = tree.values(given, times.size)
     out = {}
     for body in bodies:
@@ -162,5 +162,5 @@ def poses(tree: Tree, bodies: list[str], times: Floats, given: dict[str, Floats]
 
 
 def tree_joint(tree: Tree, body: str) -> str:
-    """The body by whose joint this one moves: itself, or what it is welded to."""
+    """The body whose joint moves this one: itself, or the body it is welded to."""
     return body if tree.joints[body].kind != "WeldJoint" else tree.welded(body)[0]

@@ -1,10 +1,10 @@
 """Force-length curves of OpenSim's muscles: normalised forces of active fibre, passive fibre and tendon.
 
-Lengths count from the fibre's optimal length, or from the tendon's slack length. Millard's curves are corners, each a
-Bezier curve of fifth degree that is tangent to two lines; Thelen's are exponentials.
+Lengths are normalised by the fibre's optimal length or the tendon's slack length. Millard's curves consist of quintic
+Bezier segments ("corners"), each tangent to two lines; Thelen's are exponentials.
 
-Sources: Millard et al. 2013, J Biomech Eng 135:021005, and OpenSim's SmoothSegmentedFunctionFactory for the corners'
-places; Thelen 2003, J Biomech Eng 125:70.
+Sources: Millard et al. 2013, J Biomech Eng 135:021005, and OpenSim's SmoothSegmentedFunctionFactory for the corners;
+Thelen 2003, J Biomech Eng 125:70.
 """
 
 from __future__ import annotations
@@ -21,22 +21,22 @@ from pftwin.base.errors import InputError
 from pftwin.files.interchange.osim_document import Element
 from pftwin.files.interchange.osim_joints import Function, continued
 
-_SAMPLES = 201  # of a corner: the cubics between them are off by less than 1e-7 of the greatest isometric force
-_LEAST_ACTIVE = 0.1  # of a fibre without damping, whose velocity would be infinite without a force
-_MOST = 500.0  # of an exponent, so that no absurd length overflows
+_SAMPLES = 201  # per corner; the error of interpolation is below 1e-7 of the maximum isometric force
+_LEAST_ACTIVE = 0.1  # smallest active force of a fibre without damping, whose velocity would be infinite without force
+_MOST = 500.0  # largest exponent, to prevent overflow at absurd lengths
 
 
 class Curves(NamedTuple):
-    """Forces as shares of the greatest isometric force."""
+    """Forces divided by the maximum isometric force, as functions of normalised lengths."""
 
-    active: Function  # of the fibre's length by its optimal length, at full activation
-    passive: Function  # likewise, of a fibre that is not active
-    tendon: Function  # of the tendon's length by its slack length
-    shortest: float  # fibre's length by its optimal length, below which the active curve has no meaning
+    active: Function  # of the fibre's length, at full activation
+    passive: Function  # of the fibre's length, without activation
+    tendon: Function  # of the tendon's length
+    shortest: float  # normalised fibre length below which the active curve is not defined
 
 
 class _Point(NamedTuple):
-    """Where two corners meet."""
+    """A point at which two corners meet."""
 
     x: float
     y: float
@@ -44,11 +44,11 @@ class _Point(NamedTuple):
 
 
 def millard(held: Sequence[Element], *, damped: bool) -> Curves:
-    """The curves of a Millard2012EquilibriumMuscle; numbers from which none follow are an InputError.
+    """The curves of a Millard2012EquilibriumMuscle; raises InputError for invalid parameters.
 
     Args:
-        held: elements whose curves' properties are used, first those of the muscle itself.
-        damped: whether the fibre is; then the active curve ends at 0, else at `_LEAST_ACTIVE` or more.
+        held: elements with the curves' properties, the muscle first, then its defaults.
+        damped: whether the fibre is damped; then the active curve ends at 0, else at `_LEAST_ACTIVE` or more.
     """
     a = Properties(held, "ActiveForceLengthCurve")
     low, shoulder, high, slope, least = a.numbers(
@@ -84,7 +84,7 @@ def millard(held: Sequence[Element], *, damped: bool) -> Curves:
 
 
 def _active_corners(low: float, shoulder: float, high: float, floor: float, slope: float) -> list[_Point]:
-    """Five corners: foot, shoulder, top (at the optimal length), the way down, and the other foot."""
+    """Points of five corners: foot, shoulder, top (at the optimal length), descent, and the other foot."""
     width = 0.05  # half that of the top
     rise = 1 - slope * (1 - width - shoulder)  # at the shoulder
     down = -1 / ((high - width) - (1 + width))
@@ -99,7 +99,7 @@ def _active_corners(low: float, shoulder: float, high: float, floor: float, slop
 
 
 def _passive_corners(zero: float, one: float, soft: float, stiff: float) -> list[_Point]:
-    """A short foot of a tenth of the strain, then the rise to one normalised force."""
+    """Points of a short foot of a tenth of the strain, then the rise to a normalised force of 1."""
     foot = 0.1 * min(1 / stiff, one - zero)
     return [
         _Point(1 + zero, 0.0, 0.0),
@@ -109,7 +109,7 @@ def _passive_corners(zero: float, one: float, soft: float, stiff: float) -> list
 
 
 def _tendon_corners(strain: float, stiffness: float, toe: float) -> list[_Point]:
-    """Two corners up to the end of the toe region, beyond which the curve is straight."""
+    """Points of two corners up to the end of the toe region, beyond which the curve is straight."""
     end, middle = (1 + strain + (force - 1) / stiffness for force in (toe, 0.5 * toe))
     foot = 1 + (end - 1) / 10
     slope = 0.5 * toe / (middle - foot)
@@ -118,7 +118,7 @@ def _tendon_corners(strain: float, stiffness: float, toe: float) -> list[_Point]
 
 
 def _curve(points: Sequence[_Point], curviness: float, said: Properties) -> Function:
-    """Through corners, and beyond them on along the tangents."""
+    """The curve of corners, continued along the tangents at its ends."""
     share = 0.1 + 0.8 * curviness
     u = np.linspace(0, 1, _SAMPLES)
     pieces = []
@@ -132,7 +132,7 @@ def _curve(points: Sequence[_Point], curviness: float, said: Properties) -> Func
         first, last = (e + share * (crossing - e) for e in ends)
         bezier = BPoly(np.array([ends[0], first, first, last, last, ends[1]])[:, None], [0.0, 1.0])
         place, way = bezier(u), bezier.derivative()(u)
-        kept = slice(0 if a is points[0] else 1, None)  # the corner before ends where this one begins
+        kept = slice(0 if a is points[0] else 1, None)  # do not repeat the end of the corner before
         pieces.append(np.column_stack([place, way[:, 1] / way[:, 0]])[kept])
     at, height, slope = np.concatenate(pieces).T
     said.expect(bool((np.diff(at) > 0).all()), "corners that follow one another")
@@ -140,14 +140,14 @@ def _curve(points: Sequence[_Point], curviness: float, said: Properties) -> Func
 
 
 def thelen(held: Sequence[Element]) -> Curves:
-    """The curves of a Thelen2003Muscle; strains or shape factors that are not positive are an InputError."""
+    """The curves of a Thelen2003Muscle; raises InputError for strains or shape factors that are not positive."""
     said = Properties(held)
     tendon, fiber, active, passive = said.numbers(
         FmaxTendonStrain=0.04, FmaxMuscleStrain=0.6, KshapeActive=0.45, KshapePassive=5.0
     )
     said.expect(min(tendon, fiber, active, passive) > 0, "positive strains and shape factors")
-    toe, bend = 0.33, 3.0  # force at the end of the toe region, and its shape
-    # Where the toe region ends, so that the slope is continuous there and the force 1 at the strain `tendon`.
+    toe, bend = 0.33, 3.0  # force at the end of the toe region, and its shape factor
+    # End of the toe region, such that the slope is continuous there and the force is 1 at the strain `tendon`.
     end = tendon * 99 * np.exp(3.0) / (166 * np.exp(3.0) - 67)
     slope = (1 - toe) / (tendon - end)
 
@@ -166,7 +166,7 @@ def thelen(held: Sequence[Element]) -> Curves:
 
 
 class Properties:
-    """Numbers that elements hold, or one of their children of one tag does; the first element that has one is asked."""
+    """Numbers in elements, or in their children of a tag; the first element that has a number is used."""
 
     def __init__(self, held: Sequence[Element], tag: str | None = None) -> None:
         self.where = held[0].where
@@ -174,7 +174,7 @@ class Properties:
         self.holders = [h if tag is None else h.child(tag) for h in held]
 
     def find(self, tag: str) -> float | None:
-        """The number of that tag; None where no element has one."""
+        """The number of a tag; None if no element has it."""
         found = (h.child(tag) for h in self.holders if h is not None)
         first = next((f for f in found if f is not None and f.text.strip()), None)
         return None if first is None else float(first.numbers(1)[0])
@@ -185,17 +185,17 @@ class Properties:
         return [default if value is None else value for value, default in found]
 
     def all_or_none(self, **defaults: float) -> list[float]:
-        """The numbers of these tags, which go together: OpenSim takes all from the file or none."""
+        """The numbers of these tags, of which OpenSim reads either all or none from the file."""
         given = [value for value in map(self.find, defaults) if value is not None]
         self.expect(len(given) in (0, len(defaults)), f"all of {', '.join(defaults)}, or none")
         return given or [*defaults.values()]
 
     def flag(self, tag: str) -> bool:
-        """Whether the first element that has that tag says true; false where none has it."""
+        """Value of a boolean tag in the first element that has it; false if none has it."""
         found = (h.child(tag) for h in self.holders if h is not None)
         return next((f.text.strip().lower() for f in found if f is not None), "") in ("true", "1")
 
     def expect(self, met: bool, expected: str) -> None:
-        """Refuses numbers from which nothing follows."""
+        """Raises InputError if a condition on the numbers is not met."""
         if not met:
             raise InputError(f"{self.what} has a shape that cannot be", where=self.where, expected=expected)

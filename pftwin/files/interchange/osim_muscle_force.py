@@ -1,8 +1,8 @@
-"""How hard a muscle of an OpenSim model pulls at rest, from its length and its activation.
+"""Static tension of a muscle of an OpenSim model, from its length and activation.
 
-Fibre and tendon are in equilibrium, and the fibre neither shortens nor lengthens: no force-velocity curve is asked.
-Sources: Millard et al. 2013, J Biomech Eng 135:021005; Thelen 2003, J Biomech Eng 125:70; OpenSim's classes for what
-they do at the ends of their ranges.
+Fibre and tendon are in equilibrium at constant fibre length, so the force-velocity curve is not needed.
+Sources: Millard et al. 2013, J Biomech Eng 135:021005; Thelen 2003, J Biomech Eng 125:70; OpenSim's classes for their
+behaviour at the limits.
 """
 
 from __future__ import annotations
@@ -20,45 +20,45 @@ from pftwin.files.interchange.osim_muscle_curves import Curves, Properties, mill
 
 MILLARD, THELEN = "Millard2012EquilibriumMuscle", "Thelen2003Muscle"
 MUSCLES = (MILLARD, THELEN)
-_LEAST_DAMPING = 0.001  # of Millard's fibre; with less OpenSim takes it for none
+_LEAST_DAMPING = 0.001  # damping of Millard's fibre below which OpenSim treats it as undamped
 
 
 class MuscleForce(NamedTuple):
-    """What the tension of a muscle at rest follows from."""
+    """Parameters of a muscle's static tension."""
 
     name: str
-    strength: float  # greatest isometric force [N]
-    fiber: float  # its optimal length [m]
-    slack: float  # of the tendon [m]
-    pennation: float  # at the optimal length [rad]
-    most_pennation: float  # [rad]
-    rigid: bool  # whether the tendon does not stretch
+    strength: float  # maximum isometric force [N]
+    fiber: float  # optimal fibre length [m]
+    slack: float  # tendon slack length [m]
+    pennation: float  # pennation angle at the optimal length [rad]
+    most_pennation: float  # largest pennation angle [rad]
+    rigid: bool  # whether the tendon is rigid
     least_activation: float
     curves: Curves
 
     @property
     def width(self) -> float:
-        """Distance of the fibre's ends across the tendon, which stays as it is [m]."""
+        """Distance of the fibre's ends perpendicular to the tendon, which is constant [m]."""
         return self.fiber * np.sin(self.pennation)
 
     @property
     def shortest(self) -> float:
-        """The fibre's least length [m]."""
+        """Smallest fibre length [m]."""
         return max(self.curves.shortest * self.fiber, self.width / np.sin(self.most_pennation))
 
     def tensions(self, lengths: Floats, activations: Floats) -> Floats:
-        """Tension (n,) [N] at lengths of the whole muscle (n,) [m] and activations (n,) between 0 and 1."""
+        """Tension (n,) [N] at muscle-tendon lengths (n,) [m] and activations (n,) between 0 and 1."""
         pairs = zip(lengths, np.maximum(activations, self.least_activation), strict=True)
         return np.array([self.strength * self._pull(float(length), float(a)) for length, a in pairs])
 
     def _pull(self, length: float, activation: float) -> float:
-        """The tendon's force by the greatest isometric one.
+        """Tendon force divided by the maximum isometric force.
 
-        The fibre's length lies between its least, at which the tendon pulls harder than the fibre, and that at which
-        the tendon is slack. Where the fibre would have to be shorter than that, its least length decides.
+        The fibre length is between its smallest value, at which the tendon's force exceeds the fibre's, and that at
+        which the tendon is slack. If the fibre would have to be shorter, its smallest length is used.
         """
         least = self.shortest
-        along = length - self.slack  # of the fibre along the tendon, where that is slack
+        along = length - self.slack  # fibre length along the tendon if the tendon is slack
         longest = float(np.hypot(self.width, along)) if along > 0 else 0.0
         if longest <= least:
             return 0.0
@@ -75,7 +75,7 @@ class MuscleForce(NamedTuple):
         return float(np.sqrt(1 - sine**2))
 
     def _fiber(self, fiber: float, activation: float) -> float:
-        """Force of a fibre of that length along the tendon."""
+        """Force of a fibre of a length, along the tendon."""
         at = np.asarray(fiber / self.fiber)
         return float(activation * self.curves.active(at) + self.curves.passive(at)) * self._cosine(fiber)
 
@@ -83,15 +83,15 @@ class MuscleForce(NamedTuple):
         return float(self.curves.tendon(np.asarray((length - fiber * self._cosine(fiber)) / self.slack)))
 
     def _excess(self, fiber: float, length: float, activation: float) -> float:
-        """By how much the fibre pulls harder than the tendon."""
+        """Fibre force along the tendon minus tendon force."""
         return self._fiber(fiber, activation) - self._tendon(fiber, length)
 
 
 def read_force(muscle: Element, defaults: Mapping[str, Element]) -> MuscleForce:
-    """What a muscle's element says of its force; what it does not say is as in the model's defaults, then OpenSim's.
+    """Reads a muscle's parameters from its element, else from the model's defaults, else OpenSim's.
 
     Raises:
-        InputError: a muscle of another class; numbers that no muscle has.
+        InputError: an unsupported class; invalid parameters.
     """
     if muscle.tag not in MUSCLES:
         found = f"no force follows from the activation of a <{muscle.tag}> {muscle.name!r}"

@@ -1,7 +1,7 @@
-"""The path of a muscle of an OpenSim model while the knee moves: its length, and the piece that ends on the patella.
+"""Path of a muscle of an OpenSim model over a motion: its length, and the segment that ends on the patella.
 
-Points are those of a path, some of which may be there only while a coordinate is in a range, or move with one. Between
-them it is straight, but for what it wraps over.
+Path points may be conditional on a coordinate's range or move with a coordinate. Between points the path is straight,
+except where it wraps over objects.
 """
 
 from __future__ import annotations
@@ -22,25 +22,24 @@ from pftwin.files.interchange.osim_motion import Motion
 from pftwin.files.interchange.osim_wraps import Wrap
 
 FIXED, CONDITIONAL, MOVING = POINTS
-_LEAST = 1e-6  # of a path's length [m]
-_SLACK = 1e-5  # by which OpenSim lets a coordinate leave the range of a conditional point [rad] or [m]
+_LEAST = 1e-6  # smallest valid length of a path [m]
+_SLACK = 1e-5  # OpenSim's tolerance on the coordinate's range of a conditional point [rad] or [m]
 
 
 class PathOverMotion(NamedTuple):
     """A muscle's path in the n frames of a motion."""
 
-    lengths: Floats  # (n,) of all of it [m]
-    insertion: Floats  # (3,) where it ends on the patella, in its frame [m]
+    lengths: Floats  # (n,) length of the whole path [m]
+    insertion: Floats  # (3,) end point on the patella, in its frame [m]
     origin: Floats  # (n, 3) the point before, in the body's frame [m]
     body: str  # "femur", "tibia" or "ground"
 
 
 class MovingBodies:
-    """Where the bodies of a model are in ground while the knee moves.
+    """Poses of a model's bodies in ground over a motion.
 
-    Femur, tibia and patella are where the motion has them. Every other body stands to the one of them that carries it
-    (to the femur, if none does) as the model's joints say at the motion's coordinates: at their defaults where it has
-    none.
+    Femur, tibia and patella have the motion's poses. Every other body has the pose, relative to the one of them that
+    carries it (else the femur), that follows from the model's joints at the motion's coordinates, or at the defaults.
     """
 
     def __init__(self, knee: OsimKnee, motion: Motion) -> None:
@@ -50,20 +49,18 @@ class MovingBodies:
         self._found: dict[str, Floats] = {GROUND: np.tile(np.eye(4), (self.count, 1, 1))}
 
     def pose(self, part: str) -> Floats:
-        """(n, 4, 4) of "femur", "tibia" or "patella", or of a body by its name, which must hang on ground by joints."""
+        """Pose (n, 4, 4) of "femur", "tibia", "patella" or a named body that joints connect with ground."""
         body = self.knee.name(part)
         if body not in self._found:
             self._found[body] = self._given(body) if body in self.motion.poses else self._carried(body)
         return self._found[body]
 
     def seen_from(self, part: str, points: Floats, at: np.ndarray | slice = slice(None)) -> Floats:
-        """Points (k, 3) of ground, one for each of some frames, in a part's frame."""
+        """Transforms points (k, 3) [m] from ground, one for each of the frames `at`, to a part's frame."""
         return _moved(np.linalg.inv(self.pose(part))[at], points)
 
     def coordinate(self, path: str, where: str) -> tuple[Coordinate, Floats]:
-        """A coordinate by the path of a socket, and its values (n,); an InputError where the motion does not tell
-        it.
-        """
+        """A coordinate by a socket's path, and its values (n,); raises InputError if the motion has no coordinates."""
         name = path.strip().rpartition("/")[2]
         known = self.knee.model.tree.coordinates()
         if name not in known:
@@ -97,17 +94,17 @@ class _Point(NamedTuple):
     part: str  # of the knee, or another body's name
     own: Floats  # (n, 3) in that part's frame [m]
     place: Floats  # (n, 3) in ground [m]
-    there: Floats  # (n,) whether the path has it
-    fixed: bool
+    there: Floats  # (n,) whether it is active
+    fixed: bool  # whether it is fixed in its part
 
 
 def path_over_motion(muscle: Element, bodies: MovingBodies, wraps: Sequence[Wrap] = ()) -> PathOverMotion | None:
-    """A muscle's path; None if not exactly one piece of it ends at a fixed place of the patella, in every frame.
+    """Computes a muscle's path; None unless in every frame exactly one segment ends at a fixed point of the patella.
 
-    Of several objects that it wraps over each is taken by itself.
+    If it wraps over several objects, each is treated separately.
 
     Raises:
-        InputError: points without a place; coordinates that are not known; a path without a length.
+        InputError: points without a position; unknown coordinates; a path without length.
     """
     points = [_point(p, bodies) for p in muscle.all(*POINTS)]
     lengths, ends = np.zeros(bodies.count), np.zeros((bodies.count, 2), int)
@@ -155,12 +152,12 @@ def _point(element: Element, bodies: MovingBodies) -> _Point:
 
 
 def _moved(poses: np.ndarray, points: Floats) -> Floats:
-    """Points (n, 3) of frames with poses (n, 4, 4)."""
+    """Transforms points (n, 3) by poses (n, 4, 4)."""
     return np.einsum("nij,nj->ni", poses[:, :3, :3], points) + poses[:, :3, 3]
 
 
 def _moving(element: Element, axis: str, bodies: MovingBodies) -> Floats:
-    """A coordinate of a moving point in its frame (n,) [m]; the one that moves it stays within its range."""
+    """A component (n,) [m] of a moving point in its frame; the coordinate that moves it is limited to its range."""
     function = function_in(element, f"{axis}_location")
     if function is None:
         return np.zeros(bodies.count)

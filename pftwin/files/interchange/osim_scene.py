@@ -1,4 +1,4 @@
-"""An OpenSim model as a scene folder: scene.toml, poses.csv, meshes, and a list of what was left out."""
+"""Imports an OpenSim model as a scene folder: scene.toml, poses.csv, meshes, and a list of what was not imported."""
 
 from __future__ import annotations
 
@@ -36,18 +36,18 @@ _READ = (LIGAMENT, CONTACT, "CoordinateCouplerConstraint")
 
 @dataclass
 class Imported:
-    """What was written, what was assumed, and what was left out."""
+    """The result of an import: files, assumptions, and what was left out."""
 
-    files: list[Path] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
+    files: list[Path] = field(default_factory=list)  # written
+    notes: list[str] = field(default_factory=list)  # assumptions and remarks
     left_out: list[LeftOut] = field(default_factory=list)
     muscles: list[PatellarMuscle] = field(default_factory=list)  # of the patella
-    # Of those that were taken over, by name, in the first frame [N].
+    # Tensions of the imported muscles by name, in the first frame [N].
     tensions: dict[str, float] = field(default_factory=dict)
 
     @property
     def scene(self) -> Path:
-        """The scene file."""
+        """Path of the scene file."""
         return self.files[0]
 
 
@@ -71,39 +71,39 @@ def import_osim(
     joint_centers: bool = False,
     limits: Mapping[str, float] | None = None,
 ) -> Imported:
-    """Writes a scene of a model's knee: the patella, its ligaments and its contact; how the bones move.
+    """Writes a scene folder from a model's knee: the patella with its ligaments and contact, and the bones' motion.
 
-    Imported are bodies with their mass and meshes, `Blankevoort1991Ligament` of two points, `Smith2018ContactMesh` with
-    the `Smith2018ArticularContactForce` between femur and patella, joints and coordinates (for the motion and the
-    patella's start), `WrapCylinder` and `WrapEllipsoid`. What is not, is listed with the reason.
+    Imported are bodies with mass and meshes, two-point `Blankevoort1991Ligament`s, `Smith2018ContactMesh`es with the
+    `Smith2018ArticularContactForce` between femur and patella, joints and coordinates (for the motion and the patella's
+    start), `WrapCylinder` and `WrapEllipsoid`. Everything else is listed with the reason.
 
     Args:
         model: .osim file of OpenSim 4.
-        folder: of the scene; made if it is not there.
-        motion: .mot or .sto file of coordinates, or .sto file of the bodies' poses as matrices (BODY_T11 ... BODY_T44);
-            where the patella is among them, its poses are the scene's measurements. TRC, C3D or CSV file of the
-            markers of femur and tibia, and maybe of the patella. None: the knee is bent through its range.
-        rate: frames per second, where the times of a file of poses count frames.
-        bend: the coordinate to bend by, where there is no motion; None: the first rotation of the tibia's joint.
-        quadriceps: a constant tension [N] of all muscles together that end on the patella, shared out by their maximum
-            isometric forces, from the point before on their paths; None: they are left out.
-        activation: in place of a tension, the activation of these muscles, 0 to 1, or a STO, MOT or CSV file of
-            activations over time, in columns called like the muscles or by their paths. Their tensions follow from it
-            and from the lengths of their paths, at rest.
-        side: "right" or "left"; None: as the patella's name ends.
-        femur, tibia, patella: names of bodies, where they cannot be told.
-        geometry: folders with meshes, besides the model's own and `Geometry` in it.
-        markers: file of the <MarkerSet> that a recording of markers goes by; None: the model's own.
-        units: of a recording of markers that has none.
+        folder: folder of the scene; created if necessary.
+        motion: .mot or .sto file of coordinates; or .sto file of the bodies' poses as matrices (BODY_T11 ... BODY_T44),
+            in which the patella's poses, if any, become the scene's measurements; or TRC, C3D or CSV file of markers of
+            femur and tibia, and optionally of the patella. None: the knee is flexed through its range.
+        rate: frames per second, if the times of a file of poses are frame numbers.
+        bend: coordinate to flex if there is no motion; None: the first rotation of the tibia's joint.
+        quadriceps: constant total tension [N] of the muscles that end on the patella, distributed by their maximum
+            isometric forces; lines start at the point before on their paths. None: no such muscles.
+        activation: instead of a tension, the activation of these muscles, 0 to 1, or a STO, MOT or CSV file of
+            activations over time, with columns named by the muscles or their paths. Static tensions follow from the
+            activations and the lengths of the paths.
+        side: "right" or "left"; None: by the end of the patella's name.
+        femur, tibia, patella: names of bodies, if they cannot be found automatically.
+        geometry: additional folders with meshes, besides the model's and `Geometry` in it.
+        markers: file with the <MarkerSet> of a recording of markers; None: the model's own.
+        units: unit of length of a recording of markers that does not state it.
         without: markers to leave out, by the recording's or the model's names.
-        joint_centers: whether the centres of hip (by the pelvis' markers) and knee (by the tibia's) count as markers of
-            the femur, for want of good ones.
-        limits: of what a knee can be (`pftwin.model.limits.Limits`), by name, for the scene to have.
+        joint_centers: use the centres of hip (from the pelvis' markers) and knee (from the tibia's) as markers of the
+            femur, if it has too few good ones.
+        limits: limits of plausible knees (`pftwin.model.limits.Limits`), by name, to write to the scene.
 
     Raises:
-        InputError: no model of OpenSim 4, or one without such a knee; joints, functions or numbers that cannot be read;
-            contact meshes that are not there; a tension or an activation, and no muscle to have it; both of them.
-        OutputError: the folder cannot be written to, or holds one of these files already.
+        InputError: not an OpenSim 4 model, or one without such a knee; unreadable joints, functions or numbers; missing
+            contact meshes; a tension or an activation without a suitable muscle; both a tension and an activation.
+        OutputError: the folder cannot be written, or contains one of these files already.
     """
     from pftwin.files.interchange.osim_activation import FILE
     from pftwin.files.mocap.trc import trc_text
@@ -157,7 +157,7 @@ def _recording(
     told: Imported,
     how: dict[str, Any],
 ) -> Recording:
-    """The markers of the knee, and their recording."""
+    """Reads the knee's markers and their recording."""
     from pftwin.files.interchange.osim_clusters import read_recording
     from pftwin.files.interchange.osim_markers import markers_of
 
@@ -174,7 +174,7 @@ def _recording(
 
 
 def _refuse_others(found: str, **options: Any) -> None:
-    """Refuses options that have no meaning for a motion."""
+    """Raises InputError for options that do not apply to a motion."""
     given = [name for name, value in options.items() if value is not None and value is not False and value != ()]
     if given:
         raise InputError(f"{given[0]} given, and {found}", where=given[0], expected="one or the other")
@@ -200,7 +200,7 @@ def _contact(knee: OsimKnee, told: Imported) -> OsimContact | None:
 
 
 def _contact_meshes(knee: OsimKnee, places: list[Path], told: Imported) -> tuple[OsimContact | None, list[Written]]:
-    """The contact with its two meshes; neither where a mesh cannot be read."""
+    """The contact with its two meshes; neither if a mesh cannot be read."""
     contact = _contact(knee, told)
     if contact is None:
         return None, []
@@ -212,7 +212,7 @@ def _contact_meshes(knee: OsimKnee, places: list[Path], told: Imported) -> tuple
 
 
 def _write(folder: Path, text: str, tables: dict[str, str], meshes: list[Written], told: Imported) -> None:
-    """All files, or none where one of them is there already."""
+    """Writes all files, or none if one of them exists already."""
     from pftwin.geometry.mesh.mesh import save_mesh
 
     names = ["scene.toml", *tables, REPORT, *(m.file for m in meshes)]
@@ -235,9 +235,9 @@ def _write(folder: Path, text: str, tables: dict[str, str], meshes: list[Written
 
 
 def _unused_elements(root: Element, told: Imported, *, recorded: bool) -> Iterator[LeftOut]:
-    """The parts of the model that no reader uses, in the file's order, without the muscles that were taken over.
+    """Parts of the model that are not used, in the file's order; without the imported muscles.
 
-    Of markers, whose recording says which are used, nothing is said where the motion was `recorded` by them.
+    If the motion was `recorded` by markers, they are omitted too, since the recording lists them.
     """
     taken = {(m.element.tag, m.name) for m in told.muscles if m.name in told.tensions}
     for group in root.children:
@@ -253,7 +253,7 @@ def _unused_elements(root: Element, told: Imported, *, recorded: bool) -> Iterat
 
 
 def _left_out_force(force: Element, muscles: Sequence[PatellarMuscle]) -> LeftOut:
-    """Why a force is left out; of one that pulls at the patella also its two ends, for the user to add to the scene."""
+    """Why a force is left out; for a muscle of the patella with its two ends, so that users can add it to the scene."""
     if muscle := next((m for m in muscles if (m.element.tag, m.name) == (force.tag, force.name)), None):
         return LeftOut(force.tag, force.name, muscle.describe())
     if force.tag == "Ligament" or not list(force.all("PathPoint")):

@@ -1,4 +1,4 @@
-"""The texts of an imported scene: scene.toml, its table of poses, and the list of what was left out."""
+"""Text of an imported scene's files: scene.toml, the table of poses, and the list of what was left out."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ if TYPE_CHECKING:
     from pftwin.files.interchange.osim_clusters import Recording
     from pftwin.files.interchange.osim_scene import Imported
 
-# Which of OpenSim's axes (x anterior, y proximal, z to the right) are proximal, lateral, anterior.
+# OpenSim's axes (x anterior, y proximal, z to the right) that are proximal, lateral, anterior.
 AXES = {"right": '["+y", "+z", "+x"]', "left": '["+y", "-z", "+x"]'}
 
 
 class LineGroup(NamedTuple):
-    """Ligaments of one name, or muscles, from one body and over like obstacles."""
+    """Ligaments of one name, or muscles, that come from one body and can share a table's obstacle."""
 
     lines: list[OsimStrand | PatellarMuscle]
     body: str
     wrap: OsimWrap | None
 
 
-# Limits for a patella whose start is a guess of the model, not a recording.
+# Limits for a patella whose start is estimated from the model, not recorded.
 ANYWHERE = {"most_start_shift_mm": 100.0, "most_start_turn_deg": 90.0}
 
 
-_FINE = 10_000  # triangles of a femur's mesh from which on its depths are better read from a table
+_FINE = 10_000  # number of triangles of a femur's mesh from which a table of depths is better
 
 
 def scene_text(
@@ -53,11 +53,10 @@ def scene_text(
     seen: Recording | None,
     limits: Mapping[str, float],
 ) -> str:
-    """The scene file; adds to the notes what it could not take over as it is.
+    """Text of the scene file; adds notes on what could not be imported unchanged.
 
-    Its measurements are the patella's poses, where the motion that `moved` it was measured, or its markers, where they
-    were `seen`. Strands and muscles come each with its obstacle; what muscles pull with over time is in a file, where
-    they were `pulled`.
+    The scene's measurements are the patella's poses if `moved` has measured ones, or its markers if `seen` has them.
+    Each strand and muscle comes with its obstacle; tensions over time (`pulled`) are in a separate file.
     """
     model = knee.model
     body = model.bodies[knee.patella]
@@ -72,7 +71,7 @@ def scene_text(
     if contact is not None and contact.lumped:
         told.notes.append(f"{contact.name}: two layers in series; the model lumps both into one of averaged modulus")
     ligaments = _groups((strand.name, strand, wrap) for strand, wrap in strands)
-    pulling = "quadriceps"  # with which no other effect's name begins
+    pulling = "quadriceps"  # no other effect's name starts with this
     while any(label.startswith(pulling) for label in ligaments):
         pulling += "_muscles"
     return render_toml(
@@ -93,12 +92,12 @@ def scene_text(
         ligaments=ligaments,
         contact=contact,
         fine=bool(meshes) and len(meshes[0].mesh.faces) > _FINE,
-        sides=list(zip(("femur", "button"), meshes, layers, strict=False)),  # none without a contact
+        sides=list(zip(("femur", "button"), meshes, layers, strict=False)),  # empty without a contact
     )
 
 
 def _marker_effects(markers: Mapping[str, Floats], labels: Iterable[str]) -> list[tuple[str, str, Floats]]:
-    """Name of the effect, of the marker, and its place, for each marker of the patella."""
+    """Name of the effect, name of the marker, and its position, for each marker of the patella."""
     taken, found = {*labels, "contact", "gravity"}, []
     for marker, place in markers.items():
         label = plain_name(marker)
@@ -109,7 +108,7 @@ def _marker_effects(markers: Mapping[str, Floats], labels: Iterable[str]) -> lis
 
 
 def _groups(lines: Iterable[tuple[str, OsimStrand | PatellarMuscle, OsimWrap | None]]) -> dict[str, LineGroup]:
-    """Lines of one name, from one body and over like obstacles, by names that begin so."""
+    """Groups lines by name, body and kind of obstacle; keys are unique names."""
     found: dict[str, LineGroup] = {}
     alike: dict[tuple[str, str, tuple[str, ...] | None], list[tuple[OsimStrand | PatellarMuscle, OsimWrap | None]]] = {}
     for name, line, wrap in lines:
@@ -122,31 +121,31 @@ def _groups(lines: Iterable[tuple[str, OsimStrand | PatellarMuscle, OsimWrap | N
 
 
 def _unlike(name: str, body: str, taken: Collection[str]) -> str:
-    """A name that is not taken: by the body, and a number."""
+    """Makes a name unique by appending the body and a number."""
     tried = (name, f"{name}_{body}", *(f"{name}_{body}_{k}" for k in range(2, len(taken) + 3)))
     return next(label for label in tried if label not in taken)
 
 
 def body_label(body: str) -> str:
-    """What a body is called in the scene's poses: as in the model, so that other recordings of it serve as well."""
+    """Name of a body in the scene's poses: as in the model, so that other recordings of it can be used too."""
     return body if re.fullmatch(r"[\w.-]+", body) else plain_name(body)
 
 
 def poses_csv(motion: Motion) -> str:
-    """time_s, BODY_px_m ... BODY_qz."""
+    """CSV text of the poses: time_s, BODY_px_m ... BODY_qz."""
     names = [f"{body_label(b)}_{k}" for b in motion.poses for k in ("px_m", "py_m", "pz_m", "qw", "qx", "qy", "qz")]
     parts = (part for poses in motion.poses.values() for part in (poses.positions, poses.quaternions))
     return csv_text(["time_s", *names], [motion.times, *parts])
 
 
 def csv_text(names: Sequence[str], columns: Sequence[Floats]) -> str:
-    """A table of columns (n,) or (n, k), with a header line; numbers to twelve digits."""
+    """CSV text of columns (n,) or (n, k), with a header line; numbers with twelve digits."""
     rows = (",".join(f"{v:.12g}" for v in row) for row in np.column_stack(columns))
     return "\n".join([",".join(names), *rows]) + "\n"
 
 
 def report(notes: Sequence[str], left_out: Sequence[LeftOut]) -> str:
-    """Markdown: what was assumed, and what was left out, those of one kind and reason in one row."""
+    """Markdown text of notes and of what was left out, with one row per kind and reason."""
     head = ["# What was not imported, and why", "", *(f"- {n}" for n in notes), ""]
     cells = ([" ".join(text.replace("|", "/").split()) for text in row] for row in rows(left_out))
     table = ["| what | names | why |", "|---|---|---|", *(f"| {' | '.join(row)} |" for row in cells)]
@@ -154,7 +153,7 @@ def report(notes: Sequence[str], left_out: Sequence[LeftOut]) -> str:
 
 
 def rows(left_out: Sequence[LeftOut]) -> list[tuple[str, str, str]]:
-    """Kind, names, reason; sorted, those of one kind and reason together."""
+    """Sorted rows (kind, names, reason), with one row per kind and reason."""
 
     def alike(part: LeftOut) -> tuple[str, str]:
         return part.kind, part.why

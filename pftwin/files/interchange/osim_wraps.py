@@ -1,6 +1,6 @@
-"""Objects that paths of an OpenSim model wrap over, as a scene has them: cylinders and ellipsoids on the bones.
+"""Converts wrap objects of an OpenSim model to a scene's obstacles: cylinders and ellipsoids on the bones.
 
-And how much longer the path of a muscle is for them.
+Also computes by how much wrapping lengthens a muscle's path.
 """
 
 from __future__ import annotations
@@ -32,16 +32,16 @@ class OsimWrap(NamedTuple):
     name: str  # the model's
     kind: str  # "cylinder" or "ellipsoid"
     body: str
-    numbers: dict[str, Floats]  # the other fields of a scene's table `wrap`
+    numbers: dict[str, Floats]  # other fields of a scene's table `wrap`
 
     @property
     def like(self) -> tuple[str, ...]:
-        """The same for obstacles that lines of one group can have."""
+        """Key that is equal for obstacles that lines of one group can have."""
         return self.kind, self.body, *self.numbers
 
 
 def of_group(wraps: Sequence[OsimWrap]) -> OsimWrap:
-    """The obstacles of a group's lines, which are alike, as one: that of all, or arrays with one for each line."""
+    """Combines the obstacles of a group's lines: a single one if all are equal, else arrays with one for each line."""
     names = dict.fromkeys(w.name for w in wraps)
     if len(names) == 1:
         return wraps[0]
@@ -50,7 +50,7 @@ def of_group(wraps: Sequence[OsimWrap]) -> OsimWrap:
 
 
 class Wraps:
-    """The objects of a model."""
+    """The wrap objects of a model."""
 
     def __init__(self, knee: OsimKnee) -> None:
         self.knee = knee
@@ -60,9 +60,9 @@ class Wraps:
                 self.objects.setdefault(element.name, element)
 
     def over(self, names: Sequence[str]) -> tuple[OsimWrap | None, list[str]]:
-        """What lines run over in a scene, and which of the objects are left out, with the reasons.
+        """The obstacle of lines in a scene, and the objects that are left out, with the reasons.
 
-        A line runs over one obstacle: the first that a scene can have. Objects that are switched off are none.
+        A line has one obstacle: the first object that is supported. Inactive objects are ignored.
         """
         taken: OsimWrap | None = None
         left = []
@@ -81,7 +81,7 @@ class Wraps:
         return taken, left
 
     def _why_not(self, element: Element) -> str:
-        """Why a scene cannot have the obstacle; empty where it can."""
+        """Why an object is not supported; empty if it is."""
         side, part = element.words("quadrant").lower(), self._place(element)[0]
         if element.tag not in ("WrapCylinder", "WrapEllipsoid"):
             return f"a <{element.tag}>"
@@ -106,7 +106,7 @@ class Wraps:
         return OsimWrap(element.name, "cylinder", part, numbers)
 
     def _place(self, element: Element) -> tuple[str, Floats]:
-        """The part of the knee that carries it, and its frame's pose (4, 4) there; other bodies keep their name."""
+        """The part of the knee (or name of another body) that carries the object, and its pose (4, 4) there."""
         holder = element
         while holder.owner is not None and holder.tag not in _HOLDERS:
             holder = holder.owner
@@ -123,14 +123,14 @@ def _sizes(element: Element, tag: str, count: int) -> Floats:
 
 
 class Wrap(NamedTuple):
-    """An obstacle, and the points of a path between which it counts."""
+    """An obstacle, and the points of a path between which it is active."""
 
     part: str  # of the knee that carries it
     obstacle: Obstacle  # in that part's frame
     between: PathWrap
 
     def adds(self, start: Floats, end: Floats) -> Floats:
-        """How much longer than straight the line between points (n, 3) of the part's frame is (n,) [m]."""
+        """Additional length (n,) [m] by wrapping of a straight line between points (n, 3) of the part's frame [m]."""
         from pftwin.base.leaves import vector
 
         around = np.asarray(self.obstacle.around(vector(start), vector(end)).length, dtype=np.float64)
@@ -138,7 +138,7 @@ class Wrap(NamedTuple):
 
 
 def wraps_of(muscle: Element, objects: Wraps) -> tuple[list[Wrap], list[str]]:
-    """What a muscle's path wraps over; and the names of those objects that are left out, with the reasons."""
+    """Obstacles of a muscle's path, and the names of the objects that are left out, with the reasons."""
     found, left = [], []
     for wrap in path_wraps(muscle):
         over, why = objects.over([wrap.name])
@@ -149,7 +149,7 @@ def wraps_of(muscle: Element, objects: Wraps) -> tuple[list[Wrap], list[str]]:
 
 
 def _obstacle(over: OsimWrap) -> Obstacle:
-    """In the model's axes."""
+    """The obstacle in the model's axes."""
     from pftwin.base.leaves import number, vector
     from pftwin.base.spatial import Quaternion
     from pftwin.geometry.wrapping.cylinder import Cylinder

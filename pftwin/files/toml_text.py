@@ -9,7 +9,7 @@ import numpy as np
 
 
 def render_toml(package: str, template: str, **values: Any) -> str:
-    """Renders a template in a package's folder; `number`, `list`, `numbers`, `text` are filters: the functions below."""
+    """Renders a template in a package's folder, with the functions below as filters number, list, numbers and text."""
     from jinja2 import Environment, PackageLoader
 
     environment = Environment(loader=PackageLoader(package, ""), keep_trailing_newline=True, autoescape=False)

@@ -219,7 +219,7 @@ class Tree:
     """All joints, by the name of the body that each carries; and the coupled coordinates."""
 
     joints: dict[str, Joint]
-    coupled: dict[str, tuple[str, Function]] = field(default_factory=dict)  # by name: the other coordinate, the function
+    coupled: dict[str, tuple[str, Function]] = field(default_factory=dict)  # by name: independent coordinate, function
 
     def coordinates(self) -> dict[str, Coordinate]:
         """All coordinates, by name."""

@@ -1,4 +1,4 @@
-"""Scene files: TOML that describes everything a scene can hold, validated field by field."""
+"""Scene files: TOML that describes a scene, validated field by field."""
 
 from pftwin.files.scene_file.loading import LoadedScene, load_scene, load_scene_file
 

@@ -1,4 +1,4 @@
-"""Femur and tibia over a recorded motion, and the patella beside them, in the axes of a right knee."""
+"""Recorded motion of femur, tibia and patella, in the axes of a right knee."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from pftwin.model.motion import KneeMotion
 
 @dataclass(frozen=True, eq=False)
 class Bones:
-    """Where femur and tibia are at the frames of a scene."""
+    """Poses of femur and tibia at the frames of a scene."""
 
     recording: SegmentRecording
     side: Side
     motion: KneeMotion
-    fixed_femur: HostPose | None  # its pose in the world; the scene's world is then the femur's frame
-    femur: PoseSeries | None  # poses in the world of a femur that moves
+    fixed_femur: HostPose | None  # pose of a fixed femur in the world; the scene's world is then the femur's frame
+    femur: PoseSeries | None  # poses of a moving femur in the world
 
     @staticmethod
     def read(recording: SegmentRecording, side: Side) -> Bones:
-        """The bones as a recording has them.
+        """Makes the bones' motion from a recording.
 
         Raises:
-            InputError: a fixed tibia, poses that cannot be a knee's.
+            InputError: a fixed tibia, poses that are implausible for a knee.
         """
         document, femur = recording.document, recording.segments["femur"]
         if recording.segments["tibia"].fixed is not None:
@@ -53,25 +53,25 @@ class Bones:
             return Bones(recording, side, KneeMotion.from_poses(thigh, shin), None, thigh)
 
     def patella(self, section: SegmentSection, *at: str) -> PoseSeries:
-        """Recorded poses of the patella in the world; `at` is the place of its table in the file."""
+        """Recorded poses of the patella in the world; `at` is the location of its table in the file."""
         return self.side.poses("world", "patella", self.recording.poses(section, *at))
 
     def poses_in_femur(self, poses: PoseSeries) -> PoseSeries:
-        """Poses in the world, as seen from the femur."""
+        """Transforms poses from the world to the femur's frame."""
         if self.fixed_femur is not None:
             return poses.seen_from(self.fixed_femur.pose())
         assert self.femur is not None
         return poses.relative_to(self.femur)
 
     def points_in_femur(self, points: Floats) -> Floats:
-        """Points (n, m, 3) in the world at each frame, as seen from the femur [m]."""
+        """Transforms points (n, m, 3) [m] at each frame from the world to the femur's frame."""
         if self.fixed_femur is not None:
             return self.fixed_femur.inverse().apply(points)
         assert self.femur is not None
         return np.einsum("nji,nmj->nmi", self.femur.matrices(), points - self.femur.positions[:, None])
 
     def start_pose(self, start: StartSection) -> tuple[HostPose, HostPose]:
-        """The patella's start in the scene's world (the femur's frame where the femur is fixed), and in the femur."""
+        """The patella's start in the scene's world (the femur's frame if the femur is fixed), and in the femur."""
         first = None if self.femur is None else HostPose.of(self.femur.positions[0], self.femur.quaternions[0])
         if start.fixed is not None and start.relative_to == "femur":
             relative = self.side.pose("femur", "patella", start.fixed.pose())

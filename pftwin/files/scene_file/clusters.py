@@ -1,4 +1,4 @@
-"""Whether clusters of markers are rigid bodies of the side that a scene file states."""
+"""Checks that clusters of markers fit rigid bodies, and bodies of the side that the scene file states."""
 
 from __future__ import annotations
 
@@ -11,26 +11,27 @@ from pftwin.files.mocap import MarkerTrajectories, PoseSeries, cluster_poses
 from pftwin.files.scene_file.document import Document
 from pftwin.model.limits import Limits, beyond
 
-MISFIT, MIRROR_FITS, SHARE = 2e-3, 5e-3, 1 / 3  # of the other side: fits worse, its mirror image better [m], by a share
-COMPARED = 1e-3  # a smaller residual is noise, however small the others' are [m]
-FLAT = 0.05  # a cluster that is thinner than this share of its extent is a plane
+# A cluster is of the other side if it fits worse [m], and its mirror image better [m] and within this share of it.
+MISFIT, MIRROR_FITS, SHARE = 2e-3, 5e-3, 1 / 3
+COMPARED = 1e-3  # smaller residuals are noise, however small those of other clusters are [m]
+FLAT = 0.05  # ratio of thickness to extent below which a cluster is planar
 
 
 class ClusterFits:
-    """The fits of a scene's clusters."""
+    """Quality of the fits of a scene's clusters."""
 
     def __init__(self, limits: Limits, notes: list[str]) -> None:
         self.limits, self.notes = limits, notes
-        self._worst: dict[str, float] = {}  # residual of each cluster in its worst frame, by its place in the file [m]
-        self._flat: list[str] = []  # clusters in a plane
+        self._worst: dict[str, float] = {}  # residual of each cluster in its worst frame, by location in the file [m]
+        self._flat: list[str] = []  # planar clusters
 
     def take(
         self, name: str, cluster: Mapping[str, Sequence[float]], markers: MarkerTrajectories, poses: PoseSeries
     ) -> None:
-        """Judges a fit by itself, and notes how good it is.
+        """Checks a fit, and adds a note on its quality.
 
         Raises:
-            InputError: a cluster of the other side; one that is too far from its markers.
+            InputError: a cluster of the other side; one with too large residuals.
         """
         assert poses.residual_rms is not None
         place = np.array(list(cluster.values()))
@@ -61,7 +62,7 @@ class ClusterFits:
             self._flat.append(name)
 
     def compare(self, document: Document) -> None:
-        """Compares the fits with each other; notes which clusters do not tell their side.
+        """Compares the fits with each other; adds a note on planar clusters, whose side cannot be checked.
 
         Raises:
             InputError: a cluster whose fit is far worse than the others'.
@@ -84,9 +85,9 @@ class ClusterFits:
             )
 
     def side_as_given(self, side: str) -> str:
-        """A line that says that nothing tells the side, of a left knee or one with clusters in a plane; else empty.
+        """A note that the side cannot be checked, for a left knee or one with planar clusters; else empty.
 
-        Meshes, poses and attachments are as plausible on either side; only a cluster that is not flat tells.
+        Meshes, poses and attachments are equally plausible on either side; only a cluster that is not planar decides.
         """
         if len(self._worst) > len(self._flat) or (side == "right" and not self._flat):
             return ""

@@ -1,4 +1,4 @@
-"""Surfaces by their coefficients: a polynomial patch or a spline patch on a chart."""
+"""Tables of surfaces given by coefficients: a polynomial patch or a spline patch over a chart."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 class ChartSection(Section):
-    """Where a patch's coordinates are."""
+    """Coordinates of a patch: heights over a plane or about an axis."""
 
     type: Literal["plane", "cylinder"] = Field(description="heights over a plane, or about the frame's y axis")
     origin_m: Point = Field(default=[0.0, 0.0, 0.0], description="origin of the chart's frame, femur frame [m]")
@@ -43,7 +43,7 @@ class ChartSection(Section):
             raise problem(f"a {self.type} chart {'without' if self.type == 'cylinder' else 'with'} radius_m")
 
     def build(self, setting: Setting) -> Chart:
-        """The chart. A mirrored one keeps a right-handed frame by turning its own y round: v changes its sign."""
+        """The chart. A mirrored chart keeps a right-handed frame by reversing its y axis: v changes its sign."""
         from pftwin.base.spatial import Rotation
         from pftwin.geometry.patch.charts import CylindricalChart, PlaneChart
 
@@ -55,7 +55,7 @@ class ChartSection(Section):
 
 
 def v_sign(setting: Setting) -> float:
-    """The sign that v has in the scene's chart: the other one for a left knee."""
+    """Sign of v in the scene's chart: -1 for a left knee, else 1."""
     return -1.0 if setting.side.left else 1.0
 
 
@@ -67,13 +67,13 @@ class _RectangleSection(Section):
     half_size_m: PositivePair = Field(description="half size (half_u, half_v) of the patch's rectangle [m]")
 
     def rectangle(self, setting: Setting) -> tuple[tuple[Scalar, Scalar], tuple[Scalar, Scalar]]:
-        """Its centre and half size in the scene's chart."""
+        """Centre and half size in the scene's chart [m]."""
         center = number(self.center_m[0]), number(v_sign(setting) * self.center_m[1])
         return center, (number(self.half_size_m[0]), number(self.half_size_m[1]))
 
 
 class PatchSurfaceSection(_RectangleSection):
-    """A polynomial patch by its coefficients: height = sum of c_ij a^i b^j, a = (u - u0) / half_u, b likewise."""
+    """A polynomial patch: height = sum of c_ij a^i b^j, with a = (u - u0) / half_u and b = (v - v0) / half_v."""
 
     coefficients_m: list[float] = Field(
         description="coefficients c_ij [m]: all i for j = 0, then all i for j = 1, ..., i + j up to the degree"
@@ -95,16 +95,16 @@ class PatchSurfaceSection(_RectangleSection):
                 where=setting.where("coefficients_m"),
                 expected=f"the {len(powers)} coefficients of P{degree}",
             )
-        sign = v_sign(setting)  # of odd powers of v, too
+        sign = v_sign(setting)  # also the sign of odd powers of v
         coefficients = [c * sign**j for c, (_, j) in zip(self.coefficients_m, powers, strict=True)]
         return PolynomialPatch(self.chart.build(setting), number(coefficients), *self.rectangle(setting), degree)
 
 
 class SplineSurfaceSection(_RectangleSection):
-    """A bicubic spline patch by its coefficients: height = sum of c_ij N_i(a) N_j(b), uniform cubic B-splines N."""
+    """A bicubic spline patch: height = sum of c_ij N_i(a) N_j(b), with uniform cubic B-splines N."""
 
     spline_coefficients_m: list[list[float]] = Field(
-        description="coefficients c_ij [m]: a row for each i, along u; cells + 3 of them in either direction"
+        description="coefficients c_ij [m]: one row for each i, along u; number of cells + 3 in both directions"
     )
 
     def _check(self) -> None:
@@ -126,7 +126,7 @@ class SplineSurfaceSection(_RectangleSection):
 
 
 def refuse_other(setting: Setting, name: str | None) -> None:
-    """A patch asked for on the command line can only be had where there is a mesh to fit it to."""
+    """Raises InputError if the command line requests another patch, which would need a mesh to fit it to."""
     from pftwin.geometry.patch.fit import parse_name
 
     if setting.contact is not None and parse_name(setting.contact) != name:

@@ -1,6 +1,6 @@
-"""[contact]: the button's sphere on the trochlea, and its normal force's law.
+"""[contact]: the button's sphere on the trochlea, with the laws of normal force and friction.
 
-friction = { ... } in [contact] and [mesh_contact].
+The tables of laws and friction are also used in [mesh_contact].
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 class LawSection(Section):
-    """F = k d^p (1 + x dd/dt)."""
+    """Normal force F = k d^p (1 + x dd/dt) at an indentation d."""
 
     contact_stiffness: Positive = Field(description="stiffness k [N/m^p], p the hertz_exponent")
     hertz_exponent: Annotated[float, Field(ge=1, le=5)] = Field(default=1.5, description="exponent p [-]")
@@ -34,7 +34,7 @@ class FloresSection(LawSection):
 
     type: Literal["flores"]
     restitution: Annotated[float, Field(gt=0, le=1)] = Field(description="coefficient of restitution, 0 to 1 [-]")
-    approach_speed_floor_m_per_s: Positive = Field(default=0.01, description="least approach speed reckoned with [m/s]")
+    approach_speed_floor_m_per_s: Positive = Field(default=0.01, description="least approach speed in the law [m/s]")
 
     def build(self) -> Flores:
         """The law."""
@@ -59,7 +59,7 @@ class HuntCrossleySection(LawSection):
 
 
 class HertzSection(LawSection):
-    """Hertz, without loss."""
+    """Hertz, without dissipation."""
 
     type: Literal["hertz"]
 
@@ -77,10 +77,10 @@ class ButtonSection(Section):
 
     mesh: FileName = Field(description="STL, OBJ or PLY file of the patellar button")
     units: LengthUnit = Field(description="unit of the mesh's coordinates")
-    tolerance_m: Positive = Field(default=0.02e-3, description="deviation that still counts as sphere [m]")
+    tolerance_m: Positive = Field(default=0.02e-3, description="largest deviation of the spherical part [m]")
 
     def sphere(self, setting: Setting, label: str) -> tuple[Floats, float]:
-        """As `Setting.sphere`."""
+        """See `Setting.sphere`."""
         from pftwin.geometry.mesh.mesh import load_mesh
 
         with setting.naming("mesh"):
@@ -89,15 +89,15 @@ class ButtonSection(Section):
 
 
 class FrictionSection(Section):
-    """Coulomb friction, smooth about rest."""
+    """Coulomb friction, regularized at low sliding speed."""
 
     coefficient: NotNegative = Field(description="coefficient of friction mu [-]")
     slip_speed_m_per_s: Positive = Field(
-        default=1e-3, description="speed up to which contacts creep rather than slide [m/s]"
+        default=1e-3, description="sliding speed below which friction is regularized: contacts creep [m/s]"
     )
 
     def added(self, contact: Contact) -> Contact:
-        """The contact with it."""
+        """The contact with friction."""
         from pftwin.model.effects.friction import Friction
 
         return contact.with_friction(Friction(number(self.coefficient), number(self.slip_speed_m_per_s)))
@@ -110,7 +110,7 @@ class ContactSection(EffectSection):
     center_m: Point = Field(default=[0.0, 0.0, 0.0], description="centre of the button's sphere, patella frame [m]")
     radius_m: Positive | None = Field(default=None, description="radius of the button's sphere [m]; or a button")
     button: ButtonSection | None = Field(default=None, description="table: a mesh that the sphere is fitted to")
-    surface: SurfaceSection = Field(description="table: mesh to be fitted, coefficients, or implant")
+    surface: SurfaceSection = Field(description="table: a mesh to fit, coefficients, or an implant")
     law: Law = LAW
     friction: FrictionSection | None = Field(default=None, description="table: friction; none by default")
 

@@ -1,4 +1,4 @@
-"""A scene file as text and data: what stands where, so that messages can name file, line and field."""
+"""A scene file as text and data, with the lines of its fields, so that messages can name file, line and field."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ _OF_ONE_RECORDING = ("rate_Hz", "start_time_s", "end_time_s", "synthetic")  # fi
 _PART = r"""(?:[A-Za-z0-9_-]+|"[^"]*"|'[^']*')"""
 _HEADER = re.compile(rf"^\s*(\[\[?)\s*({_PART}(?:\s*\.\s*{_PART})*)\s*\]")
 _KEY = re.compile(rf"^\s*({_PART}(?:\s*\.\s*{_PART})*)\s*=")
-DEEPEST = 32  # tables and lists within each other; scenes have six
-# Comments and strings, ended or not. Possessive, so that no text takes more than one pass.
+DEEPEST = 32  # largest nesting depth of tables and lists; scenes have six levels
+# Comments and strings, terminated or not. Possessive quantifiers prevent backtracking.
 _NO_KEYS = re.compile(
     r"""#[^\n]*+|\"{3}(?:[^"\\]++|\\.|"(?!""))*+(?:\"{3})?|'{3}(?:[^']++|'(?!''))*+(?:'{3})?"""
     r"""|"(?:[^"\\\n]++|\\.)*+"?|'[^'\n]*+'?""",
@@ -35,27 +35,27 @@ _DECODE_ERROR = re.compile(r"^(?P<problem>.*) \(at (?P<place>.*)\)$", re.DOTALL)
 
 @dataclass(frozen=True)
 class Document:
-    """A TOML file: its data, and where each of its fields stands."""
+    """A TOML file: its data, and the line of each field."""
 
     path: Path
     data: dict[str, Any]
     lines: dict[Place, int] = field(default_factory=dict)
     wrapped: tuple[int, ...] = ()  # ids of values that validation has put into a list of one
-    allow_outside: bool = False  # whether it may name files outside its folder
-    given: Path | None = None  # a file that the user names, wherever it lies
+    allow_outside: bool = False  # whether it may refer to files outside its folder
+    given: Path | None = None  # a file given by the user, which may be anywhere
 
     @staticmethod
     def read(path: str | os.PathLike[str], *, allow_outside: bool = False) -> Document:
-        """Read a file.
+        """Reads a file.
 
         Raises:
-            InputError: missing, empty or binary; no TOML (naming line and column); tables or lists within each other
-                deeper than `DEEPEST`.
+            InputError: missing, empty or binary; invalid TOML (naming line and column); tables or lists nested deeper
+                than `DEEPEST`.
         """
         file = Path(path)
         lines, _ = read_lines(file, max_bytes=SCENE_BYTES)
         text = "\n".join(lines)
-        if _DEEP_KEY.search(_NO_KEYS.sub("s", text)):  # before it is parsed, which takes the square of a key's depth
+        if _DEEP_KEY.search(_NO_KEYS.sub("s", text)):  # before parsing, which takes quadratic time in a key's depth
             raise _too_deep(file)
         try:
             data = tomllib.loads(text)
@@ -67,7 +67,7 @@ class Document:
                 where=f"{file}, {place}" if place else file,
                 remedy="strings need quotes, lists square brackets; see https://toml.io",
             ) from None
-        except (ValueError, RecursionError) as error:  # a number of thousands of digits, lists within lists
+        except (ValueError, RecursionError) as error:  # huge numbers, deeply nested lists
             problem = "lists within lists without end" if isinstance(error, RecursionError) else str(error)
             raise InputError(f"not readable TOML: {problem}", where=file) from None
         if _deeper(data, DEEPEST):
@@ -75,13 +75,13 @@ class Document:
         return Document(file, data, _line_numbers(lines, data), allow_outside=allow_outside)
 
     def with_motion(self, motion: str | os.PathLike[str], rate: float | None) -> Document:
-        """The same knee in another recording: of poses, or of markers where the file has those alone.
+        """The same knee with another recording, of poses or, if the file only has markers, of markers.
 
-        What was measured besides, and spans of time, belong to the file's own recording and are left out.
+        Other measurements and time limits belong to the file's own recording and are removed.
         """
         given, old = Path(motion).resolve(), self.data.get("motion", {})
         if not isinstance(old, dict) or not isinstance(self.data.get("measured", {}), dict):
-            return self  # what is no table is refused with all else that is wrong
+            return self  # validation reports a wrong type together with all other problems
         kind = "markers" if "markers" in old and "poses" not in old else "poses"
         own = {key: value for key, value in old.items() if key not in (*_OF_ONE_RECORDING, "poses", "markers")}
         data = {**self.data, "motion": {**own, kind: str(given), **({} if rate is None else {"rate_Hz": rate})}}
@@ -93,7 +93,7 @@ class Document:
         return replace(self, data=data, given=given)
 
     def files(self) -> tuple[Path, ...]:
-        """The file itself and every file that a text in it may name."""
+        """The file itself and all files that strings in it may refer to."""
         named = sorted({text for text in _texts(self.data) if text.isprintable()})
         paths = (self.folder / text for text in named)
         own = () if self.given is None else (self.given,)
@@ -101,15 +101,15 @@ class Document:
 
     @property
     def folder(self) -> Path:
-        """Relative paths in the file start here."""
+        """Folder of the file, to which paths in it are relative."""
         return self.path.parent
 
     def file(self, name: str) -> Path:
-        """A file that a field names.
+        """Path of a file that a field refers to.
 
         Raises:
-            InputError: it lies outside the scene's folder, or a link leads there, and that is not allowed. A scene file
-                may come from a stranger, and is not to make anybody read, or show, what lies elsewhere.
+            InputError: it is outside the scene's folder, also by a link, and this is not allowed. A scene file may come
+                from an untrusted source, and must not cause other files to be read or shown.
         """
         path = self.folder / name
         if path != self.given and not self.allow_outside and not self._holds(path):
@@ -124,14 +124,14 @@ class Document:
     def _holds(self, path: Path) -> bool:
         try:
             return path.resolve().is_relative_to(self.folder.resolve())
-        except (OSError, RuntimeError, ValueError):  # links in a circle, a text that is no name: for its reader to say
+        except (OSError, RuntimeError, ValueError):  # circular links, invalid names: the file's reader reports them
             return True
 
     def locate(self, location: Sequence[str | int]) -> tuple[Place, Any, Any]:
-        """Place in the file, enclosing value and value of a location in the validated models.
+        """Converts a location in the validated models: place in the file, enclosing value and value.
 
-        The two differ by steps that the file does not have: the names of alternatives, the index in a list of one that
-        the file writes without a list, and metres for a field given in millimetres.
+        Models have steps that the file does not have: names of alternatives, the index in a list of one that the file
+        writes without a list, and metres for a field given in millimetres.
         """
         here: Any = self.data
         parent: Any = self.data
@@ -162,17 +162,17 @@ class Document:
         return ", ".join(parts)
 
     def where(self, *location: str | int) -> str:
-        """`describe` of a location in the validated models."""
+        """`describe` for a location in the validated models."""
         return self.describe(self.locate(location)[0])
 
     @contextmanager
     def naming(self, *location: str | int) -> Iterator[None]:
-        """Puts this field's place in front of the message of any InputError from inside."""
+        """Context manager that prefixes messages of InputErrors with a field's location."""
         try:
             yield
         except InputError as error:
             if str(error).startswith(f"{self.path}, "):
-                raise  # named more closely already
+                raise  # already has a more exact location
             raise InputError(str(error), where=self.where(*location)) from error
 
 
@@ -199,7 +199,7 @@ def _too_deep(file: Path) -> InputError:
 
 
 def _deeper(data: Any, levels: int) -> bool:
-    """Whether tables and lists lie in each other deeper than that, told without recursion."""
+    """Whether tables and lists are nested deeper than `levels`; without recursion."""
     layer: list[Any] = [data]
     for _ in range(levels):
         inner = (v.values() if isinstance(v, dict) else v for v in layer if isinstance(v, dict | list))
@@ -214,7 +214,7 @@ def _keys(dotted: str) -> list[str]:
 def _is_file(path: Path) -> bool:
     try:
         return path.is_file()
-    except OSError:  # a text too long for a name
+    except OSError:  # too long for a file name
         return False
 
 
@@ -227,7 +227,7 @@ def _texts(data: Any) -> Iterator[str]:
 
 
 def _line_numbers(lines: list[str], data: dict[str, Any]) -> dict[Place, int]:
-    """Line (from 1) of every table header and key that begins a line; good enough for messages."""
+    """Line (from 1) of every table header and key at the start of a line; sufficient for messages."""
     found: dict[Place, int] = {}
     table: Place = ()
     counts: dict[Place, int] = {}

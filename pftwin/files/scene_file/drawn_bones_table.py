@@ -1,4 +1,4 @@
-"""[bones]: surfaces of bones that the scene is drawn with. No force comes from them."""
+"""[bones]: surfaces of bones for drawings of the scene; they exert no force."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ if TYPE_CHECKING:
     from pftwin.geometry.mesh.mesh import SurfaceMesh
     from pftwin.model.drawn_bones import DrawnBones
 
-SIZES = (0.015, 0.65)  # longest side of what may be a bone or a part of one [m]
-FARTHEST = 0.2  # of a bone from its own frame's origin, where it is nearest [m]
+SIZES = (0.015, 0.65)  # plausible longest side of a bone or a part of one [m]
+FARTHEST = 0.2  # largest plausible distance of a bone's nearest point from its frame's origin [m]
 
 
 class BoneSection(MeshFileSection):
-    """A bone's surface in its own body's frame."""
+    """A bone's surface in its body's frame."""
 
-    repair: bool = Field(default=False, description="turn triangles that face the wrong way")
+    repair: bool = Field(default=False, description="reorient triangles that face the wrong way")
 
     def build(self, body: str, setting: Setting) -> SurfaceMesh:
-        """The surface in the scene's frame of that body.
+        """The surface in the scene's frame of its body.
 
         Raises:
-            InputError: a mesh that cannot be read, is no bone's size or lies far from its frame.
+            InputError: a mesh that is unreadable, has an implausible size or is far from its frame's origin.
         """
         from pftwin.geometry.mesh.mesh import load_mesh
 
@@ -47,7 +47,7 @@ class BoneSection(MeshFileSection):
 
 
 class DrawnBonesSection(Section):
-    """Surfaces of bones that the scene is drawn with; no force comes from them, and contact needs its own meshes."""
+    """Surfaces of bones for drawings of the scene; they exert no force, and contact needs its own meshes."""
 
     femur: BoneSection | None = Field(default=None, description="table: the femur's surface; schematic by default")
     patella: BoneSection | None = Field(default=None, description="table: the patella's; schematic by default")
@@ -58,7 +58,7 @@ class DrawnBonesSection(Section):
             raise problem("no bone", expected="femur, patella or tibia, or no such table")
 
     def build(self, setting: Setting) -> DrawnBones:
-        """All that the table has."""
+        """The surfaces in the table."""
         from pftwin.model.drawn_bones import DrawnBones
 
         given = ((body, getattr(self, body)) for body in ("femur", "patella", "tibia"))

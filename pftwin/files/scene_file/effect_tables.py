@@ -1,4 +1,4 @@
-"""What the tables of all effects share, and the table that follows from what an effect's fields declare."""
+"""Base classes of the tables of effects, and tables generated from an effect's declared fields."""
 
 # ruff: noqa: N815  (units in names are written as units are: N, Hz)
 from __future__ import annotations
@@ -44,19 +44,19 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Setting:
-    """What a table at a place of the file needs to become an effect, or a part of one."""
+    """Context from which a table builds an effect or a part of one."""
 
     bones: Bones
     mass: float  # of the patella [kg]
-    start: HostPose  # the patella's frame in the femur's at the first frame
-    contact: str | None = None  # polynomial asked for on the command line, in place of the file's
+    start: HostPose  # pose of the patella in the femur's frame at the first frame
+    contact: str | None = None  # polynomial requested on the command line, instead of the file's
     buttons: dict[str, SphereFit] = field(default_factory=dict)  # fitted spheres by contact, patella frame
-    notes: list[str] = field(default_factory=list)  # for the user to read
+    notes: list[str] = field(default_factory=list)  # for the user
     place: Place = ()
 
     @property
     def side(self) -> Side:
-        """From the file's axes to those of a right knee."""
+        """Transformation from the file's axes to those of a right knee."""
         return self.bones.side
 
     @property
@@ -65,22 +65,22 @@ class Setting:
         return self.bones.recording.document
 
     def at(self, *steps: str | int) -> Setting:
-        """The same for a table further in."""
+        """The setting of a nested table."""
         return replace(self, place=(*self.place, *steps))
 
     def where(self, *steps: str) -> str:
-        """File, line and field, of a field of this table or of the table itself."""
+        """File, line and field, for a field of this table or the table itself."""
         return self.document.where(*self.place, *steps)
 
     def naming(self, *steps: str) -> AbstractContextManager[None]:
-        """Puts that in front of the message of any InputError from inside."""
+        """Context manager that prefixes messages of InputErrors with this location."""
         return self.document.naming(*self.place, *steps)
 
     def path(self, name: str) -> str:
-        """A file's path; relative ones start at the scene file.
+        """Path of a file; relative paths start at the scene file.
 
         Raises:
-            InputError: it leads out of the scene's folder, and that is not allowed.
+            InputError: it is outside the scene's folder, and this is not allowed.
         """
         return str(self.document.file(name))
 
@@ -88,9 +88,9 @@ class Setting:
         """Centre (3,) in the patella's frame and radius of a sphere fitted to a button's mesh [m].
 
         Args:
-            mesh: in the patella's own axes.
-            label: of the contact, by which results find the fit; a note says how good it is.
-            tolerance: deviation that still counts as sphere [m].
+            mesh: in the patella's axes of the file.
+            label: name of the contact, under which the fit is stored; a note reports its quality.
+            tolerance: largest deviation of the spherical part [m].
         """
         from pftwin.geometry.patch.sphere import fit_sphere
 
@@ -102,14 +102,14 @@ class Setting:
         return center, float(found.radius)
 
     def points(self, frame: str, values: ArrayLike) -> Floats:
-        """Points (..., 3) of a body's frame, mirrored where the knee is a left one, in the scene's frames."""
+        """Transforms points (..., 3) of a body's frame to the scene's; mirrored for a left knee."""
         mirrored = self.side.points(frame, values)
         if frame == "ground" and self.bones.fixed_femur is not None:
             return self.bones.fixed_femur.inverse().apply(mirrored)
         return mirrored
 
     def world_direction(self, values: ArrayLike) -> Floats:
-        """A direction of the world in the scene's world."""
+        """Transforms a direction from the file's world to the scene's."""
         mirrored = self.side.points("world", values)
         return mirrored if self.bones.fixed_femur is None else mirrored @ self.bones.fixed_femur.matrix
 
@@ -118,7 +118,7 @@ Body = Literal["femur", "tibia", "ground"]
 
 
 class EffectSection(Section):
-    """A table that becomes an effect. `kind` is the table's name; effects go by it where they have no name."""
+    """A table that builds an effect. `kind` is the table's name, and the default name of the effect."""
 
     kind: ClassVar[str]
     name: Name | None = Field(default=None, description="name of the effect in results; the table's name by default")
@@ -133,7 +133,7 @@ class EffectSection(Section):
         """The effect.
 
         Raises:
-            InputError: files that cannot be used, groups of unlike lengths.
+            InputError: files that cannot be used, groups of different lengths.
         """
 
 
@@ -164,17 +164,17 @@ class DampingSection(EffectSection):
 
 
 class Layout(NamedTuple):
-    """How the fields of a table become those of an effect."""
+    """Mapping from a table's fields to those of an effect."""
 
     effect: Callable[..., Effect]
-    numbers: dict[str, str]  # the effect's name of each field of numbers
-    points: dict[str, tuple[str, str]]  # likewise of points, with their frame
-    plain: list[str]  # fields that the effect takes as they are
-    obstacles: list[str]  # tables of what its lines run over
+    numbers: dict[str, str]  # fields of numbers, and the effect's names
+    points: dict[str, tuple[str, str]]  # fields of points, and the effect's names and frames
+    plain: list[str]  # fields that are passed unchanged
+    obstacles: list[str]  # tables of wrapping obstacles
 
 
 class DeclaredSection(EffectSection):
-    """A table whose fields follow from what an effect declares: see `declared_table`."""
+    """A table whose fields are generated from an effect's declarations: see `declared_table`."""
 
     _layout: ClassVar[Layout]
 
@@ -198,7 +198,7 @@ class DeclaredSection(EffectSection):
         return effect(**values, name=self.label)
 
 
-_PLAIN = {"bool": bool, "int": int, "float": float, "str": str}  # what a field that is no parameter may be
+_PLAIN = {"bool": bool, "int": int, "float": float, "str": str}  # types of fields that are not parameters
 
 
 def declared_table(
@@ -208,20 +208,20 @@ def declared_table(
     words: Mapping[str, str] | None = None,
     defaults: Mapping[str, float] | None = None,
 ) -> type[DeclaredSection]:
-    """A table for a class of effects.
+    """Generates the table for a class of effects.
 
-    Every parameter becomes a field named with its unit (`stiffness_N_per_m`), with its declared bounds; one value makes
-    a single effect, lists make a group. Vectors are points of the frame that they declare. Static fields that are
-    numbers, words or truth values are read as they are, `body` as one of the bodies; an `Obstacle` is a table.
+    Every parameter becomes a field named with its unit (`stiffness_N_per_m`), with its declared bounds; single values
+    make a single effect, lists make a group. Vectors are points of their declared frame. Static fields that are
+    numbers, strings or booleans are read unchanged, `body` as one of the bodies; an `Obstacle` is a table.
 
     Args:
         effect: the class.
-        kind: the table's name; by default the class's, in lower case with underscores.
-        words: descriptions of fields, by the names that the effect has for them.
-        defaults: numbers that may be left out, likewise, besides those for which the class itself has a default.
+        kind: name of the table; by default the class's, in lower case with underscores.
+        words: descriptions of fields, by the effect's names.
+        defaults: default values of numbers, by the effect's names, in addition to the class's defaults.
 
     Raises:
-        InputError: a field that is neither, or a point whose frame is not declared.
+        InputError: a field of another kind, or a point whose frame is not declared.
     """
     kind = kind or re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", effect.__name__).lower()
     words, fields, layout = words or {}, {}, Layout(effect, {}, {}, [], [])
@@ -259,7 +259,7 @@ def declared_table(
 
 
 def _values(declared: Quantity) -> Any:
-    """The type of a list of numbers within bounds, or a single one."""
+    """Type of a number within bounds or a list of these."""
     above = 0.0 if declared.positive else None
     least = declared.lower if not declared.positive and declared.lower > -np.inf else None
     one = Annotated[float, Field(gt=above, ge=least, le=declared.upper if declared.upper < np.inf else None)]
@@ -267,7 +267,7 @@ def _values(declared: Quantity) -> Any:
 
 
 def _static(effect: type[Effect], name: str, kind: Any, default: dict[str, Any]) -> Any:
-    """Type and field of a static field of the effect."""
+    """Type and `Field` for a static field of the effect."""
     if name == "body":
         return Body, Field(description="body at the other end", **default)
     plain = _PLAIN.get(getattr(kind, "__name__", str(kind)))

@@ -1,7 +1,7 @@
-"""The JSON Schema of scene files, from the models that read them: for editors and other programs.
+"""JSON Schema of scene files for editors and other programs, generated from the models that read the files.
 
-It holds what can be said of a file alone: tables, fields, kinds of values, bounds. The reader looks at more: numbers
-that belong together, the files that are named, and the scene that comes out.
+It covers tables, fields, types and bounds. The reader also checks the consistency of fields, the files that are
+referred to, and the resulting scene.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ _BOUNDS = ("minimum", "maximum", "exclusiveMinimum", "exclusiveMaximum")
 
 
 def scene_json_schema() -> dict[str, Any]:
-    """What a scene file may hold, with the tables of all effects that there are; the version is in its `$id`."""
+    """JSON Schema of scene files, with the tables of all registered effects; the version is in its `$id`."""
     made = scene_file_model().model_json_schema(schema_generator=_AsWritten)
     about = {"$schema": DIALECT, "$id": f"urn:pftwin:scene:{SCHEMA}", "title": f"pftwin scene file, schema = {SCHEMA}"}
     return {**about, **{key: value for key, value in made.items() if key not in about}}
 
 
 class _AsWritten(GenerateJsonSchema):
-    """What the models take before they put it in order: millimetres, and one value in the place of a list."""
+    """Schema of the input before normalization: fields in millimetres, and single values instead of lists."""
 
     def field_title_should_be_set(self, schema: Any) -> bool:
-        return False  # names say it
+        return False  # names are sufficient
 
     def function_before_schema(self, schema: Any) -> JsonSchemaValue:
         made = super().function_before_schema(schema)
@@ -54,7 +54,7 @@ class _AsWritten(GenerateJsonSchema):
 
 
 def _scaled(schema: Any, factor: float) -> Any:
-    """Of the same quantity in a unit that is smaller by that factor; a default is left to the field itself."""
+    """Schema of the same quantity in a unit that is smaller by a factor; without the default."""
     if isinstance(schema, list):
         return [_scaled(inner, factor) for inner in schema]
     if not isinstance(schema, dict):

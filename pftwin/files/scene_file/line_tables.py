@@ -1,6 +1,6 @@
 """[[tendon]], [[toe_tendon]], [[viscoelastic_tendon]] and [[strands]]: elastic lines, single or in groups.
 
-Strands are listed in the scene file, or in a JSON or CSV file beside it.
+Strands are given in the scene file, or in a separate JSON or CSV file.
 """
 
 # ruff: noqa: N815  (units in names are written as units are: N, Hz)
@@ -26,17 +26,17 @@ from pftwin.model.effects.tendon import TOE_STRAIN, StrandGroup, Tendon, ToeTend
 _LINE = {
     "stiffness": "stiffness K",
     "slack_length": "slack length L0",
-    "toe_strain": "strain at the toe region's end",
+    "toe_strain": "strain at the end of the toe region",
     "insertion": "insertion, patella frame [m]",
     "origin": "origin, the body's frame [m]",
 }
 
 
 class _DampedSection(DeclaredSection):
-    """A line whose dashpot may also be given as a time."""
+    """A line whose damping may also be given as a time."""
 
     damping_N_s_per_m: NotNegatives = Field(default_factory=lambda: [0.0], description="damping c [N s/m]")
-    damping_time_s: NotNegatives | None = Field(default=None, description="damping as a time c / K [s], in place of c")
+    damping_time_s: NotNegatives | None = Field(default=None, description="damping as a time c / K [s], instead of c")
     if TYPE_CHECKING:
         stiffness_N_per_m: list[float]
 
@@ -49,7 +49,7 @@ class _DampedSection(DeclaredSection):
 
 
 class TendonSection(_DampedSection, declared_table(Tendon, words=_LINE)):
-    """A tendon: F = K (L - L0) + c dL/dt, never pushing. Lists instead of single values make a group."""
+    """A tendon that only pulls: F = K (L - L0) + c dL/dt. Lists instead of single values make a group."""
 
 
 _TOE = {**_LINE, "stiffness": "stiffness K of the linear region"}
@@ -60,14 +60,14 @@ class ToeTendonSection(_DampedSection, declared_table(ToeTendon, words=_TOE, def
 
 
 def _viscoelastic_tendon(**values: Any) -> Effect:
-    """Imports the effect only where a scene has it."""
+    """Imports the effect only if a scene has it."""
     from pftwin.model.effects.viscoelastic_tendon import ViscoelasticTendon
 
     return ViscoelasticTendon(**values)
 
 
 class ViscoelasticTendonSection(DeclaredSection):
-    """A standard linear solid: K relaxed, K + K1 pulled at once. Lists instead of single values make a group."""
+    """A standard linear solid: stiffness K relaxed, K + K1 at once. Lists instead of single values make a group."""
 
     kind: ClassVar[str] = "viscoelastic_tendon"
     _layout: ClassVar[Layout] = Layout(
@@ -83,9 +83,9 @@ class ViscoelasticTendonSection(DeclaredSection):
         obstacles=["wrap"],
     )
     body: Body = Field(description="body at the other end")
-    stiffness_N_per_m: Positives = Field(description="stiffness K when relaxed [N/m]")
-    maxwell_stiffness_N_per_m: NotNegatives = Field(description="K1, what it is stiffer by when pulled at once [N/m]")
-    relaxation_time_s: Positives = Field(description="time tau in which the tension relaxes when held [s]")
+    stiffness_N_per_m: Positives = Field(description="relaxed stiffness K [N/m]")
+    maxwell_stiffness_N_per_m: NotNegatives = Field(description="additional instantaneous stiffness K1 [N/m]")
+    relaxation_time_s: Positives = Field(description="relaxation time tau at constant length [s]")
     slack_length_m: Positives = Field(description="slack length L0 [m]")
     insertion_m: Points = Field(description="insertion, patella frame [m]")
     origin_m: Points = Field(description="origin, the body's frame [m]")
@@ -97,17 +97,17 @@ _COLUMNS = ("stiffness_N_per_strain", "slack_length_m", *(f"{e}_{k}_m" for e in 
 
 
 class StrandsSection(EffectSection):
-    """Strands with a toe region (Blankevoort and Huiskes 1991); one value for all or one for each strand."""
+    """Ligament strands with a toe region (Blankevoort and Huiskes 1991); one value for all or one for each strand."""
 
     kind: ClassVar[str] = "strands"
     body: Body = Field(description="body at the other end")
-    file: FileName | None = Field(default=None, description="JSON or CSV file of strands, in place of the lists")
-    select: list[str] = Field(default=["*"], description='names of the strands wanted, as in "PT*"')
+    file: FileName | None = Field(default=None, description="JSON or CSV file of strands, instead of the lists")
+    select: list[str] = Field(default=["*"], description='names or patterns of the strands to use, such as "PT*"')
     stiffness_N_per_strain: Positives | None = Field(default=None, description="stiffness [N per unit strain]")
     slack_length_m: Positives | None = Field(default=None, description="slack length [m]")
     insertion_m: Points | None = Field(default=None, description="insertion, patella frame [m]")
     origin_m: Points | None = Field(default=None, description="origin, the body's frame [m]")
-    toe_strain: Positives = Field(default_factory=lambda: [0.06], description="strain at the toe region's end [-]")
+    toe_strain: Positives = Field(default_factory=lambda: [0.06], description="strain at the end of the toe region [-]")
     damping_time_s: NotNegatives = Field(default_factory=lambda: [0.0], description="damping c of F = k c de/dt [s]")
     wrap: Wrap = WRAP
 
@@ -144,7 +144,7 @@ class StrandsSection(EffectSection):
 
 
 class Strands(NamedTuple):
-    """Strands as arrays over them."""
+    """n strands as arrays."""
 
     names: list[str]
     stiffness: np.ndarray  # (n,) [N per unit strain]
@@ -154,14 +154,14 @@ class Strands(NamedTuple):
 
 
 def read_strands(path: str, body: str) -> Strands:
-    """The strands of a file that end on a body.
+    """Reads the strands of a file that end on a body.
 
     JSON: an object NAME: {"points": [["patella", [x, y, z]], [BODY, [x, y, z]]], "linear_stiffness_N_per_strain": k,
-    "slack_length_m": L0}; strands of other bodies are passed over. CSV: columns name, stiffness_N_per_strain,
+    "slack_length_m": L0}; strands of other bodies are ignored. CSV: columns name, stiffness_N_per_strain,
     slack_length_m, insertion_x_m, ..., origin_z_m.
 
     Raises:
-        InputError: no such file, no JSON or CSV, a strand or line that lacks a value, two strands of one name.
+        InputError: no such file, not JSON or CSV, missing values, two strands with the same name.
     """
     if path.lower().endswith(".json"):
         rows = _json_rows(path, body)
@@ -191,7 +191,7 @@ def _json_rows(path: str, body: str) -> list[tuple[str, list[float]]]:
 
 
 def _json_strand(strand: Any, body: str, where: str) -> list[float] | None:
-    """Eight numbers; None for a strand that does not reach from the patella to this body."""
+    """Eight numbers of a strand; None if it does not connect the patella with this body."""
     try:
         ends = {str(segment): [float(v) for v in point] for segment, point in strand["points"]}
         if len(strand["points"]) != 2 or any(len(point) != 3 for point in ends.values()):

@@ -1,4 +1,4 @@
-"""From a scene file to a scene."""
+"""Loads a scene from a scene file."""
 
 from __future__ import annotations
 
@@ -36,35 +36,35 @@ SCHEMA = 1
 
 
 class SceneSection(Section):
-    """The whole file, less the effects."""
+    """The whole file, without the effects."""
 
     schema_version: Literal[1] = Field(alias="schema", description="version of this format: schema = 1")
-    name: FileName | None = Field(default=None, description="the scene's name; the file's by default")
+    name: FileName | None = Field(default=None, description="name of the scene; by default the file's name")
     side: Literal["right", "left"] = Field(
-        default="right", description="side of the knee; a left one is mirrored on input"
+        default="right", description="side of the knee; a left knee is mirrored on input"
     )
     axes: AxesSection = Field(
-        default_factory=AxesSection, description="table: which axes of each frame are proximal, lateral, anterior"
+        default_factory=AxesSection, description="table: the axes of each frame that are proximal, lateral, anterior"
     )
     patella: PatellaSection = Field(description="table: the patella")
     motion: MotionSection = Field(default_factory=MotionSection, description="table: the recording")
     femur: FemurSection = Field(
-        default_factory=lambda: FemurSection(fixed=PoseSection()), description="table: where the femur is"
+        default_factory=lambda: FemurSection(fixed=PoseSection()), description="table: pose or motion of the femur"
     )
-    tibia: TibiaSection = Field(description="table: where the tibia is")
+    tibia: TibiaSection = Field(description="table: motion of the tibia")
     limits: dict[str, float] = Field(
-        default_factory=dict, description="table: limits of what a knee can be, set by name, such as most_mass_kg = 5"
+        default_factory=dict, description="table: plausibility limits of a knee, set by name, such as most_mass_kg = 5"
     )
     measured: MeasuredSection | None = Field(
-        default=None, description="table: what the simulation is to be compared with"
+        default=None, description="table: measurements to compare the simulation with"
     )
     bones: DrawnBonesSection | None = Field(
-        default=None, description="table: surfaces of bones to draw the scene with; schematic ones by default"
+        default=None, description="table: surfaces of bones for drawings; schematic by default"
     )
 
 
 def scene_file_model() -> type[SceneSection]:
-    """The whole file, with the tables of all effects that there are."""
+    """Model of the whole file, with the tables of all registered effects."""
     return _model(effect_tables())
 
 
@@ -82,17 +82,17 @@ def _model(tables: tuple[type[EffectSection], ...]) -> type[SceneSection]:
 
 @dataclass(frozen=True, eq=False)
 class LoadedScene:
-    """A scene with what it is to be compared with, and what happened to the recording on the way in."""
+    """A scene, with notes on how its recording and meshes were processed."""
 
     scene: Scene
-    button: SphereFit | None  # of the contact whose centre is tracked, where it was fitted to a mesh; patella frame
+    button: SphereFit | None  # sphere, if fitted to a mesh, of the contact whose centre is tracked; patella frame
     notes: tuple[str, ...]
     path: Path
-    side_as_given: str = ""  # a line where nothing in the files tells the side of the knee; also among the notes
+    side_as_given: str = ""  # note that the files do not determine the side of the knee, if so; also in `notes`
 
     @property
     def measured(self) -> Measured | None:
-        """The scene's measurements; None where the file names none."""
+        """The scene's measurements; None if the file has none."""
         return self.scene.measured
 
 
@@ -105,20 +105,20 @@ def load_scene(
     motion: str | os.PathLike[str] | None = None,
     rate: float | None = None,
 ) -> Scene:
-    """The scene that a TOML file describes.
+    """Loads the scene that a TOML file describes.
 
     Args:
-        path: the scene file; relative paths in it start at its folder.
-        contact: polynomial for surfaces that are fitted to a mesh ("P2", "P4", "P5"), in place of the file's.
-        allow_outside: whether the file may name others outside its folder; allow it to files whose origin you know.
-        limits: of what a knee can be (`pftwin.model.limits.Limits`), by name, in place of the file's.
-        motion: another recording of the same knee, with bodies or markers of the same names, in place of the file's;
-            forces, weights and spans of time, which belong to the file's own, are left out.
-        rate: its frames per second, where its times count frames.
+        path: the scene file; paths in it are relative to its folder.
+        contact: polynomial for surfaces that are fitted to a mesh ("P2", "P4", "P5"), instead of the file's.
+        allow_outside: whether the file may refer to files outside its folder; only for files from trusted sources.
+        limits: plausibility limits of a knee (`pftwin.model.limits.Limits`), by name, instead of the file's.
+        motion: another recording of the same knee, with the same names of bodies or markers, instead of the file's;
+            forces, weights and time limits, which belong to the file's recording, are omitted.
+        rate: frames per second of `motion`, if its times are frame numbers.
 
     Raises:
-        InputError: a file that cannot be read, unknown or missing fields, values that cannot be right; one message that
-            lists every problem with its line and field. Another recording beside tensions over time.
+        InputError: an unreadable file, unknown or missing fields, invalid values: one message lists all problems with
+            line and field. Another recording if the file has tensions over time.
     """
     options = {"allow_outside": allow_outside, "limits": limits, "motion": motion, "rate": rate}
     return load_scene_file(path, contact=contact, **options).scene
@@ -133,7 +133,7 @@ def load_scene_file(
     motion: str | os.PathLike[str] | None = None,
     rate: float | None = None,
 ) -> LoadedScene:
-    """As `load_scene`, with the measurements that the file names and with notes for the user."""
+    """Like `load_scene`, but also returns the measurements, and notes for the user."""
     document = Document.read(path, allow_outside=allow_outside)
     if motion is not None:
         document = document.with_motion(motion, rate)
@@ -144,7 +144,7 @@ def load_scene_file(
 def _loaded(
     document: Document, contact: str | None, own_limits: dict[str, float], kinds: list[str], float_type: str
 ) -> LoadedScene:
-    """The scene with leaves of this float type, JAX's default one; kept by these and the kinds of tables there are."""
+    """The loaded scene, cached by its arguments: `kinds` are the tables' names, `float_type` JAX's default type."""
     _check_version(document)
     model: Any = scene_file_model()
     file, document = validated(document, model)

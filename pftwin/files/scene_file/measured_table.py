@@ -1,4 +1,4 @@
-"""[measured]: what the simulation is to be compared with."""
+"""[measured]: measurements that the simulation is compared with."""
 
 from __future__ import annotations
 
@@ -26,45 +26,47 @@ _AXES = "xyz"  # what [[marker]] reports
 
 
 class MeasuredSection(Section):
-    """Measurements of the same motion: the patella's poses or markers on its skin, and forces if there are any."""
+    """Measurements of the same motion: the patella's poses or skin markers, and optionally forces."""
 
     patella: SegmentSection | None = Field(
-        default=None, description="table: how the patella was recorded (body, cluster_m, three_points)"
+        default=None, description="table: recording of the patella (body, cluster_m, three_points)"
     )
     markers: dict[str, str] = Field(
         default_factory=dict,
-        description='table: the recording\'s markers on the skin over the patella, such as "m1" = "R.Patella": the '
-        "[[marker]] that each is compared with, in its course alone, for skin slides over the bone",
+        description="table: for each [[marker]] the recording's marker on the skin over the patella, such as "
+        '"m1" = "R.Patella"; only changes over time are compared, since skin slides over the bone',
     )
     forces: FileName | None = Field(
         default=None,
         description="file of forces and other readings: CSV with units in its header, or C3D (its analog channels); "
-        "faster ones than the motion are averaged over a frame",
+        "readings at a higher rate than the motion are averaged over a frame",
     )
-    contact_force: str | None = Field(default=None, description="its column of the normal contact force")
-    tibial_spring_force: str | None = Field(default=None, description="its column of the patellar tendon's force")
-    femoral_spring_force: str | None = Field(default=None, description="its column of the quadriceps' force")
+    contact_force: str | None = Field(default=None, description="column of that file: normal contact force")
+    tibial_spring_force: str | None = Field(default=None, description="column of that file: patellar tendon's force")
+    femoral_spring_force: str | None = Field(default=None, description="column of that file: quadriceps' force")
     readings: dict[str, str] = Field(
         default_factory=dict,
-        description='table: its columns of whatever else effects report, such as "contact.force_medial" = "medial_N"; '
-        "they are not smoothed",
+        description='table: columns of that file for other results of effects, such as "contact.force_medial" = '
+        '"medial_N"; not smoothed',
     )
-    weights: str | None = Field(default=None, description="its column of how much each frame counts in a fit; 0: not")
+    weights: str | None = Field(
+        default=None, description="column of that file: each frame's weight in a fit, 0 to skip it"
+    )
     smoothing_window: Annotated[int, Field(ge=2)] | None = Field(
         default=None,
         description="window of the singular spectrum analysis that smooths the forces [samples]; none by default",
     )
-    synthetic: bool = Field(default=False, description="whether these are simulated measurements")
+    synthetic: bool = Field(default=False, description="whether the measurements are simulated")
 
     def _check(self) -> None:
         if self.patella is None and not self.markers:
             raise problem("neither patella nor markers", expected="how the patella was recorded")
 
     def build(self, scene: Scene, bones: Bones) -> Measured:
-        """The measurements in the femur's frame, at the scene's frames.
+        """Reads the measurements, in the femur's frame, at the scene's frames.
 
         Raises:
-            InputError: files that cannot be used; columns that are not there; forces that do not cover the motion.
+            InputError: files that cannot be used; missing columns; forces that do not cover the motion.
         """
         from pftwin.model.measured import Measured
 
@@ -90,7 +92,7 @@ class MeasuredSection(Section):
     def _pose(
         self, patella: SegmentSection, scene: Scene, bones: Bones
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], str]:
-        """Times, places of the tracked point and quaternions, in the femur's frame, and where they come from."""
+        """Times, positions of the tracked point and quaternions, in the femur's frame, and their source."""
         document = bones.recording.document
         if patella.fixed is not None:
             where = document.where("measured", "patella", "fixed")
@@ -109,7 +111,7 @@ class MeasuredSection(Section):
         return poses.times, center, quaternions, poses.source
 
     def _markers(self, scene: Scene, bones: Bones) -> dict[str, NDArray[np.float64]]:
-        """Places of the markers on the skin in the femur's frame, as [[marker]] reports them."""
+        """Positions of the skin markers in the femur's frame, by the names of results of [[marker]]."""
         if not self.markers:
             return {}
         document = bones.recording.document
@@ -131,7 +133,7 @@ class MeasuredSection(Section):
         }
 
     def _columns(self, document: Document, scene: Scene) -> dict[str, Any]:
-        """Forces and readings, at the frames of the motion."""
+        """Forces and readings at the frames of the motion."""
         wanted = {name: column for name in _FORCES if (column := getattr(self, name)) is not None}
         if self.forces is None:
             if named := [*wanted, *(name for name in ("weights", "readings") if getattr(self, name))]:
@@ -153,8 +155,8 @@ class MeasuredSection(Section):
             with document.naming("measured", name):
                 values = _column(table, column, "N")
                 if self.smoothing_window is not None:
-                    # Cables and contacts do not push and pull both ways; smoothing overshoots where they let go. A
-                    # column of the other sign stays as it is: `fit` names it.
+                    # Cables only pull and contacts only push, but smoothing overshoots where they become slack or
+                    # open. A column of the opposite sign is not changed: `fit` reports it.
                     smooth = singular_spectrum_filter(values, self.smoothing_window)
                     values = np.maximum(smooth, 0.0) if values.mean() >= 0 else smooth
                 out[name] = frame_means(motion.times, table.times, values)
@@ -174,7 +176,7 @@ def _column(table: Table, column: str, unit: str) -> NDArray[np.float64]:
     """A column by its name, with or without its unit.
 
     Raises:
-        InputError: no such column, or one in another unit than this.
+        InputError: an unknown column, or one in another unit.
     """
     label = column if column in table.names else split_unit(column)[0]
     values = table.column(label if label in table.names else column)

@@ -1,4 +1,4 @@
-"""[mesh_contact] and [elastic_foundation]: a button on the femur's mesh, by a law of the whole contact or by layers."""
+"""[mesh_contact] and [elastic_foundation]: a button on the femur's mesh, with a contact law or elastic layers."""
 
 # ruff: noqa: N815  (units in names are written as units are: MPa)
 from __future__ import annotations
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from pftwin.model.effects.foundation_law import Layer
 
 
-_COARSE = 8  # frequency of the icosphere that stands for a sphere where only its place matters
+_COARSE = 8  # frequency of the icosphere that represents a sphere if only its position matters
 
 
 class _MeshesSection(EffectSection):
@@ -39,11 +39,11 @@ class _MeshesSection(EffectSection):
     femur: FemurMeshSection = Field(description="table: the femur's mesh")
     button: ButtonSection = Field(description="table: the button, mesh or sphere")
     surface: SurfaceSection | None = Field(
-        default=None, description="table: a smooth surface by which results tell where the groove is; none by default"
+        default=None, description="table: smooth surface that defines the groove in results; none by default"
     )
 
     def femur_side(self, setting: Setting) -> tuple[FemurMesh, Surface | None]:
-        """The femur's mesh, and the smooth surface that says where the groove is."""
+        """The femur's mesh, and the smooth surface that defines the groove."""
         refuse_patch(setting)
         surface = None if self.surface is None else self.surface.build(setting.at("surface"))
         femur = self.femur.build(setting.at("femur"))
@@ -51,18 +51,18 @@ class _MeshesSection(EffectSection):
 
 
 class MeshContactSection(_MeshesSection):
-    """A button fixed in the patella against a mesh fixed in the femur."""
+    """Contact between a button fixed in the patella and a mesh fixed in the femur."""
 
     kind: ClassVar[str] = "mesh_contact"
     method: Literal["contours", "volume", "nearest"] = Field(
-        description='where the law\'s indentation is from: "contours" of two meshes that cross, as in the paper; '
-        '"volume" of a sphere in a mesh, smooth; "nearest" points of a mesh to a sphere\'s centre'
+        description='source of the indentation: "contours" where two meshes intersect, as in the paper; "volume" of a '
+        'sphere in a mesh, smooth; "nearest" points of a mesh to a sphere\'s centre'
     )
     law: Law = LAW
     effective_radius_m: Positive | None = Field(
         default=None,
-        description="of the volume: radius of the sphere that has as large an overlap with a plane [m]; measured on "
-        "the mesh by default",
+        description="for the volume: radius of the sphere with the same overlap with a plane [m]; by default measured "
+        "on the mesh",
     )
     friction: FrictionSection | None = Field(default=None, description="table: friction, of a sphere; none by default")
 
@@ -114,7 +114,7 @@ class MeshContactSection(_MeshesSection):
 
 
 def _measured_radius(femur: FemurMesh, made: PatchMesh, radius: float) -> float:
-    """Beside the groove, where the mesh has one [m]."""
+    """Effective radius [m], measured beside the groove if the mesh has one."""
     from pftwin.geometry.contact.overlap import beside_groove, effective_radius
 
     near = None if femur.region is None else beside_groove(femur.mesh, femur.region, 0.5 * radius)
@@ -122,7 +122,7 @@ def _measured_radius(femur: FemurMesh, made: PatchMesh, radius: float) -> float:
 
 
 class LayerSection(Section):
-    """An elastic layer on a rigid backing."""
+    """An elastic layer on a rigid base."""
 
     modulus_MPa: Positive = Field(description="elastic modulus [MPa]")
     poisson_ratio: Annotated[float, Field(ge=0, lt=0.5)] = Field(description="Poisson ratio, below 0.5 [-]")
@@ -136,22 +136,22 @@ class LayerSection(Section):
 
 
 class ElasticFoundationSection(_MeshesSection):
-    """Two meshes with a layered elastic foundation between them: pressure on every triangle in contact."""
+    """Two meshes with an elastic foundation of two layers between them: pressure on every triangle in contact."""
 
     kind: ClassVar[str] = "elastic_foundation"
-    law: Literal["linear", "logarithmic"] = Field(default="linear", description="pressure over depth of a layer")
+    law: Literal["linear", "logarithmic"] = Field(default="linear", description="pressure law of a layer")
     femur_layer: LayerSection = Field(description="table: the femur's layer, modulus_MPa, poisson_ratio, thickness_m")
     button_layer: LayerSection = Field(description="table: the button's layer")
-    damping_time_s: NotNegative = Field(default=0.0, description="damping of a layer over its stiffness [s]")
+    damping_time_s: NotNegative = Field(default=0.0, description="damping of a layer divided by its stiffness [s]")
     distance_grid_mm: Positive | None = Field(
         default=None,
-        description="depths from a table with cubes of this edge [mm]: quick where cartilage lies on cartilage; with 1 "
-        "they are off by 0.007 mm (rms) there. By default from the femur's triangles themselves",
+        description="edge of the cubes of a table of depths [mm]: fast for contact between cartilages; with 1 mm the "
+        "error is 0.007 mm (rms) there. By default depths are computed from the femur's triangles",
     )
 
     triangles_together: Annotated[int, Field(ge=1)] = Field(
         default=1,
-        description="most neighbouring triangles of the button that are taken for one: quicker, a little less accurate",
+        description="largest number of neighbouring triangles of the button to merge: faster, slightly less accurate",
     )
 
     def build(self, setting: Setting) -> Effect:

@@ -1,6 +1,6 @@
-"""Common tables of contacts of meshes: the femur's mesh with its facets, and the button as a mesh or a sphere.
+"""Common tables of mesh contacts: the femur's mesh with its facets, and the button as a mesh or a sphere.
 
-Starts from which no equilibrium can be found are refused here.
+Also checks the start for poses from which no equilibrium can be found.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ class FemurMesh(NamedTuple):
     """The femur's mesh in the femur's frame."""
 
     mesh: SurfaceMesh
-    lateral: NDArray[np.bool_] | None  # (m,) which triangles are on the lateral facet; None: there is one facet
+    lateral: NDArray[np.bool_] | None  # (m,) which triangles are on the lateral facet; None: a single facet
     region: TrochlearRegion | None
 
 
@@ -36,10 +36,10 @@ class FemurMeshSection(MeshFileSection):
 
     facets: Literal["medial_lateral", "one"] = Field(
         default="medial_lateral",
-        description='"medial_lateral": told apart by the groove line; "one": a surface without a groove',
+        description='"medial_lateral": divided by the groove line; "one": a surface without a groove',
     )
     region: RegionSection = Field(
-        default_factory=RegionSection, description="table: where the trochlea is, whose groove line parts the facets"
+        default_factory=RegionSection, description="table: region of the trochlea, whose groove line divides the facets"
     )
 
     def _check(self) -> None:
@@ -59,24 +59,24 @@ class FemurMeshSection(MeshFileSection):
 
 
 class ButtonMesh(NamedTuple):
-    """The button's mesh, its axes the patella's."""
+    """The button's mesh in the patella's axes."""
 
-    mesh: SurfaceMesh  # about the origin that results follow
-    origin: Floats  # (3,) in the patella's frame [m]
+    mesh: SurfaceMesh  # relative to the origin
+    origin: Floats  # (3,) point that results track, patella's frame [m]
 
 
 class MeshButtonSection(MeshFileSection):
-    """The button by its mesh; where a method takes spheres only, by the sphere that is fitted to it."""
+    """The button as a mesh; methods for spheres use the sphere that is fitted to it."""
 
     center_m: Point | None = Field(
-        default=None, description="point that results follow, patella frame [m]; the mesh frame's origin by default"
+        default=None, description="point that results track, patella frame [m]; by default the mesh frame's origin"
     )
     tolerance_m: Positive | None = Field(
-        default=None, description="of the fitted sphere: deviation that still counts as sphere [m]"
+        default=None, description="for the fitted sphere: largest deviation of the spherical part [m]"
     )
 
     def triangles(self, setting: Setting) -> ButtonMesh:
-        """The mesh itself."""
+        """The mesh."""
         _refuse_given(self, "tolerance_m", "there is no sphere to fit: the triangles themselves touch", setting)
         from pftwin.geometry.mesh.mesh import SurfaceMesh
 
@@ -86,22 +86,22 @@ class MeshButtonSection(MeshFileSection):
         return ButtonMesh(SurfaceMesh(mesh.vertices - origin, mesh.faces, mesh.source), origin)
 
     def sphere(self, setting: Setting, label: str) -> tuple[Floats, float]:
-        """As `Setting.sphere`."""
+        """See `Setting.sphere`."""
         _refuse_given(self, "center_m", "the fitted sphere has its own centre", setting)
         return setting.sphere(self.read(setting), label, self.tolerance_m)
 
 
 class SphereButtonSection(Section):
-    """The button as a sphere; where a method takes triangles, as an icosphere."""
+    """The button as a sphere; methods for triangles use an icosphere."""
 
     radius_m: Positive = Field(description="radius of the sphere [m]")
     center_m: Point = Field(default=[0.0, 0.0, 0.0], description="its centre, patella frame [m]")
     deviation_m: Positive | None = Field(
-        default=None, description="how far triangles may lie off the sphere [m]; 0.006 mm by default"
+        default=None, description="largest deviation of triangles from the sphere [m]; 0.006 mm by default"
     )
 
     def triangles(self, setting: Setting) -> ButtonMesh:
-        """An icosphere, the coarsest that keeps to the deviation."""
+        """The coarsest icosphere within the deviation."""
         from pftwin.geometry.mesh.icosphere import RESOLUTIONS, button_mesh
 
         with setting.naming("deviation_m"):
@@ -131,7 +131,7 @@ ButtonSection = Annotated[
 
 
 def refuse_patch(setting: Setting) -> None:
-    """A patch asked for on the command line cannot take the place of meshes."""
+    """Raises InputError if the command line requests a patch, which cannot replace meshes."""
     if setting.contact is not None:
         raise InputError(
             f"{setting.contact} was asked for, and this contact is of meshes",
@@ -141,10 +141,10 @@ def refuse_patch(setting: Setting) -> None:
 
 
 def check_start(femur: FemurMesh, button: ButtonMesh, setting: Setting) -> None:
-    """Refuse a start that no search for an equilibrium can find a way out of; a note on one that may be hard.
+    """Checks the start for poses from which no equilibrium can be found; adds a note if it may be difficult.
 
     Raises:
-        InputError: most of the button behind the femur's surface, or all of it far away.
+        InputError: most of the button is behind the femur's surface, or all of it is far away.
     """
     from pftwin.geometry.contact.behind import mutual_place
     from pftwin.geometry.contact.depths import DEEPEST

@@ -1,4 +1,4 @@
-"""Validation errors in words: one message that lists every problem with its file, line and field."""
+"""Formats validation errors: one message that lists all problems with file, line and field."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ Found = tuple[str, str | None, str | None]  # problem, expected, remedy
 
 
 def validated(document: Document, model: type[Table]) -> tuple[Table, Document]:
-    """The file as its model has it; and the document, which knows now what validation has put into lists.
+    """Validates a file; returns its model, and the document with the values that validation has put into lists.
 
     Raises:
-        InputError: one for all that is wrong.
+        InputError: one error that lists all problems.
     """
     reading = Reading()
     try:
@@ -42,7 +42,7 @@ def _scene_error(error: ValidationError, document: Document, reading: Reading) -
     }
     for detail, place, parent, value in located:
         if detail["type"] == "missing" and (id(parent), place[-1]) in misspelt:
-            continue  # one slip, one message
+            continue  # one message per mistake
         model = reading.models.get(id(parent))
         problem, expected, remedy = _message(detail, value, place[-1] if place else "", model)
         found.append(InputError(problem, where=document.describe(place), expected=expected, remedy=remedy))
@@ -73,7 +73,7 @@ def _message(detail: Mapping[str, Any], value: Any, name: str | int, model: type
 
 
 def _meaning(name: str | int, model: type[Section] | None) -> str | None:
-    """The description of a field, by its name or by its name in millimetres."""
+    """Description of a field, by its name in metres or millimetres."""
     if model is None or not isinstance(name, str):
         return None
     fields = {f.alias or key: f for key, f in model.model_fields.items()}
@@ -92,7 +92,7 @@ def _known(model: type[Section] | None) -> list[str]:
 
 
 def _nearest(name: str, model: type[Section] | None) -> list[str]:
-    """At most two known fields that the name may have been meant for."""
+    """Up to two known fields with similar names."""
     known = _known(model)
     by_lower = {key.lower(): key for key in [*known, *(f"{key}m" for key in known if key.endswith("_m"))]}
     return [by_lower[c] for c in difflib.get_close_matches(name.lower(), list(by_lower), n=2, cutoff=0.6)]

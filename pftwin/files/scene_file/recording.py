@@ -1,4 +1,4 @@
-"""The recording of a scene file: read once, mended and filtered, and made into each segment's poses."""
+"""The recording of a scene file: reads it once, repairs and filters it, and computes each segment's poses."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ Recorded = TypeVar("Recorded", PoseSeries, MarkerTrajectories)
 
 
 class SegmentRecording:
-    """Reads the recording once, and gives each segment's poses in the world."""
+    """Reads the recording once, and provides each segment's poses in the world."""
 
     def __init__(
         self,
@@ -48,11 +48,11 @@ class SegmentRecording:
         self.clusters, self.limits = ClusterFits(limits, notes), limits
         self._poses: dict[str, PoseSeries] = {}
         self._whole: dict[tuple[str, ...], PoseSeries] = {}
-        self._centers: dict[str, Floats | None] = {}  # places (n, 3) [m]; None while they are looked for
+        self._centers: dict[str, Floats | None] = {}  # positions (n, 3) [m]; None while they are computed
         self._markers: MarkerTrajectories | None = None
 
     def whole(self, section: SegmentSection, *at: str) -> PoseSeries:
-        """The poses of a segment over the whole recording; `at` is its place in the scene file."""
+        """Poses of a segment over the whole recording; `at` is the location of its table in the scene file."""
         if at not in self._whole:
             self._whole[at] = self._read(section, *at)
         return self._whole[at]
@@ -77,19 +77,19 @@ class SegmentRecording:
             return poses.compose(three.segment.pose().pose())
 
     def bones(self) -> tuple[PoseSeries | None, PoseSeries]:
-        """The poses of femur, None where it is fixed, and tibia in the time range of the scene.
+        """Poses of femur (None if it is fixed) and tibia in the time range of the scene.
 
-        Stretches of frames of a file of poses in which one of them jumps out and back are filled.
+        In a file of poses, runs of frames in which a bone jumps out and back are filled.
 
         Raises:
-            InputError: stretches that are too long.
+            InputError: runs that are too long.
         """
         femur, tibia = self.segments["femur"], self.segments["tibia"]
         shin = self.poses(tibia, "tibia")
         thigh = None if femur.fixed is not None else self.poses(femur, "femur")
         if tibia.body is None or (thigh is not None and femur.body is None):
             return thigh, shin
-        # A bone is out of line from half the speed at which a knee's motion is refused.
+        # Outliers of a bone start at half the speed at which a knee's motion raises an error.
         speed, spin = self.limits.most_knee_speed_m_per_s, self.limits.most_angular_speed_rad_per_s / 2
         with self.document.naming("motion"):
             thigh, shin, words = mended_bones(thigh, shin, max_gap_s=self.motion.max_gap_s, speed=speed, spin=spin)
@@ -97,17 +97,17 @@ class SegmentRecording:
         return thigh, shin
 
     def poses(self, section: SegmentSection, *at: str) -> PoseSeries:
-        """The poses of a segment in the time range of the scene."""
+        """Poses of a segment in the time range of the scene."""
         return self._in_time(self.whole(section, *at))
 
     def points(self, names: list[str], *at: str) -> MarkerTrajectories:
-        """Single markers in the time range of the scene; NaN where a gap in one is too long to be filled."""
+        """Single markers in the time range of the scene; NaN in gaps that are too long to be filled."""
         with self.document.naming(*at):
             markers = self._filtered(names, keep_long=True)
         return self._in_time(markers.select(names))
 
     def _in_time(self, seen: Recorded) -> Recorded:
-        """What was recorded in the time range of the scene."""
+        """Restricts a recording to the time range of the scene."""
         start, end = self.motion.start_time_s, self.motion.end_time_s
         if start is None and end is None:
             return seen
@@ -140,9 +140,9 @@ class SegmentRecording:
     def _filtered(
         self, names: list[str], cluster: Mapping[str, list[float]] | None = None, *, keep_long: bool = False
     ) -> MarkerTrajectories:
-        """The named markers mended, with gaps filled, filtered; fixed points and joint centres are not filtered.
+        """The named markers, repaired, with gaps filled, and filtered; fixed points and joint centres are not filtered.
 
-        Markers of a cluster are mended by its shape, its points' places in a segment's frame [m].
+        Markers of a cluster are repaired by its shape: the positions of its points in a segment's frame [m].
         """
         motion, recorded = self.motion, self._recorded()
         still = {name: np.array(motion.fixed_points_m[name]) for name in names if name in motion.fixed_points_m}
@@ -153,7 +153,7 @@ class SegmentRecording:
         whole = MarkerTrajectories(recorded.times, (*seen, *more), positions, recorded.source)
         if cluster is not None:
             whole, strays = mended_cluster(whole, cluster)
-            self.notes.extend(w for s in strays if (w := s.in_words()) not in self.notes)  # a patella is read twice
+            self.notes.extend(w for s in strays if (w := s.in_words()) not in self.notes)  # the patella is read twice
         markers, gaps = fill_gaps(whole.select(seen), max_gap_s=motion.max_gap_s, keep_long=keep_long)
         self.notes.extend(f"{g.marker}: {'filled' if g.filled else 'no'} {g.in_words()}" for g in gaps)
         if motion.cutoff_Hz is not None:
@@ -162,14 +162,14 @@ class SegmentRecording:
         return MarkerTrajectories(markers.times, (*seen, *more), positions, markers.source)
 
     def _shaped(self, names: list[str]) -> MarkerTrajectories:
-        """Markers of one segment without places of their own, mended by their mean shape where they have one."""
+        """Markers of a segment without given positions, repaired by their mean shape if they have one."""
         recorded = self._recorded()
         whole = len(names) >= 3 and (~recorded.select(names).missing).all(axis=1).any()
         shape = {n: [*map(float, p)] for n, p in mean_cluster(recorded, names).items()} if whole else None
         return self._filtered(names, shape)
 
     def _recorded(self) -> MarkerTrajectories:
-        """All markers as their file has them."""
+        """All markers of the file."""
         if self.motion.markers is None:
             raise InputError("markers are named, and no file of them", remedy='markers = "FILE.trc" in [motion]')
         if self._markers is None:
@@ -178,7 +178,7 @@ class SegmentRecording:
         return self._markers
 
     def _center(self, name: str) -> Floats:
-        """Places (n, 3) of a joint's centre in the world [m]."""
+        """Positions (n, 3) of a joint's centre in the world [m]."""
         path = self._centers.get(name)
         if path is not None:
             return path
@@ -193,7 +193,7 @@ class SegmentRecording:
         return path
 
     def _frame(self, center: JointCenterSection) -> PoseSeries:
-        """Poses of that in which a joint's centre is fixed, at the markers' times."""
+        """Poses, at the markers' times, of the segment in which a joint's centre is fixed."""
         times = self._recorded().times
         world = PoseSeries(times, np.zeros((times.size, 3)), np.tile([1.0, 0, 0, 0], (times.size, 1)), source="world")
         if center.about_markers is not None:
@@ -209,7 +209,7 @@ class SegmentRecording:
         return poses
 
     def _low_passed(self, markers: MarkerTrajectories, cutoff: float) -> MarkerTrajectories:
-        """Each marker wherever it is seen for long enough, NaN elsewhere."""
+        """Filters each marker in runs of frames that are long enough; NaN elsewhere."""
         motion, rate, filtered = self.motion, markers.rate, np.full_like(markers.positions, np.nan)
         shortest = samples_needed(rate, cutoff, motion.filter_order) if markers.missing.any() else 0
         with self.document.naming("motion", "cutoff_Hz"):
@@ -226,7 +226,7 @@ class SegmentRecording:
 
 
 def _seen_together(missing: NDArray[np.bool_]) -> Iterator[tuple[int, int, NDArray[np.intp]]]:
-    """First frame and the one after the last of each run without gaps, and its markers; those without any together."""
+    """First frame, frame after the last, and markers, of runs without gaps; markers without any gap together."""
     whole = ~missing.any(axis=0)
     if whole.any():
         yield 0, len(missing), np.flatnonzero(whole)

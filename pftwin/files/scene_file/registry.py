@@ -1,7 +1,7 @@
-"""Which tables of a scene file are effects: pftwin's own, those of installed packages, and those of one call.
+"""Registry of effects' tables in scene files: built-in, from installed packages, and registered by `register_effect`.
 
-An effect of one's own, `class Band(ElasticLine)`, is read from `[[band]]` once a program has called
-`pftwin.register_effect(Band)`, or where an installed package names it as an entry point:
+A custom effect, `class Band(ElasticLine)`, is read from `[[band]]` after a call of `pftwin.register_effect(Band)`, or
+if an installed package declares it as an entry point:
 
     [project.entry-points."pftwin.effects"]
     band = "my_package:Band"
@@ -38,22 +38,22 @@ EFFECTS: tuple[type[EffectSection], ...] = (
     MeshContactSection,
     ElasticFoundationSection,
     DampingSection,
-    declared_table(Marker, words={"point": "place on the patella [m]"}),
+    declared_table(Marker, words={"point": "position on the patella [m]"}),
 )
 ENTRY_POINTS = "pftwin.effects"
 _registered: dict[str, type[EffectSection]] = {}
 
 
 def register_effect(effect: type[Effect] | type[EffectSection], kind: str | None = None) -> None:
-    """Lets scene files have an effect of one's own.
+    """Registers a custom effect, so that scene files can use it.
 
     Args:
-        effect: a class of effects, whose table follows from what its fields declare (`quantity`); or a table of one's
-            own that builds an effect.
-        kind: the table's name; by default the class's, in lower case with underscores.
+        effect: a class of effects, whose table is generated from the declarations of its fields (`quantity`); or a
+            custom table that builds an effect.
+        kind: name of the table; by default the class's, in lower case with underscores.
 
     Raises:
-        InputError: a name that another effect has; a field that declares too little to be read from a file.
+        InputError: a name that is already in use; a field whose declaration is incomplete.
     """
     table = effect if issubclass(effect, EffectSection) else declared_table(effect, kind)
     if any(table.kind == own.kind for own in EFFECTS):
@@ -62,7 +62,7 @@ def register_effect(effect: type[Effect] | type[EffectSection], kind: str | None
 
 
 def effect_tables() -> tuple[type[EffectSection], ...]:
-    """All tables that scene files may have, in the order in which a scene has their effects."""
+    """All registered tables, in the order of effects in a scene."""
     return (*EFFECTS, *{**_installed(), **_registered}.values())
 
 
@@ -71,7 +71,7 @@ def _installed() -> dict[str, type[EffectSection]]:
     """Tables of installed packages.
 
     Raises:
-        InputError: an entry point that cannot be loaded or is no effect.
+        InputError: an entry point that cannot be loaded or is not an effect.
     """
     found = {}
     for point in entry_points(group=ENTRY_POINTS):

@@ -1,4 +1,4 @@
-"""What all tables of a scene file share: strict fields with units in their names, lengths in metres or millimetres."""
+"""Base class of all tables of a scene file: strict fields with units in their names, lengths in m or mm."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pydantic_core import PydanticCustomError
 
 @dataclass
 class Reading:
-    """Records that validation keeps for its messages, by the identity of the file's values."""
+    """Records of a validation for its messages, by the identity of the file's values."""
 
     models: dict[int, type[Section]] = field(default_factory=dict)
     wrapped: set[int] = field(default_factory=set)
@@ -21,7 +21,7 @@ class Reading:
 
 
 class Section(BaseModel):
-    """A table. Unknown fields are errors; a field NAME_m may be written NAME_mm; text is never taken for a number."""
+    """A table. Unknown fields are errors; a field NAME_m may be written NAME_mm; strings never count as numbers."""
 
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False, populate_by_name=False)
 
@@ -50,19 +50,19 @@ class Section(BaseModel):
         return self
 
     def _check(self) -> None:
-        """Whether its fields go together; a table that asks for that raises a `problem` where they do not."""
+        """Checks the consistency of the fields; subclasses raise a `problem`."""
 
 
 def other_unit(name: str) -> tuple[str, float] | None:
-    """The name of a field of metres in millimetres, and the factor from there; None for other fields.
+    """Name of a field's variant in millimetres, and the factor to metres; None for fields without metres.
 
-    What is per metre, such as a stiffness in N/m, is a thousand times as large as the same number per millimetre.
+    The factor of quantities per metre, such as a stiffness in N/m, is 1000.
     """
     return (f"{name}m", 1e3 if name.endswith("_per_m") else 1e-3) if name.endswith("_m") else None
 
 
 def problem(found: str, *, expected: str | None = None, remedy: str | None = None) -> PydanticCustomError:
-    """An error for a validator to raise; it keeps its parts."""
+    """Makes an error for validators to raise, which keeps its parts."""
     return PydanticCustomError("scene", "{found}", {"found": found, "expected": expected, "remedy": remedy})
 
 
@@ -108,7 +108,7 @@ def _one_or_many(value: Any, info: ValidationInfo) -> Any:
 
 
 def one_number_or_many(value: Any, info: ValidationInfo) -> Any:
-    """A list as it is, a single value as a list of one."""
+    """Returns a list unchanged, a single value as a list of one."""
     return value if isinstance(value, list) else _wrapped(value, info)
 
 
@@ -143,7 +143,7 @@ Polynomial = Annotated[str, AfterValidator(_polynomial)]
 LengthUnit = Literal["m", "dm", "cm", "mm", "um", "in"]
 FileName = Annotated[str, Field(min_length=1), AfterValidator(_printable)]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
-# Groups: one value for all members, or a list with one for each.
+# Fields of groups: one value for all members, or a list with one for each.
 Positives = Annotated[list[Positive], Field(min_length=1), BeforeValidator(one_number_or_many)]
 NotNegatives = Annotated[list[NotNegative], Field(min_length=1), BeforeValidator(one_number_or_many)]
 Points = Annotated[list[Point], Field(min_length=1), BeforeValidator(_point_or_points)]
@@ -151,11 +151,11 @@ Directions = Annotated[list[Direction], Field(min_length=1), BeforeValidator(_po
 PositiveTriples = Annotated[list[PositiveTriple], Field(min_length=1), BeforeValidator(_point_or_points)]
 UnitQuaternions = Annotated[list[UnitQuaternion], Field(min_length=1), BeforeValidator(_point_or_points)]
 ONE_OR_MANY = BeforeValidator(_one_or_many)  # [table] or [[table]]
-IN_PLACE_OF_LISTS = (one_number_or_many, _point_or_points, _one_or_many)  # validators that take one value for a list
+IN_PLACE_OF_LISTS = (one_number_or_many, _point_or_points, _one_or_many)  # validators that accept a single value
 
 
 def group_size(section: Any, *names: str) -> int:
-    """How many members a group has: every field has one value for all, or one for each."""
+    """Number of members of a group, whose fields each have one value for all members, or one for each."""
     sizes = {name: len(value) for name in names if (value := getattr(section, name)) is not None}
     n = max(sizes.values())
     if odd := [f"{name} has {k}" for name, k in sizes.items() if k not in (1, n)]:
@@ -167,5 +167,5 @@ def group_size(section: Any, *names: str) -> int:
 
 
 def member_values(values: np.ndarray, n: int) -> np.ndarray:
-    """Values of each of n members along the first axis; without that axis where there is only one."""
+    """Values of n members along the first axis; without this axis if n is 1."""
     return values[0] if n == 1 else np.broadcast_to(values, (n, *values.shape[1:]))

@@ -1,4 +1,4 @@
-"""Where femur, tibia and patella are: fixed, in a table of poses, or seen through markers; and joint centres."""
+"""Tables of segments' poses (fixed, from a file of poses, or from markers), joint centres and the recording."""
 
 # ruff: noqa: N815  (units in names are written as units are: N, Hz)
 from __future__ import annotations
@@ -18,7 +18,7 @@ from pftwin.model.scene import PatellaBody
 
 
 class PoseSection(Section):
-    """A frame in its parent."""
+    """Pose of a frame in its parent."""
 
     position_m: Point = Field(default=[0.0, 0.0, 0.0], description="origin of the frame in its parent [m]")
     quaternion_wxyz: UnitQuaternion = Field(default=[1.0, 0.0, 0.0, 0.0], description="unit quaternion (w, x, y, z)")
@@ -29,24 +29,24 @@ class PoseSection(Section):
 
 
 class ThreePointsSection(Section):
-    """Vaughan's frame from three markers: origin at the first, first axis towards the second."""
+    """Vaughan's frame from three markers: origin at the first marker, first axis towards the second."""
 
     markers: Annotated[list[str], Field(min_length=3, max_length=3)] = Field(description="names of three markers")
     axes: Literal["xy", "yx", "xz", "zx", "yz", "zy"] = Field(
-        default="xy", description="axis along markers 1-2, then the one towards marker 3"
+        default="xy", description="axis from marker 1 to marker 2, then the axis towards marker 3"
     )
     segment: PoseSection = Field(
-        default_factory=PoseSection, description="the segment's own frame in the three-point frame"
+        default_factory=PoseSection, description="pose of the segment's frame in the three-point frame"
     )
 
 
 class SegmentSection(Section):
-    """One of: a fixed pose, a body of a table of poses, a cluster of markers, three markers."""
+    """One of: a fixed pose, a body in the file of poses, a cluster of markers, three markers."""
 
-    fixed: PoseSection | None = Field(default=None, description="pose in the world, which does not change")
+    fixed: PoseSection | None = Field(default=None, description="constant pose in the world")
     body: str | None = Field(default=None, description="name of the body in the file of poses")
     cluster_m: dict[str, Point] | None = Field(
-        default=None, description="marker names and their places in the segment's frame [m]; least-squares fit"
+        default=None, description="marker names and their positions in the segment's frame [m]; least-squares fit"
     )
     three_points: ThreePointsSection | None = Field(default=None, description="frame from three markers")
 
@@ -60,7 +60,7 @@ class SegmentSection(Section):
 
 
 class StartSection(SegmentSection):
-    """The patella's pose at the first frame, near which the equilibrium is looked for."""
+    """The patella's pose at the first frame, from which the search for equilibrium starts."""
 
     relative_to: Literal["world", "femur"] = Field(default="world", description="frame in which a fixed start is given")
 
@@ -76,7 +76,7 @@ class PatellaSection(Section):
     start: StartSection = Field(description="table: the patella's pose at the first frame")
 
     def body(self, side: Side) -> PatellaBody:
-        """The patella as a scene holds it."""
+        """The patella of a scene."""
         center = vector(side.points("patella", self.center_of_mass_m))
         return PatellaBody(number(self.mass_kg), vector(side.moments(self.inertia_kg_m2)), center)
 
@@ -84,27 +84,27 @@ class PatellaSection(Section):
 class FemurSection(SegmentSection):
     """The femur; fixed at the world's origin by default."""
 
-    fixed: PoseSection | None = Field(default=None, description="pose in the world of a femur that does not move")
+    fixed: PoseSection | None = Field(default=None, description="pose in the world of a fixed femur")
 
 
 class TibiaSection(SegmentSection):
-    """The tibia, guided by the recording."""
+    """The tibia, whose motion is that of the recording."""
 
 
 class JointCenterSection(Section):
-    """A point that counts as a marker, for segments with two markers, say.
+    """A joint centre that is used as a marker, for instance for segments with only two markers.
 
-    It is fixed in a segment of this file or in a cluster of other markers, as on the pelvis. Its place there is given,
-    or found as the point about which markers of the neighbouring segment turn, by least squares over the motion.
+    It is fixed in a segment of this file or in a cluster of other markers, for instance of the pelvis. Its position
+    there is given, or is the point about which markers of the adjacent segment rotate, by least squares.
     """
 
-    about: Literal["world", "femur", "tibia"] = Field(default="world", description="in what it is fixed")
+    about: Literal["world", "femur", "tibia"] = Field(default="world", description="segment in which it is fixed")
     about_markers: Annotated[list[str], Field(min_length=3)] | None = Field(
-        default=None, description="in place of `about`: three markers or more of a segment in which it is fixed"
+        default=None, description="instead of `about`: three or more markers of the segment in which it is fixed"
     )
-    point_m: Point | None = Field(default=None, description="its place in that segment's frame [m]")
+    point_m: Point | None = Field(default=None, description="its position in that segment's frame [m]")
     of: Annotated[list[str], Field(min_length=1)] | None = Field(
-        default=None, description="in place of `point_m`: markers of the other segment, which turn about it"
+        default=None, description="instead of `point_m`: markers of the other segment, which rotate about it"
     )
 
     def _check(self) -> None:
@@ -118,17 +118,17 @@ class JointCenterSection(Section):
     def path(
         self, name: str, frame: PoseSeries, turning: MarkerTrajectories | None, limits: Limits, notes: list[str]
     ) -> Floats:
-        """Its places (n, 3) in the world [m].
+        """Positions (n, 3) in the world [m].
 
         Args:
-            name: its own, for messages.
+            name: of the joint centre, for messages.
             frame: poses of the segment in which it is fixed.
-            turning: the markers `of`; None for a point that is given.
-            limits: how well the motion has to tell it.
-            notes: what is found is said there.
+            turning: the markers `of`; None for a given point.
+            limits: required accuracy.
+            notes: a note on the result is added.
 
         Raises:
-            InputError: a motion that does not tell it well enough.
+            InputError: a motion that does not determine it accurately enough.
         """
         rotations = frame.matrices()
         if turning is None:
@@ -154,31 +154,31 @@ class MotionSection(Section):
         default=None,
         description="file of poses: CSV with time_s, BODY_px_m ... BODY_qz; STO with time, BODY_T11 ... BODY_T44 [m]",
     )
-    rate_Hz: Positive | None = Field(default=None, description="frames per second, where time in an STO counts frames")
+    rate_Hz: Positive | None = Field(default=None, description="frames per second, if time in an STO is a frame number")
     markers: FileName | None = Field(default=None, description="TRC, C3D or CSV file of markers")
     units: Literal["m", "cm", "mm"] | None = Field(
-        default=None, description="unit of the markers where their file has none"
+        default=None, description="unit of the markers' coordinates if their file has none"
     )
     fixed_points_m: dict[str, Point] = Field(
         default_factory=dict,
-        description="points fixed in the world that count as markers, as a hip centre [m]",
+        description="points fixed in the world that are used as markers, such as a hip centre [m]",
     )
     joint_centers: dict[str, JointCenterSection] = Field(
         default_factory=dict,
-        description="points fixed in a segment that count as markers: given, or found from the motion",
+        description="points fixed in a segment that are used as markers: given, or determined from the motion",
     )
     max_gap_s: NotNegative = Field(
         default=0.1,
-        description="longest gap in a marker, or stretch in which a bone jumps, that is filled by a spline [s]",
+        description="longest gap of a marker, or run of frames in which a bone jumps, that is filled by a spline [s]",
     )
     cutoff_Hz: Positive | None = Field(default=None, description="cut-off of the zero-phase Butterworth filter [Hz]")
     filter_order: Literal[1, 2, 3, 4] = Field(default=2, description="order of one pass of the filter")
     correct_two_passes: bool = Field(
         default=False, description="design the filter so that both passes together have -3 dB at the cut-off"
     )
-    start_time_s: float | None = Field(default=None, description="first time used [s]; the recording's by default")
-    end_time_s: float | None = Field(default=None, description="last time used [s]; the recording's by default")
-    synthetic: bool = Field(default=False, description="whether this motion was simulated; results and figures say so")
+    start_time_s: float | None = Field(default=None, description="first time used [s]; by default the recording's")
+    end_time_s: float | None = Field(default=None, description="last time used [s]; by default the recording's")
+    synthetic: bool = Field(default=False, description="whether the motion is simulated; stated in results and figures")
 
     def _check(self) -> None:
         if self.start_time_s is not None and self.end_time_s is not None and self.start_time_s >= self.end_time_s:

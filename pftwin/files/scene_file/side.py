@@ -1,4 +1,4 @@
-"""The files' own axes: everything is turned, and for a left knee mirrored, into anatomical axes of a right knee."""
+"""Transforms data from a file's axes to the anatomical axes of a right knee; left knees are mirrored."""
 
 from __future__ import annotations
 
@@ -23,38 +23,38 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class HostPose:
-    """X_AB: p_A = position + matrix p_B."""
+    """Pose X_AB as NumPy arrays: p_A = position + matrix p_B."""
 
     position: Array  # (3,) [m]
     matrix: Array  # (3, 3)
 
     @staticmethod
     def of(position: ArrayLike, quaternion: ArrayLike) -> HostPose:
-        """From a position [m] and a unit quaternion (w, x, y, z)."""
+        """Makes a pose from a position [m] and a unit quaternion (w, x, y, z)."""
         from scipy.spatial.transform import Rotation
 
         matrix = Rotation.from_quat(np.asarray(quaternion, dtype=np.float64), scalar_first=True).as_matrix()
         return HostPose(np.asarray(position, dtype=np.float64), matrix)
 
     def apply(self, points: ArrayLike) -> Array:
-        """Points (..., 3) of B in A."""
+        """Transforms points (..., 3) [m] from B to A."""
         return self.position + np.asarray(points, dtype=np.float64) @ self.matrix.T
 
     def __matmul__(self, other: HostPose) -> HostPose:
         return HostPose(self.apply(other.position), self.matrix @ other.matrix)
 
     def inverse(self) -> HostPose:
-        """X_BA."""
+        """The inverse pose X_BA."""
         return HostPose(-self.position @ self.matrix, self.matrix.T)
 
     def quaternion(self) -> Array:
-        """Its orientation (w, x, y, z)."""
+        """Orientation as a quaternion (w, x, y, z)."""
         from scipy.spatial.transform import Rotation
 
         return Rotation.from_matrix(self.matrix).as_quat(scalar_first=True, canonical=True)
 
     def pose(self) -> Pose:
-        """The pose as a scene holds it, in JAX's default float type."""
+        """The pose as a JAX pytree, in JAX's default float type."""
         return Pose(vector(self.position), Quaternion(*(number(c) for c in self.quaternion())))
 
 
@@ -86,27 +86,27 @@ Axes = Annotated[
 
 
 class AxesSection(Section):
-    """Which of a frame's own axes point proximally, laterally and anteriorly; or "isb", the ISB's: x anterior, y
-    proximal, z to the right."""
+    """The axes of each frame that point proximally, laterally and anteriorly; or "isb" for the ISB's axes: x anterior,
+    y proximal, z to the right."""
 
     femur: Axes | None = Field(default=None, description="proximal, lateral, anterior in the femur's frame")
     tibia: Axes | None = Field(default=None, description="proximal, lateral, anterior in the tibia's frame")
     patella: Axes | None = Field(default=None, description="proximal, lateral, anterior in the patella's frame")
     world_medial_lateral: Literal["x", "y", "z"] = Field(
-        default="y", description="medial-lateral axis of the world: that along which a left knee is mirrored"
+        default="y", description="medial-lateral axis of the world, along which a left knee is mirrored"
     )
 
 
 @dataclass(frozen=True, eq=False)
 class Side:
-    """From each frame's own axes to (proximal, lateral, anterior), and from a left knee to a right one."""
+    """Transformation from each frame's axes to (proximal, lateral, anterior), and from a left to a right knee."""
 
     matrices: dict[str, Array]  # (3, 3) by frame: rows are the anatomical axes; determinant -1 for a left knee
     left: bool
 
     @classmethod
     def read(cls, left: bool, axes: AxesSection, document: Document) -> Self:
-        """The side and axes that a scene file states.
+        """Reads the side and axes of a scene file.
 
         Raises:
             InputError: axes of the other side.
@@ -130,20 +130,20 @@ class Side:
         return cls(matrices, left)
 
     def points(self, frame: str, values: ArrayLike) -> Array:
-        """Points or directions (..., 3) of a frame ("world", "femur", "tibia" or "patella")."""
+        """Transforms points or directions (..., 3) of a frame ("world", "femur", "tibia" or "patella")."""
         return np.asarray(values, dtype=np.float64) @ self.matrices[frame].T
 
     def moments(self, values: ArrayLike) -> Array:
-        """Principal moments (3,) along the patella's own axes."""
+        """Reorders principal moments (3,) about the patella's axes."""
         return np.abs(self.matrices["patella"]) @ np.asarray(values, dtype=np.float64)
 
     def pose(self, parent: str, body: str, pose: HostPose) -> HostPose:
-        """A fixed pose of a body in its parent."""
+        """Transforms a fixed pose of a body in its parent."""
         a, b = self.matrices[parent], self.matrices[body]
         return HostPose(a @ pose.position, a @ pose.matrix @ b.T)
 
     def poses(self, parent: str, body: str, poses: PoseSeries) -> PoseSeries:
-        """Recorded poses of a body in its parent."""
+        """Transforms recorded poses of a body in its parent."""
         a, b = self.matrices[parent], self.matrices[body]
         return PoseSeries.from_matrices(
             poses.times,
@@ -154,7 +154,7 @@ class Side:
         )
 
     def mesh(self, frame: str, mesh: SurfaceMesh) -> SurfaceMesh:
-        """A surface; its triangles keep their outer side outside."""
+        """Transforms a surface; for a left knee triangles are reversed, so that normals still point outward."""
         from pftwin.geometry.mesh.mesh import SurfaceMesh
 
         faces = mesh.faces[:, ::-1].copy() if self.left else mesh.faces

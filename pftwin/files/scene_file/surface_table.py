@@ -1,4 +1,4 @@
-"""The contact's surface: fitted to the trochlear part of a mesh, given by its coefficients, or the rig's implant."""
+"""Tables of the contact's surface: fitted to a mesh's trochlea, given by coefficients, or the rig's implant."""
 
 from __future__ import annotations
 
@@ -35,16 +35,16 @@ if TYPE_CHECKING:
 
 
 class RegionSection(Section):
-    """Which part of the mesh is trochlea: looked for, or about a known axis."""
+    """The trochlear region of the mesh: found by a search, or about a known axis."""
 
-    anterior: Direction | None = Field(default=None, description="anterior direction, the mesh's frame; by [axes]")
-    proximal: Direction | None = Field(default=None, description="proximal direction, the mesh's frame; by [axes]")
+    anterior: Direction | None = Field(default=None, description="anterior direction, mesh's frame; default: [axes]")
+    proximal: Direction | None = Field(default=None, description="proximal direction, mesh's frame; default: [axes]")
     half_width_m: Positive = Field(default=0.02, description="half width of the region, medial-lateral [m]")
     angles_deg: Pair = Field(
         default=[-60.0, 60.0], description="limits about the trochlear axis: 0 anterior, proximal positive [deg]"
     )
     axis_origin_m: Point | None = Field(
-        default=None, description="point of the trochlear axis in line with the groove, where the axis is known [m]"
+        default=None, description="point of the trochlear axis at the groove, if the axis is known [m]"
     )
     axis_radius_m: Positive | None = Field(default=None, description="distance of the groove from that axis [m]")
 
@@ -55,7 +55,7 @@ class RegionSection(Section):
             raise problem("only one of axis_origin_m and axis_radius_m is given", expected="both or neither")
 
     def find(self, mesh: SurfaceMesh, frame: HostPose, setting: Setting) -> TrochlearRegion:
-        """The region on a mesh that is in the femur's frame already; `frame` is the mesh's own frame there."""
+        """The region on a mesh in the femur's frame; `frame` is the pose of the mesh's original frame."""
         from pftwin.base.spatial import Rotation
         from pftwin.geometry.patch.charts import CylindricalChart
         from pftwin.geometry.patch.region import check_outward, hinted_axes, region_about, trochlear_region
@@ -77,12 +77,12 @@ class RegionSection(Section):
 
 
 class WeightedPartSection(Section):
-    """A part of the region whose vertices count more, or less, in the fit. Where parts overlap the last one counts."""
+    """A part of the region with another weight in the fit. Where parts overlap the last one applies."""
 
-    weight: Positive = Field(description="of each vertex there; elsewhere it is 1")
-    angles_deg: Pair | None = Field(default=None, description="limits about the trochlear axis; all if left out [deg]")
+    weight: Positive = Field(description="weight of each vertex in the part; elsewhere it is 1")
+    angles_deg: Pair | None = Field(default=None, description="limits about the trochlear axis [deg]; none by default")
     across_m: Pair | None = Field(
-        default=None, description="limits from the region's middle, positive laterally; all if left out [m]"
+        default=None, description="limits from the region's middle, positive laterally [m]; none by default"
     )
 
     def _check(self) -> None:
@@ -91,7 +91,7 @@ class WeightedPartSection(Section):
                 raise problem(f"{name} is {limits}", expected="the lower limit first")
 
     def part(self) -> WeightedPart:
-        """In radians and metres."""
+        """The part, in radians and metres."""
         from pftwin.geometry.patch.emphasis import WeightedPart
 
         limits: dict[str, tuple[float, float]] = {}
@@ -103,18 +103,16 @@ class WeightedPartSection(Section):
 
 
 class MeshFileSection(Section):
-    """A mesh in a file, and where its frame is."""
+    """A mesh in a file, and the pose of its frame."""
 
     mesh: FileName = Field(description="STL, OBJ or PLY file")
     units: LengthUnit = Field(description="unit of the mesh's coordinates")
-    repair: bool = Field(
-        default=False, description="turn triangles that face the wrong way, drop those that are there twice"
-    )
-    flip: bool = Field(default=False, description="turn all triangles: for a mesh whose normals point into its body")
-    mesh_pose: PoseSection = Field(default_factory=PoseSection, description="the mesh's frame in its body's")
+    repair: bool = Field(default=False, description="reorient triangles that face the wrong way, remove duplicates")
+    flip: bool = Field(default=False, description="reverse all triangles: for a mesh whose normals point inward")
+    mesh_pose: PoseSection = Field(default_factory=PoseSection, description="pose of the mesh's frame in its body's")
 
     def read(self, setting: Setting) -> SurfaceMesh:
-        """The mesh in its body's frame, as the file has that; notes say what is odd about it."""
+        """Reads the mesh, in its body's frame with the file's axes; adds notes on its faults."""
         from pftwin.geometry.mesh.doctor import checked_mesh
 
         with setting.naming("mesh"):
@@ -130,23 +128,23 @@ class MeshFileSection(Section):
 class MeshSurfaceSection(MeshFileSection):
     """A patch, polynomial or spline, fitted to the trochlear part of a mesh."""
 
-    repair: bool = Field(default=False, description="turn triangles that face the wrong way")
+    repair: bool = Field(default=False, description="reorient triangles that face the wrong way")
     degree: Polynomial = Field(default="P5", description='polynomial: "P2", "P4", "P5" or another total degree')
     kind: Literal["polynomial", "spline"] = Field(
         default="polynomial", description='"polynomial" of that degree, or "spline": bicubic, C2'
     )
     tolerance_m: Positive | None = Field(
-        default=None, description="of a spline: rms of the heights that its cells are made short enough for [m]"
+        default=None, description="for a spline: rms of the heights' residuals to reach with short enough cells [m]"
     )
     chart: Literal["plane", "cylinder"] | None = Field(
         default=None,
-        description="heights over a plane or about an axis; left out: the plane, and of a spline that misses its "
-        "tolerance there or folds over, the better one",
+        description="heights over a plane or about an axis; by default the plane, or for a spline that misses its "
+        "tolerance or folds over there, the better of both",
     )
-    weights: Literal["vertex", "area"] = Field(default="vertex", description="every vertex alike, or by area")
-    region: RegionSection = Field(default_factory=RegionSection, description="which part of the mesh is trochlea")
+    weights: Literal["vertex", "area"] = Field(default="vertex", description="equal weights of vertices, or by area")
+    region: RegionSection = Field(default_factory=RegionSection, description="the trochlear region of the mesh")
     emphasis: list[WeightedPartSection] = Field(
-        default=[], description="parts of the region that count more, such as where the patella dislocates, or less"
+        default=[], description="parts of the region with other weights, such as where the patella dislocates"
     )
 
     def _check(self) -> None:
@@ -156,7 +154,7 @@ class MeshSurfaceSection(MeshFileSection):
             raise problem("a polynomial with tolerance_m", expected='degree = "P5" or higher, or kind = "spline"')
 
     def build(self, setting: Setting) -> Surface:
-        """The patch; a note says how well it fits."""
+        """The fitted patch; adds a note on the fit."""
         from pftwin.geometry.mesh.mesh import load_mesh
         from pftwin.geometry.patch.emphasis import emphasis
         from pftwin.geometry.patch.fit import SPLINE, fit_named, parse_name
@@ -183,7 +181,7 @@ class ImplantSurfaceSection(Section):
     implant: Literal["rig"] = Field(description='"rig": the femoral component of the virtual rig')
 
     def build(self, setting: Setting) -> Surface:
-        """The virtual rig's femoral component, exact."""
+        """The femoral component of the virtual rig."""
         from pftwin.geometry.patch.implant import rig_implant
 
         with setting.naming():

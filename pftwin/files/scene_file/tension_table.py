@@ -1,4 +1,4 @@
-"""[[prescribed_tension]]: muscles whose tension over time stands in a file."""
+"""[[prescribed_tension]]: muscles with a given tension, constant or over time."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from pftwin.model.effects.tension import PrescribedTension
 
 
 class PrescribedTensionSection(EffectSection):
-    """Lines of known tension.
+    """Lines of given tension.
 
-    The file has the columns time_s and, for every line, LINE_tension_N (or LINE_N for those that `lines` names), and
-    where the table does not give them, LINE_origin_x_m, _y_m, _z_m (or LINE_via_BODY_x_m ...; it may move) and
-    LINE_insertion_x_m ... (or LINE_insertion_patella_x_m ...; it may not). Or no file: `tension_N`, always the same.
+    A file has the columns time_s and, for every line, LINE_tension_N (or LINE_N for lines named in `lines`) and, unless
+    the table gives them, LINE_origin_x_m, _y_m, _z_m (or LINE_via_BODY_x_m ...; may move) and LINE_insertion_x_m ...
+    (or LINE_insertion_patella_x_m ...; must be constant). Without a file, `tension_N` are constant tensions.
     """
 
     kind: ClassVar[str] = "prescribed_tension"
@@ -32,9 +32,9 @@ class PrescribedTensionSection(EffectSection):
         default=None, description="CSV file with time_s and LINE_tension_N, or C3D with analog channels LINE_tension"
     )
     tension_N: list[NotNegative] | None = Field(  # noqa: N815
-        default=None, description="in place of a file: constant tension of each line [N]"
+        default=None, description="instead of a file: constant tension of each line [N]"
     )
-    lines: list[str] | None = Field(default=None, description="names of the lines; all of the file's by default")
+    lines: list[str] | None = Field(default=None, description="names of the lines; by default all of the file's")
     insertion_m: Points | None = Field(default=None, description="insertion of each line, patella frame [m]")
     origin_m: Points | None = Field(default=None, description="origin of each line, the body's frame [m]")
     wrap: Wrap = WRAP
@@ -69,7 +69,7 @@ class PrescribedTensionSection(EffectSection):
         )
 
     def _recorded(self, setting: Setting) -> tuple[float, float, Floats, Floats, Floats]:
-        """First time and interval [s], tensions (n, m) [N], origins (1 or n, m, 3) and insertions (m, 3) [m]."""
+        """Reads first time and interval [s], tensions (n, m) [N], origins (1 or n, m, 3) and insertions (m, 3) [m]."""
         if setting.document.given is not None:
             raise InputError(
                 "tensions over time of the scene's own recording",
@@ -118,7 +118,7 @@ class PrescribedTensionSection(EffectSection):
     def _ends(
         self, table: Table, lines: list[str], given: list[list[float]] | None, labels: tuple[str, str], field: str
     ) -> Floats:
-        """Ends of the lines, (1 or n, n_lines, 3) [m]."""
+        """End points of the lines, (1 or n, n_lines, 3) [m]."""
         if given is not None:
             if len(given) not in (1, len(lines)):
                 raise InputError(f"{field} has {len(given)} points for {len(lines)} lines: {', '.join(lines)}")

@@ -1,4 +1,4 @@
-"""wrap = { ... } in the tables of lines of force: the obstacle that they run over, one for all or one for each."""
+"""wrap = { ... } in the tables of lines of force: the obstacle that they wrap over, one for all or one for each."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from pftwin.files.scene_file.effect_tables import Setting
     from pftwin.geometry.wrapping.obstacle import Obstacle
 
-_ALONG = 1e-3  # sine of an angle below which a side is no side
-_LARGEST = 0.2  # radius of anything on a knee [m]: in a larger one all ends of lines would lie, and they run straight
+_ALONG = 1e-3  # sine of the angle between side and axis below which the side is invalid
+_LARGEST = 0.2  # [m] largest radius on a knee; a larger obstacle would contain all ends, so that lines are straight
 
 
 def _check_sizes(name: str, sizes: np.ndarray) -> None:
@@ -37,15 +37,15 @@ def _check_sizes(name: str, sizes: np.ndarray) -> None:
 
 
 class CylinderWrapSection(Section):
-    """An endless cylinder that lines of force run over where they touch it; lists give each line its own."""
+    """An infinite cylinder over which lines of force wrap; lists give each line its own."""
 
-    type: Literal["cylinder"] = Field(description="what the obstacle is")
-    body: Literal["femur", "tibia", "patella"] = Field(description="bone that carries it")
-    center_m: Points = Field(description="a point of its axis, the bone's frame [m]")
+    type: Literal["cylinder"] = Field(description="kind of the obstacle")
+    body: Literal["femur", "tibia", "patella"] = Field(description="bone to which it is fixed")
+    center_m: Points = Field(description="a point on its axis, the bone's frame [m]")
     axis: Directions = Field(description="direction of its axis, the bone's frame")
     radius_m: Positives = Field(description="radius [m]")
     side: Directions | None = Field(
-        default=None, description="side of the axis on which the lines pass, the bone's frame; the nearer by default"
+        default=None, description="side of the axis on which the lines pass, the bone's frame; by default the nearer"
     )
 
     @property
@@ -74,10 +74,10 @@ class CylinderWrapSection(Section):
 
 
 class EllipsoidWrapSection(Section):
-    """An ellipsoid that lines of force run over where they touch it; lists give each line its own."""
+    """An ellipsoid over which lines of force wrap; lists give each line its own."""
 
-    type: Literal["ellipsoid"] = Field(description="what the obstacle is")
-    body: Literal["femur", "tibia", "patella"] = Field(description="bone that carries it")
+    type: Literal["ellipsoid"] = Field(description="kind of the obstacle")
+    body: Literal["femur", "tibia", "patella"] = Field(description="bone to which it is fixed")
     center_m: Points = Field(description="centre, the bone's frame [m]")
     radii_m: PositiveTriples = Field(description="radii along its axes [m]")
     quaternion_wxyz: UnitQuaternions = Field(
@@ -94,7 +94,7 @@ class EllipsoidWrapSection(Section):
         assert self.count
 
     def build(self, setting: Setting) -> Obstacle:
-        """The obstacle. A mirrored one keeps a right-handed frame: its own z is turned round, which is the same."""
+        """The obstacle. A mirrored one keeps a right-handed frame by reversing its z axis, which changes nothing."""
         from pftwin.geometry.wrapping.ellipsoid import Ellipsoid
 
         n, sign = self.count, -1.0 if setting.side.left else 1.0
@@ -112,15 +112,15 @@ class EllipsoidWrapSection(Section):
 Wrap = Annotated[CylinderWrapSection | EllipsoidWrapSection, Field(discriminator="type")] | None
 WRAP = Field(
     default=None,
-    description='table: an obstacle that the lines run over, type = "cylinder" or "ellipsoid"; straight by default',
+    description='table: obstacle that the lines wrap over, type = "cylinder" or "ellipsoid"; straight by default',
 )
 
 
 def obstacle(wrap: Wrap, lines: int, setting: Setting) -> Obstacle | None:
-    """What so many lines run over; `setting` is of their table.
+    """The obstacle of a number of lines; `setting` is that of their table.
 
     Raises:
-        InputError: so many obstacles that each line could not have one.
+        InputError: a number of obstacles that is neither 1 nor that of the lines.
     """
     if wrap is None:
         return None

@@ -20,7 +20,7 @@ LAYERS = foundation()
 
 FIELDS = [
     (CONTOURS, 'method = "contours"', 'method = "contour"', "[mesh_contact] method: found 'contour'; expected: one of"),
-    (CONTOURS, 'method = "contours"\n', "", "[mesh_contact] method: is missing; expected: where the law's"),
+    (CONTOURS, 'method = "contours"\n', "", "[mesh_contact] method: is missing; expected: source of the indentation"),
     (CONTOURS, f"law = {FLORES}\n", "", "[mesh_contact] law: is missing; expected: table: the normal force's law"),
     (CONTOURS, "[mesh_contact]", "[mesh_contct]", "[mesh_contct]: unknown field; expected: did you mean mesh_contact"),
     (CONTOURS, f"femur = {FEMUR}\n", "", "[mesh_contact] femur: is missing; expected: table: the femur's mesh"),

@@ -109,7 +109,7 @@ def test_a_viscoelastic_tendon(toy: Path) -> None:
     assert "relaxation_time_s: found 0" in refused(toy, LIGHT + VISCOELASTIC.replace("_s = 0.5", "_s = 0"))
     assert "maxwell_stiffness_N_per_m: found -300" in refused(toy, LIGHT + VISCOELASTIC.replace("= 300", "= -300"))
     absent = LIGHT + VISCOELASTIC.replace("relaxation_time_s = 0.5\n", "")
-    assert "relaxation_time_s: is missing; expected: time tau" in refused(toy, absent)
+    assert "relaxation_time_s: is missing; expected: relaxation time tau" in refused(toy, absent)
 
 
 @pytest.mark.parametrize("table", [TOE, VISCOELASTIC])

@@ -85,7 +85,7 @@ def test_in_a_left_knee_it_is_the_mirror_image(toy: Path) -> None:
 
 
 MISTAKES = [
-    ('"cylinder"', '"sphere"', "wrap: type is 'sphere'; expected: table: an obstacle that the lines run over"),
+    ('"cylinder"', '"sphere"', "wrap: type is 'sphere'; expected: table: obstacle that the lines wrap over"),
     ('type = "cylinder", ', "", "wrap: type is missing"),
     ("radius_mm = 20", "radius_mm = 0", "wrap.radius_mm: found 0; expected: a positive number"),
     ("radius_mm = 20", "radius_mm = [20, 20, 20]", "wrap: 3 obstacles for 2 lines; expected: 1 or 2"),

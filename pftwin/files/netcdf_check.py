@@ -74,7 +74,7 @@ def _in_item(item: Any, name: str, file: Path, total: list[int]) -> InputError |
 
 
 def _external_reference_error(name: str, file: Path) -> InputError:
-    return InputError(f"{name!r} stands elsewhere", where=file, expected=f"{_SAVED}, which holds all of itself")
+    return InputError(f"{name!r} is stored in another file", where=file, expected=f"{_SAVED}, which is a single file")
 
 
 def _too_large(found: str, file: Path) -> InputError:

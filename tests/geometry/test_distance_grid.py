@@ -185,7 +185,7 @@ def _of_plane(triangles, vectors, spring, pose):
         (0.0, "above 0"),
         (1e-300, "nodes about ball"),
         (1e-4, r"0.1 mm: [\d,]+ nodes about ball.*at least 0\.3"),
-        (0.012, "depths are off by .* mm \\(rms\\) on ball.*at most 0.05 mm"),
+        (0.012, "depths have an error of .* mm \\(rms\\) on ball.*at most 0.05 mm"),
     ],
 )
 def test_a_table_that_is_no_use_is_refused(spacing, words):

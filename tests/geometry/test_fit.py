@@ -191,7 +191,7 @@ def test_a_patch_without_vertices_in_its_middle_warns():
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"chart": "plane"}, r"chart='plane' has no place.*trochlear_region"),
+        ({"chart": "plane"}, r"chart='plane' has no position.*trochlear_region"),
         ({"chart": "sphere"}, "no chart 'sphere'"),
         ({"chart": plane(), "weights": "area"}, "vertices alone have no areas"),
         ({"chart": plane(), "weights": "even"}, "no weights 'even'"),

@@ -81,7 +81,7 @@ def read_recording(
     )
     used = frozenset(m for m, theirs in names.items() if theirs in kept.names)
     notes += [
-        f"{c.name} counts as a marker of {knee.femur}: where the model has it by default, told by the markers of "
+        f"{c.name} counts as a marker of {knee.femur}: the model's default place, determined from the markers of "
         f"{knee.name(c.carrier)}"
         for c in centers
     ]

@@ -230,7 +230,7 @@ class Frames:
             raise InputError(f"<{element.tag}> {element.name!r} is no frame", where=element.where)
         place = placed(element, "translation")
         if depth > DEEPEST:
-            raise InputError(f"the frame {element.name!r} hangs on itself", where=element.where)
+            raise InputError(f"the frame {element.name!r} is attached to itself", where=element.where)
         parent = element.needed("socket_parent").text
         # A plain name never refers to a frame inside this one, which would be circular.
         near = element if parent.strip().startswith("..") else Element("", "", element.file, element.line)

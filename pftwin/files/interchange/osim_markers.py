@@ -130,7 +130,7 @@ def find_centers(knee: OsimKnee) -> list[Center]:
     joint, hip = tree.joints[tree_joint(tree, knee.tibia)], tree.joints.get(tree.welded(knee.femur)[0])
     if hip is None or hip.parent.body == GROUND or any(axis.coordinate is not None for axis in hip.translations):
         raise InputError(
-            f"{knee.femur!r} hangs on no hip",
+            f"{knee.femur!r} is attached to no hip joint",
             where=f"{knee.model.root.file}, --joint-centers",
             expected="a joint by which it turns about a point of another body",
         )
@@ -143,7 +143,7 @@ def find_centers(knee: OsimKnee) -> list[Center]:
     pelvis, there = carried(hip)
     part, place = carried(joint)
     if part != "femur":
-        raise InputError(f"{joint.name!r} hangs on {part!r}", where=joint.where, expected=f"on {knee.femur!r}")
+        raise InputError(f"{joint.name!r} is attached to {part!r}", where=joint.where, expected=f"on {knee.femur!r}")
     in_femur, in_tibia = (knee.point(j.child, np.zeros(3))[1] for j in (hip, joint))
     return [
         Center(f"{hip.name}_center", pelvis, there, in_femur),

@@ -136,7 +136,7 @@ def _check_rigid(matrices: Floats, source: str) -> None:
     refuse(~np.isfinite(matrices).all(axis=(1, 2)), "a matrix with missing numbers")
     bottom = np.abs(matrices[:, 3] - [0, 0, 0, 1]).max(axis=1) > _RIGID
     transposed = bottom & (np.abs(matrices[:, :, 3] - [0, 0, 0, 1]).max(axis=1) <= _RIGID)
-    refuse(transposed, "a transposed matrix, whose place stands in the last row", "exchange rows and columns")
+    refuse(transposed, "a transposed matrix, with the position in the last row", "exchange rows and columns")
     refuse(bottom, "a matrix whose last row is not 0 0 0 1")
     turns = matrices[:, :3, :3]
     skewed = np.abs(np.swapaxes(turns, 1, 2) @ turns - np.eye(3)).max(axis=(1, 2)) > _RIGID

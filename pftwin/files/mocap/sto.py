@@ -57,7 +57,7 @@ def read_sto(path: str | os.PathLike[str], *, rotational: Collection[str] | None
     values = row_values(rows, labels, ended=ended, path=path)
     for key, actual in (("nrows", len(values)), ("datarows", len(values)), ("ncolumns", len(labels))):
         if key in header and header[key] != str(actual):
-            message = f"{path}: the header says {key}={header[key]}, the file has {actual}: the file's content counts"
+            message = f"{path}: the header says {key}={header[key]}, the file has {actual}, which is used"
             warnings.warn(message, PftwinWarning, stacklevel=2)
     names = tuple(labels[1:])
     flag = header.get("indegrees", "no").lower()

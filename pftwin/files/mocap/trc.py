@@ -47,7 +47,7 @@ def read_trc(path: str | os.PathLike[str], *, units: str | None = None) -> Marke
     _check_axes(lines[: labels_at + 1], lines[labels_at + 1 : labels_at + 3], len(names), path)
     frames, times, positions = _rows(lines, labels_at + 1, names, ended, path)
     if replaced := _placeholders_to_missing(positions):
-        message = f"{path}: {replaced} places of markers are -9999 or the like in all coordinates: taken for missing"
+        message = f"{path}: {replaced} places of markers are -9999 or similar in all coordinates: treated as missing"
         warnings.warn(message, PftwinWarning, stacklevel=2)
 
     positions *= length_factor(header.get("units"), units, where=f"{path}, header field Units")
@@ -191,9 +191,11 @@ def _disagreements(header: dict[str, str], markers: MarkerTrajectories) -> list[
     frames, count = markers.times.size, len(markers.names)
     for key, label, actual in (("numframes", "frames", frames), ("nummarkers", "markers", count)):
         if key in header and not _agrees(header[key], actual, 0):
-            found.append(f"the header counts {header[key]} {label}, the file has {actual}: the rows are believed")
+            found.append(f"the header counts {header[key]} {label}, the file has {actual}: the rows are used")
     if frames > 1 and "datarate" in header and not _agrees(header["datarate"], markers.rate, 0.01 * markers.rate):
-        found.append(f"the header's rate is {header['datarate']} Hz, the times give {markers.rate:.6g} Hz: these count")
+        found.append(
+            f"the header's rate is {header['datarate']} Hz, the times give {markers.rate:.6g} Hz, which is used"
+        )
     return found
 
 

@@ -81,7 +81,7 @@ def length_factor(header: str | None, argument: str | None, *, where: object) ->
             raise InputError(f"the unit {text!r} is not a length", where=where, expected="m, cm or mm")
         factors.append(factor)
     if factors[0] != factors[-1]:
-        warnings.warn(f"{where}: it says {header!r}; {argument!r} is used as told", PftwinWarning, stacklevel=3)
+        warnings.warn(f"{where}: the file says {header!r}; {argument!r} is used as given", PftwinWarning, stacklevel=3)
     return factors[0]
 
 

@@ -131,6 +131,6 @@ def refuse_other(setting: Setting, name: str | None) -> None:
 
     if setting.contact is not None and parse_name(setting.contact) != name:
         raise InputError(
-            f"{setting.contact} was asked for, and this surface is not fitted to a mesh",
+            f"{setting.contact} was requested, but this surface is not fitted to a mesh",
             remedy="leave it as it is, or give the surface as a mesh",
         )

@@ -134,7 +134,7 @@ def refuse_patch(setting: Setting) -> None:
     """Raises InputError if the command line requests a patch, which cannot replace meshes."""
     if setting.contact is not None:
         raise InputError(
-            f"{setting.contact} was asked for, and this contact is of meshes",
+            f"{setting.contact} was requested, but this contact is of meshes",
             where=setting.where(),
             remedy="leave --contact out, or a scene file with a [contact] table",
         )

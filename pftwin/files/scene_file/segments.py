@@ -138,7 +138,7 @@ class JointCenterSection(Section):
         markers, reach = ", ".join(turning.names), np.degrees(found.reach)
         if 1e3 * found.deviation > (most := limits.most_center_deviation_mm):
             told = f"to {1e3 * found.deviation:.3g} mm only" if np.isfinite(found.deviation) else "not at all, some way"
-            words = f"{markers} turn about it by up to {reach:.2g} deg from their mean, which tells it {told}"
+            words = f"{markers} turn about it by up to {reach:.2g} deg from their mean, which determines it {told}"
             raise beyond("most_center_deviation_mm", most, words, 1e3 * found.deviation)
         notes.append(
             f"{name}: {markers} turn about it by up to {reach:.0f} deg from their mean and keep their distance "
@@ -186,4 +186,4 @@ class MotionSection(Section):
         if self.rate_Hz is not None and self.poses is None:
             raise problem("rate_Hz without poses", expected="a file of poses whose times count frames")
         if twice := sorted(self.fixed_points_m.keys() & self.joint_centers):
-            raise problem(f"{twice[0]} is a fixed point and a joint centre", expected="a name of its own")
+            raise problem(f"{twice[0]} is a fixed point and a joint centre", expected="different names")

@@ -146,7 +146,7 @@ def distance_grid(mesh: SurfaceMesh, spacing: float, labels: ArrayLike | None = 
     nx, ny, nz = shape.tolist()
     cells, codes, off = cached(_tables, mesh.vertices, mesh.faces, facets, low, spacing, (nx, ny, nz), files=())
     if off > _ALLOWED:
-        found = f"{1e3 * spacing:.3g} mm: depths are off by {1e3 * off:.2g} mm (rms) on {mesh.source}"
+        found = f"{1e3 * spacing:.3g} mm: depths have an error of {1e3 * off:.2g} mm (rms) on {mesh.source}"
         most = f"at most {1e3 * _ALLOWED:.2g} mm"
         raise InputError(found, where="distance_grid", expected=most, remedy="a finer one")
     own = canonicalize_dtype(float)

@@ -94,10 +94,10 @@ _SIDES = {
     "mixed_winding": ("safe", "{} triangles face the other side than their neighbours"),
     "ambiguous_winding": (
         "fatal",
-        "an open surface of {} triangles of which so many disagree that its outside is anyone's guess: orient it first",
+        "an open surface of {} triangles whose orientation is too inconsistent to find its outside: orient it first",
     ),
     "flipped": ("safe", "a closed part of {} triangles is inside out"),
-    "cavity": ("left", "a closed part of {} triangles inside another one faces inward: taken for a cavity"),
+    "cavity": ("left", "a closed part of {} triangles inside another one faces inward: treated as a cavity"),
     "inward": (
         "left",
         "an open surface of {} triangles mostly faces its own middle: if that is where the bone is, it is inside out "

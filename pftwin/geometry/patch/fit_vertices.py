@@ -77,7 +77,7 @@ def selected_vertices(
             raise InputError(f"no chart {chart!r}", where="chart", expected='"plane", "cylinder" or a chart')
         if not isinstance(region, TrochlearRegion):
             raise InputError(
-                f"chart={chart!r} has no place of its own",
+                f"chart={chart!r} has no position without a region",
                 where="chart",
                 remedy="pass region=trochlear_region(mesh, ...), or a PlaneChart or CylindricalChart",
             )

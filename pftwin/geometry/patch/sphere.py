@@ -75,7 +75,7 @@ def fit_sphere(mesh: SurfaceMesh, *, tolerance: float = 0.02e-3, axis: ArrayLike
             f"no spherical cap: the {2 * _RING} vertices about the apex are off a sphere by {found * 1e6:.1f} um rms",
             where=mesh.source,
             expected=f"a dome that is a sphere within {tolerance * 1e6:.1f} um",
-            remedy="a larger tolerance=, or axis= if the apex was looked for on the wrong side",
+            remedy="a larger tolerance=, or axis= if the apex is on another side",
         )
     inner = order[: max(2 * _RING, int(0.64 * end))]  # four fifths of its radius: the count grows with the square
     center, radius = _sphere(points[inner])

@@ -161,7 +161,7 @@ def _loaded_of_many(
 
 
 def _cubic(c: Sequence[Scalar], x: Scalar) -> tuple[Scalar, Scalar, Scalar]:
-    """A cubic with its first and second derivative, each computed only if asked for."""
+    """Value, first and second derivative of a cubic."""
     steep = c[2] + c[3] * x
     return c[0] + x * (c[1] + x * steep), c[1] + x * (2 * steep + c[3] * x), 2 * steep + 4 * (c[3] * x)
 

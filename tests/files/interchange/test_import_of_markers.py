@@ -132,7 +132,7 @@ def test_hip_and_knee_count_as_markers_of_the_femur(tmp_path: Path) -> None:
         markers[lost][:] = np.nan
     told = imported(tmp_path, markers, recorded_knee.with_pelvis(), joint_centers=True)
     said = next(n for n in told.notes if n.startswith("hip_center counts as a marker of femur_r"))
-    assert said.endswith("told by the markers of pelvis")
+    assert said.endswith("determined from the markers of pelvis")
     written = read_trc(told.scene.with_name("markers.trc"))
     femur = motion()["femur_r"]
     hip = femur[:, :3, :3] @ HIP_IN_FEMUR + femur[:, :3, 3]
@@ -145,7 +145,7 @@ def test_hip_and_knee_count_as_markers_of_the_femur(tmp_path: Path) -> None:
     places, _ = poses(guided, TIMES[::40])
     off = np.linalg.norm(places - femur[::40, :3, 3], axis=1)
     assert 1e-4 < off.max() < 2.3e-3
-    with pytest.raises(InputError, match="'femur_r' hangs on no hip"):
+    with pytest.raises(InputError, match="'femur_r' is attached to no hip joint"):
         imported(tmp_path, seen(), joint_centers=True)
 
 

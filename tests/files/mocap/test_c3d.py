@@ -53,7 +53,7 @@ def test_units(tmp_path):
     wrong = write(tmp_path / "b.c3d", units="m")
     with pytest.raises(InputError, match="unit looks wrong"):
         read_c3d(wrong)
-    with pytest.warns(PftwinWarning, match="'mm' is used as told"):
+    with pytest.warns(PftwinWarning, match="'mm' is used as given"):
         read_c3d(wrong, units="mm")
 
 

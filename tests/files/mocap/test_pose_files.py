@@ -129,7 +129,7 @@ def _set(m: np.ndarray, i: int, j: int, value: float) -> np.ndarray:
 @pytest.mark.parametrize(
     ("wrong", "said"),
     [
-        (np.swapaxes(matrices(1), 1, 2), "row 1: a transposed matrix, whose place stands in the last row"),
+        (np.swapaxes(matrices(1), 1, 2), "row 1: a transposed matrix, with the position in the last row"),
         (_with(3, lambda m: _set(m, 3, 2, 0.5)), "row 3: a matrix whose last row is not 0 0 0 1"),
         (_with(2, lambda m: np.diag([1.0, 1.0, 0.0, 1.0])), "row 2: a singular matrix"),
         (_with(4, lambda m: m @ np.diag([1.0, 1.0, -1.0, 1.0])), "row 4: a mirrored matrix"),

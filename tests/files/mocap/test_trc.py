@@ -106,7 +106,7 @@ def test_argument_wins_over_a_wrong_header_with_a_warning(tmp_path):
     path = trc(tmp_path, units="m")
     with pytest.raises(InputError, match=r"span 40\d m in the file's unit: that unit looks wrong"):
         read_trc(path)
-    with pytest.warns(PftwinWarning, match="'mm' is used as told"):
+    with pytest.warns(PftwinWarning, match="'mm' is used as given"):
         assert read_trc(path, units="mm").marker("ankle")[0, 0] == pytest.approx(0.4)
 
 
@@ -212,7 +212,7 @@ def test_centimetres_labelled_millimetres_are_noticed(tmp_path, size):
     with pytest.raises(InputError, match=r"nearest other one in the file's unit|six markers or more span") as caught:
         read_trc(tmp_path / "a.trc")
     assert "that unit looks wrong" in str(caught.value)
-    with pytest.warns(PftwinWarning, match="'cm' is used as told"):
+    with pytest.warns(PftwinWarning, match="'cm' is used as given"):
         read = read_trc(tmp_path / "a.trc", units="cm")
     np.testing.assert_allclose(read.positions, whole.positions * size, atol=1e-7)
     assert read_trc(tmp_path / "a.trc", units="mm").names == whole.names  # told that it is right
@@ -232,7 +232,7 @@ def test_virtual_markers_in_one_place_are_not_too_near(tmp_path):
 def test_numbers_that_stand_for_a_marker_that_was_not_seen(tmp_path, value):
     rows = [ROWS[0], f"2\t0.01\t2\t3\t4\t{value}\t{value}\t{value}", ROWS[2]]
     with pytest.warns(
-        PftwinWarning, match="1 places of markers are -9999 or the like in all coordinates: taken for miss"
+        PftwinWarning, match="1 places of markers are -9999 or similar in all coordinates: treated as miss"
     ):
         m = read_trc(trc(tmp_path, rows=rows))
     assert m.missing.tolist() == [[False, False], [False, True], [False, False]]

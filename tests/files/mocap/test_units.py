@@ -99,7 +99,7 @@ def test_a_long_label_takes_no_time(label):
 def test_a_files_length_is_the_arguments_before_the_headers():
     assert length_factor("mm", None, where="a") == 0.001
     assert length_factor(None, "cm", where="a") == 0.01
-    with pytest.warns(PftwinWarning, match="a: it says 'mm'; 'm' is used as told"):
+    with pytest.warns(PftwinWarning, match="a: the file says 'mm'; 'm' is used as given"):
         assert length_factor("mm", "m", where="a") == 1.0
     assert length_factor("mm", "mm", where="a") == 0.001
     with pytest.raises(InputError, match="the unit 'N' is not a length"):

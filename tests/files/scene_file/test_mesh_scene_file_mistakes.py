@@ -275,5 +275,5 @@ def test_two_contacts_of_one_name_are_refused(meshes: Path) -> None:
 def test_a_patch_cannot_be_asked_for_on_meshes(meshes: Path) -> None:
     for text in (NEAREST, LAYERS):
         (meshes / "named.toml").write_text(text)
-        with pytest.raises(ValueError, match="P4 was asked for, and this contact is of meshes"):
+        with pytest.raises(ValueError, match="P4 was requested, but this contact is of meshes"):
             load_scene_file(meshes / "named.toml", contact="P4")

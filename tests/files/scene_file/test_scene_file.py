@@ -83,7 +83,7 @@ def test_the_polynomial_can_be_asked_for_by_the_caller(toy: Path) -> None:
     assert scene.contact is not None
     assert scene.contact.surface.degree == 2
     (toy / "light.toml").write_text(LIGHT)
-    with pytest.raises(InputError, match=r"P4 was asked for, and this surface is not fitted to a mesh"):
+    with pytest.raises(InputError, match=r"P4 was requested, but this surface is not fitted to a mesh"):
         load_scene(toy / "light.toml", contact="P4")
 
 

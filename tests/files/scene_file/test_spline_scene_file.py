@@ -125,7 +125,7 @@ def test_mistakes(toy: Path, text: str, message: str) -> None:
 def test_a_spline_cannot_be_had_of_a_polynomials_coefficients(toy: Path, fitted: SplinePatch) -> None:
     for text, asked in ((LIGHT, "spline"), (BEFORE + table(fitted), "P5")):
         (toy / "other.toml").write_text(text)
-        with pytest.raises(InputError, match=f"{asked} was asked for, and this surface is not fitted to a mesh"):
+        with pytest.raises(InputError, match=f"{asked} was requested, but this surface is not fitted to a mesh"):
             load_scene(toy / "other.toml", contact=asked)
 
 

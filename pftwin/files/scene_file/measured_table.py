@@ -41,16 +41,18 @@ class MeasuredSection(Section):
         description="file of forces and other readings: CSV with units in its header, or C3D (its analog channels); "
         "readings at a higher rate than the motion are averaged over a frame",
     )
-    contact_force: str | None = Field(default=None, description="column of that file: normal contact force")
-    tibial_spring_force: str | None = Field(default=None, description="column of that file: patellar tendon's force")
-    femoral_spring_force: str | None = Field(default=None, description="column of that file: quadriceps' force")
+    contact_force: str | None = Field(default=None, description="column of the forces file: normal contact force")
+    tibial_spring_force: str | None = Field(
+        default=None, description="column of the forces file: patellar tendon's force"
+    )
+    femoral_spring_force: str | None = Field(default=None, description="column of the forces file: quadriceps' force")
     readings: dict[str, str] = Field(
         default_factory=dict,
-        description='table: columns of that file for other results of effects, such as "contact.force_medial" = '
+        description='table: columns of the forces file for other results of effects, such as "contact.force_medial" = '
         '"medial_N"; not smoothed',
     )
     weights: str | None = Field(
-        default=None, description="column of that file: each frame's weight in a fit, 0 to skip it"
+        default=None, description="column of the forces file: each frame's weight in a fit, 0 to skip it"
     )
     smoothing_window: Annotated[int, Field(ge=2)] | None = Field(
         default=None,

@@ -18,8 +18,8 @@ _FLAT = 5.0  # largest radius of a dome, as a multiple of the mesh's size
 class SphereFit:
     """A sphere fitted to a button, in the mesh's frame; lengths in metres, angles in radians.
 
-    `rms` and `max_error` are over the cap (the dome): the part around the apex whose rings of vertices are within the
-    tolerance. Beyond the cap the surface is not this sphere.
+    `rms` and `max_error` are over the dome (the cap): the part around the apex whose rings of vertices are within the
+    tolerance. Beyond the dome the surface is not this sphere.
     """
 
     center: NDArray[np.float64]  # (3,)
@@ -28,7 +28,7 @@ class SphereFit:
     rms: float
     max_error: float
     cap_half_angle: float  # pi for a whole sphere
-    cap_radius: float  # largest distance of the cap from the axis; the sphere's radius for a hemisphere or more
+    cap_radius: float  # largest distance of the dome from the axis; the sphere's radius for a hemisphere or more
     n_vertices: int  # in the cap
     tolerance: float
 
@@ -42,18 +42,18 @@ class SphereFit:
 def fit_sphere(mesh: SurfaceMesh, *, tolerance: float = 0.02e-3, axis: ArrayLike | None = None) -> SphereFit:
     """Fits a sphere to the domed part of a patellar button, and finds the edge of the dome.
 
-    The cap grows ring by ring from the apex while a sphere fits every ring to an rms within `tolerance`. The sphere is
-    then fitted to the inner four fifths of the cap, so that a flare at the edge does not affect the radius, and the
-    cap's edge is where the rings deviate from that sphere.
+    The dome grows ring by ring from the apex while a sphere fits every ring to an rms within `tolerance`. The sphere is
+    then fitted to the inner four fifths of the dome, so that a flare at the edge does not affect the radius, and the
+    dome's edge is where the rings deviate from that sphere.
 
     Args:
-        mesh: the button, normals outward; only its spherical cap matters.
-        tolerance: largest rms error of a ring of the cap [m]; increase it for noisy scans.
+        mesh: the button, normals outward; only its spherical dome matters.
+        tolerance: largest rms error of a ring of the dome [m]; increase it for noisy scans.
         axis: direction from the button's middle to its apex, (3,). None: the mean normal of an open mesh; for a closed
-            mesh the principal direction with the largest cap.
+            mesh the principal direction with the largest dome.
 
     Raises:
-        InputError: no spherical cap, or too small or concave a cap; an invalid axis or tolerance.
+        InputError: no spherical dome, or one that is too small or concave; an invalid axis or tolerance.
     """
     if not (np.isfinite(tolerance) and tolerance > 0):
         raise InputError(f"a tolerance of {tolerance} m", where="tolerance", expected="a positive length, e.g. 0.02e-3")
@@ -88,7 +88,7 @@ def fit_sphere(mesh: SurfaceMesh, *, tolerance: float = 0.02e-3, axis: ArrayLike
 
 
 def _check_dome(mesh: SurfaceMesh, cap: NDArray, center: NDArray, radius: float) -> None:
-    """Raises InputError for a sphere that is too large (flat), or a concave cap."""
+    """Raises InputError for a sphere that is too large (flat), or a concave dome."""
     if radius > _FLAT * mesh.extent:
         found = f"the apex's side is flat (a sphere of radius {radius:.2g} m)"
         raise InputError(found, where=mesh.source, remedy="axis= if the apex is on another side")
@@ -114,7 +114,7 @@ def _axis(mesh: SurfaceMesh, axis: ArrayLike | None, tolerance: float) -> NDArra
 
 
 def _cap_size(mesh: SurfaceMesh, direction: NDArray, tolerance: float) -> int:
-    """Number of vertices of the convex cap about a direction; 0 for a flat or concave side."""
+    """Number of vertices of the convex dome about a direction; 0 for a flat or concave side."""
     order, rings = _rings(mesh.vertices, mesh.vertex_normals, direction)
     end = _largest_spherical_cap(mesh.vertices[order], rings, tolerance)
     if not end:
@@ -138,7 +138,7 @@ def _rings(points: NDArray, normals: NDArray, direction: NDArray) -> tuple[NDArr
 
 
 def _largest_spherical_cap(ordered: NDArray, rings: list[tuple[int, int]], tolerance: float) -> int:
-    """Number of the ordered vertices in the largest cap whose rings all fit the cap's own sphere."""
+    """Number of the ordered vertices in the largest dome whose rings all fit the dome's own sphere."""
     end = 0
     for k in range(1, len(rings)):
         reached = rings[k][1]
@@ -177,7 +177,7 @@ def _residual_rms(points: NDArray, center: NDArray, radius: float) -> float:
 def _report(
     mesh: SurfaceMesh, cap: NDArray[np.bool_], center: NDArray, radius: float, direction: NDArray, tolerance: float
 ) -> SphereFit:
-    """The result, with errors over the cap and the cap's size."""
+    """The result, with errors over the dome and the dome's size."""
     arm = mesh.vertices[cap] - center
     error = np.linalg.norm(arm, axis=1) - radius
     half_angle = float(np.arccos(np.clip(arm @ direction / np.linalg.norm(arm, axis=1), -1, 1)).max())

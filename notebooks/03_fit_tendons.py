@@ -220,5 +220,5 @@ assert low < force < high
 #
 # [Predict and optimise a treatment](04_treatment.ipynb) carries these uncertainties into a decision. [Fit
 # parameters](../docs/fitting.md) has the theory, and the paper's method, a genetic algorithm (`method="matlab_ga",
-# objective="paper"`); `pftwin demo` runs it beside the paper's Table 2. The [worked patient](../docs/worked_patient.md)
+# objective="paper"`); `pftwin demo` runs it beside the paper's Table 2. The [worked patient](../docs/worked_knees.md)
 # fits the recording of an implant and compares with forces that the fit did not use.

@@ -199,7 +199,7 @@ if data is not None:
 # %% [markdown]
 # ## Where next
 #
-# The [worked patient](../docs/worked_patient.md) fits two tendons to that simulated recording and compares the forces
+# The [worked patient](../docs/worked_knees.md) fits two tendons to that simulated recording and compares the forces
 # with the recorded ones. "Scene files, field by field" on the documentation site lists all that a scene can contain:
 # ligaments of many strands, toe regions, friction, meshes. `pftwin doctor-mesh femur.stl` reports defects of a mesh.
 # `pftwin import model.osim` starts from an OpenSim model.

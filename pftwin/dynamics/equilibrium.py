@@ -2,7 +2,8 @@
 
 Newton-Raphson (Michaud et al. 2024, section 2.3.3) with a trust region: see docs/physics.md. If the search stalls,
 e.g. on a coarse mesh whose forces jump across edges, the shift grows with every step that increases the residual, and
-shrinks with every step that reduces it. `pftwin.dynamics.relaxation` is the fallback. The tangent is from central
+shrinks with every step that reduces it. A jump of the load within `AT_JUMP` of the pose is an equilibrium; the residual
+there counts as uncertainty of the load. `pftwin.dynamics.relaxation` is the fallback. The tangent is from central
 differences: as good as automatic differentiation here (relative error 1e-8 in float64), and much faster to compile.
 """
 
@@ -29,6 +30,7 @@ PATIENCE = 50  # iterations after which a step that increases the residual makes
 ROUNDINGS = 12  # number of roundings in a stretch: see `_rounding`
 RIDGE = 1e-12  # fraction of the trace added to the tangent: gives directions without stiffness derivative 0, not NaN
 MOST_CAUTION = 1e4  # largest factor on the shift
+AT_JUMP = 1e-7  # longest Newton step between the two sides of a jump of the load [m]
 
 
 class Solution(eqx.Module):
@@ -39,7 +41,7 @@ class Solution(eqx.Module):
     residual: Scalar  # norm of force and moment / lever [N]
     iterations: Scalar
     stiffness: Array  # (6, 6) tangent: decrease of force and moment / lever per displacement and angle * lever [N/m]
-    rounding: Scalar | float = 0.0  # error of the load from rounding of positions, see `_rounding` [N]
+    rounding: Scalar | float = 0.0  # uncertainty of the load [N]: rounding of positions, or a jump of the load
 
     def tolerance(self) -> Scalar:
         """Largest residual of a converged equilibrium, given the float type [N]."""
@@ -125,8 +127,8 @@ def entries(matrix: Array) -> list[list[Scalar]]:
     return [[matrix[i, j] for j in range(6)] for i in range(6)]
 
 
-def downhill(there: Surroundings, shift: Scalar) -> list[Scalar]:
-    """Newton's step with the tangent plus `shift` times the identity, if that is a descent direction.
+def downhill(there: Surroundings, shift: Scalar) -> tuple[list[Scalar], Scalar]:
+    """Newton's step with the tangent plus `shift` times the identity; and whether that is a descent direction.
 
     Otherwise the positive semidefinite stiffness of the stiff terms replaces the tangent.
     """
@@ -137,7 +139,7 @@ def downhill(there: Surroundings, shift: Scalar) -> list[Scalar]:
 
     both = jax.tree.map(lambda a, b: jnp.stack([a, b]), tangent, there.convex())  # compiled once for both
     steps, definite = jax.vmap(shifted_step)(both)
-    return [jnp.where(definite[0], a[0], a[1]) for a in steps]
+    return [jnp.where(definite[0], a[0], a[1]) for a in steps], definite[0]
 
 
 def _size(r: list[Scalar]) -> Scalar:
@@ -153,13 +155,16 @@ def _improved(system: System, guide: Guide, at: _Iterate) -> _Iterate:
     size = _size(r)
     changed = jnp.clip(at.caution * jnp.where(size > at.residual, 4.0, 0.5), 1.0, MOST_CAUTION)
     caution = jnp.where(at.count < PATIENCE, 1.0, changed)  # above 1 where the search has stalled
-    d = downhill(there, caution * size / REACH)
+    d, definite = downhill(there, caution * size / REACH)
     length = _size(d)
     shorter = jnp.minimum(1.0, 2 * REACH / jnp.maximum(length, 1e-12))
     rounding = _rounding(system, at.pose, there)
     tolerance = jnp.maximum(jnp.asarray(tolerance_of(size.dtype), size.dtype), rounding)
     floor = (size < tolerance) & (size > 0.5 * at.residual)  # rounding prevents further improvement
-    done = ((size < 0.01 * tolerance) | floor) & ~searching
+    # The load jumps here, as where a triangle passes the rim of a mesh, and Newton's steps go to and fro across it.
+    jump = (size >= at.residual) & (length < AT_JUMP) & definite & (caution <= 1) & ~searching
+    rounding = jnp.where(jump, jnp.maximum(rounding, 2 * size), rounding)
+    done = ((size < 0.01 * tolerance) | floor | jump) & ~searching
     scale = jnp.where(done | searching | ~jnp.isfinite(length), 0.0, shorter)
     d = [jnp.where(scale == 0, 0.0, scale * a) for a in d]
     return _Iterate(displaced_pose(at.pose, d), there.memories, size, stiffness, rounding, at.count + 1, done, caution)

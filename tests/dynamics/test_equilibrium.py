@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -9,12 +11,14 @@ import numpy as np
 import pytest
 from scenes import J, contact, flat_patch, knee, run, settled, starting_as_it_is, vec
 
-from pftwin.base.spatial import Pose, Quaternion
+from pftwin.base.spatial import Pose, Quaternion, Scalar, Vec3, Wrench
+from pftwin.dynamics.equilibrium import place_unknown
 from pftwin.dynamics.frame_states import first_guide, frame_states, starting_equilibrium
 from pftwin.dynamics.integrators import LinearImplicit, SymplecticEuler
 from pftwin.dynamics.observe import observe
 from pftwin.dynamics.state import System
 from pftwin.dynamics.status import Status
+from pftwin.model.effects.base import Effect, Instant, Load
 from pftwin.model.effects.contact_law import Hertz
 from pftwin.model.effects.damping import LinearDamping
 
@@ -82,6 +86,31 @@ def test_several_starts_find_the_same_equilibrium():
         solution = settled(eqx.tree_at(lambda s: s.start, scene, start))
         assert bool(solution.converged())
         np.testing.assert_allclose(solution.pose.position.array(), first, atol=1e-9)
+
+
+class Jump(Effect):
+    """A force that pushes back to a plane, as large on both sides of it."""
+
+    force: Scalar  # [N]
+    proximal: Scalar  # place of the plane [m]
+
+    def load(self, now: Instant, memory: Any) -> tuple[Load, Any]:
+        away = now.patella.position.x - self.proximal
+        push, none = -self.force * jnp.sign(away), 0.0 * away
+        return Load(wrench=Wrench(Vec3(push, none, none), Vec3(none, none, none))), memory
+
+
+@pytest.mark.parametrize(("force", "found"), [(1e-5, True), (0.3, False)])
+def test_a_jump_of_the_load_is_an_equilibrium_where_both_sides_are_near(force, found):
+    """As where a triangle passes the rim of a mesh: on either side Newton's step leads to the other one."""
+    scene = knee()
+    plane = settled(scene).pose.position.x + 0.4 * force / 2e3  # as if the knee gave way by 1 mm for 2 N
+    solution = settled(scene.with_effect(Jump(J(force), plane, name="jump")))
+    assert bool(solution.converged()) == found
+    if found:
+        assert float(solution.residual) > 1e-6
+        assert abs(float(solution.pose.position.x - plane)) < 1e-7
+        assert 0 < place_unknown(solution) < 1e-6
 
 
 def flags(scene, start=None) -> Status:

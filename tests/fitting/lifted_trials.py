@@ -1,4 +1,8 @@
-"""Two trials of a small knee, of unlike height and rate: tests of several files share what they compile."""
+"""Two trials of a small knee, of unlike height and rate, or of unlike height: tests of several files share programs.
+
+A rate of its own is a program of its own: what is not about rates takes the two that are alike, which are simulated by
+the program of `small_scene()`.
+"""
 
 from __future__ import annotations
 
@@ -25,10 +29,23 @@ STEPS = (48, 40)  # between two frames of each, at which fits of motions without
 
 @cache
 def nominal() -> tuple[Scene, Scene]:
-    """Their scenes."""
-    one = replace(lifting_scene(height=0.05), name="low")
-    other = replace(lifting_scene(height=0.07, interval=0.008), name="high")
-    return one, other.set(POINT, float(other.get(POINT)) + MOVED)
+    """Their scenes, of unlike rate."""
+    return low(), high(0.008)
+
+
+@cache
+def alike() -> tuple[Scene, Scene]:
+    """The same of one rate."""
+    return low(), high(0.01)
+
+
+def low() -> Scene:
+    return replace(lifting_scene(height=0.05), name="low")
+
+
+def high(interval: float) -> Scene:
+    scene = replace(lifting_scene(height=0.07, interval=interval), name="high")
+    return scene.set(POINT, float(scene.get(POINT)) + MOVED)
 
 
 def problem_of(

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from lifted_trials import BOUNDS, FREE, MOVED, POINT, nominal
+from lifted_trials import BOUNDS, FREE, MOVED, POINT, alike, nominal
 from small_scene import small_scene
 
 import fitting
@@ -28,7 +28,7 @@ QUIET = Laboratory(marker_noise=1e-8, cutoff=None, force_noise=1e-8, force_bias=
 
 
 def knees() -> list[Knee]:
-    scenes, own = free_in_trials(nominal(), FREE, BOUNDS, None, NUISANCE)
+    scenes, own = free_in_trials(alike(), FREE, BOUNDS, None, NUISANCE)
     return [Knee(scene, parameters, tuple(scenes)) for scene, parameters in zip(scenes, own, strict=True)]
 
 
@@ -42,7 +42,7 @@ def test_a_plant_is_the_same_in_every_trial(kind):
     for name in ("K1", "L2", "quadriceps.origin.x", "contact.friction.coefficient", "quadriceps.damping"):
         assert float(one.get(name)) == pytest.approx(float(other.get(name)), abs=1e-12)
         assert float(one.get(name)) == float(alone.get(name))
-    assert float(one.get("K1")) != float(nominal()[0].get("K1"))
+    assert float(one.get("K1")) != float(alike()[0].get("K1"))
 
 
 def test_two_plants_are_two():
@@ -65,7 +65,7 @@ def test_the_line_is_nearest_over_all_trials():
         )
         for p in parts
     ]
-    own = free_in_trials([nominal()[0]], ("K1",), 0.3, None, Nuisance())[1][0]
+    own = free_in_trials([alike()[0]], ("K1",), 0.3, None, Nuisance())[1][0]
     k, more, s = float(tendon.law.stiffness), float(tendon.law.more), np.concatenate(parts) - float(tendon.rest_length)
     assert truth_of(plant, seen, own)[0] == pytest.approx(np.polyfit(s, k * s * (1 + more * s), 1)[0])
     assert truth_of(plant, seen[:1], own)[0] != pytest.approx(truth_of(plant, seen, own)[0], rel=1e-3)
@@ -73,7 +73,7 @@ def test_the_line_is_nearest_over_all_trials():
 
 def test_differences_are_each_trials_own():
     """Normal, of the deviation that is stated; nothing else differs, and the plant itself stays."""
-    items = free_in_trials(nominal(), FREE, BOUNDS, None, NUISANCE, {"L2": 2e-4})[1][0].items
+    items = free_in_trials(alike(), FREE, BOUNDS, None, NUISANCE, {"L2": 2e-4})[1][0].items
     plant = plant_in_trials(PLANTS["misplaced"], knees(), np.random.default_rng(4))
     mean, random = float(plant[0].scene.get("L2")), np.random.default_rng(5)
     drawn = [with_differences(plant, items, random) for _ in range(300)]
@@ -91,7 +91,7 @@ def test_the_line_is_that_of_the_mean_length():
     """A trial whose tendon is 0.4 mm longer, at lengths that are too, pulls nearly as the mean's does, by the same
     line."""
     plant = PLANTS["stiffening"](knees()[0], np.random.default_rng(4))
-    own = free_in_trials([nominal()[0]], ("K2", "L2"), 0.3, None, Nuisance())[1][0]
+    own = free_in_trials([alike()[0]], ("K2", "L2"), 0.3, None, Nuisance())[1][0]
     tendon: Any = plant.scene.effect("patellar_tendon")
     lengths = float(tendon.rest_length) + np.linspace(0.003, 0.011, 50)
 
@@ -109,7 +109,7 @@ def test_the_line_is_that_of_the_mean_length():
 def test_the_line_is_that_of_the_mean_stiffness():
     """Trials whose tendon is stiffer or softer, at the same lengths: what is told is the mean of all that might be."""
     plant = PLANTS["stiffening"](knees()[0], np.random.default_rng(4))
-    own = free_in_trials([nominal()[0]], ("K2", "L2"), 0.3, None, Nuisance())[1][0]
+    own = free_in_trials([alike()[0]], ("K2", "L2"), 0.3, None, Nuisance())[1][0]
     tendon: Any = plant.scene.effect("patellar_tendon")
     lengths = float(tendon.rest_length) + np.linspace(0.003, 0.011, 50)
     seen = Seen(np.zeros((50, 3)), np.zeros((50, 4)), {"patellar_tendon": {"length": lengths}})
@@ -148,29 +148,29 @@ def told(scenes: Any) -> list[Measured]:
 
 
 def test_what_cannot_be_calibrated_is_refused():
-    both = QuickFit.of(nominal(), told(nominal()), free=FREE, bounds=BOUNDS)
+    both = QuickFit.of(alike(), told(alike()), free=FREE, bounds=BOUNDS)
     assert both.sentence() == "fits by least_squares of 41, 41 frames of low + high, by position"
     with pytest.raises(InputError, match="41 frames; expected: 41, 41, as it was set up for"):
-        calibrate(both, nominal()[0])
+        calibrate(both, alike()[0])
     with pytest.raises(InputError, match="learned from anew for each plant"):
-        QuickFit.of(nominal(), told(nominal()), method="simulations")
+        QuickFit.of(alike(), told(alike()), method="simulations")
     with pytest.raises(InputError, match="method: 'best'; expected: one of: least_squares"):
-        QuickFit.of(nominal(), told(nominal()), method="best")
+        QuickFit.of(alike(), told(alike()), method="best")
     with pytest.raises(InputError, match="cannot allow for placement"):
-        QuickFit.of(nominal(), told(nominal()), nuisance=Nuisance(placement=1e-3))
+        QuickFit.of(alike(), told(alike()), nuisance=Nuisance(placement=1e-3))
     assert isinstance(both.set_up, SetUp)
 
 
 def test_a_search_uses_what_was_measured_in_each_trial_of_the_first_recording(monkeypatch):
     """The force in the second trial alone; plants have it in both."""
     ramp = np.linspace(5.0, 25.0, 41)
-    first = [told(nominal())[0], replace(told(nominal())[1], femoral_spring_force=ramp)]
-    fit = QuickFit.of(nominal(), first, free=FREE, bounds=BOUNDS, use=("position", "quadriceps"))
+    first = [told(alike())[0], replace(told(alike())[1], femoral_spring_force=ramp)]
+    fit = QuickFit.of(alike(), first, free=FREE, bounds=BOUNDS, use=("position", "quadriceps"))
     assert fit.measured == (("position",), ("position", "quadriceps"))
     everything = [replace(m, femoral_spring_force=ramp, tibial_spring_force=ramp, contact_force=ramp) for m in first]
     seen = {}
     monkeypatch.setattr(quick_fit, "fit_tendons", lambda scene, measured, **asked: seen.update(data=measured, **asked))
-    fit.estimate(nominal(), everything)
+    fit.estimate(alike(), everything)
     assert [m.femoral_spring_force is None for m in seen["data"]] == [True, False]
     assert all(m.contact_force is None and m.tibial_spring_force is None for m in seen["data"])
     assert seen["use"] == ("position", "quadriceps")
@@ -185,8 +185,8 @@ def test_plants_of_an_exact_twin_are_misplaced_too():
         raise InputError("enough")
 
     with pytest.raises(InputError, match="enough"):
-        calibrate(QuickFit.of(nominal(), told(nominal()), free=FREE, bounds=BOUNDS), nominal(), kinds={"mine": kind})
-    by = [abs(float(s.get("quadriceps.origin.x")) - float(nominal()[1].get("quadriceps.origin.x"))) for s in seen[0]]
+        calibrate(QuickFit.of(alike(), told(alike()), free=FREE, bounds=BOUNDS), alike(), kinds={"mine": kind})
+    by = [abs(float(s.get("quadriceps.origin.x")) - float(alike()[1].get("quadriceps.origin.x"))) for s in seen[0]]
     assert by[0] == 0
     assert 1e-5 < by[1] < 1e-3 * np.sqrt(3) * 0.6
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -19,13 +19,17 @@ from fitting.cli.report import tables
 from fitting.cli.report.material import Material
 from fitting.coverage import NOT_KNOWN, QUICK
 from fitting.estimate import Estimate
+from fitting.evaluation import Prediction
 from fitting.fit import likelihood_of
 from fitting.methods.problem import Problem, Request
 from fitting.nuisance import EXACT
-from fitting.parameters import weights_in
-from fitting.trials import free_in_trials
+from fitting.objective import SPRINGS
+from fitting.parameters import Parameters, weights_in
+from fitting.trials import free_in_trials, objective_of
+from fitting.trials_evaluator import TrialsEvaluator
 from pftwin.base.errors import InputError
 from pftwin.model.measured import Measured
+from pftwin.model.scene import Scene
 
 STIFFNESS, LENGTHS = 1.1 * 156.0, (0.0728, 0.0735)
 VARIES = {"L2": 1e-3}
@@ -92,6 +96,56 @@ def test_value_gradient_and_information_are_those_of_the_trials_with_their_own_n
     np.testing.assert_allclose(both.hessian[0], information, rtol=1e-9, atol=1e-6 * np.abs(information).max())
 
 
+@dataclass
+class Told:
+    """What predicts a trial without a simulation: by a line and a parabola in each of the numbers that trials share."""
+
+    parameters: Parameters
+    scenes: tuple[Scene, ...]
+    first: int  # steps between two frames
+    seed: int
+    computed, in_turns, slope_chunk = None, False, 1
+    asked: list[int] = field(default_factory=list)  # steps between two frames
+
+    def with_slopes(self, theta: np.ndarray, substeps: int) -> Prediction:
+        self.asked.append(substeps)
+        slope, curve = np.random.default_rng(self.seed).normal(size=(2, 41, 3, len(FREE)))
+        u = self.parameters.share(theta)[:, None, None]
+        slopes = (slope + 2 * curve * u) / (self.parameters.upper - self.parameters.lower)
+        return Prediction(np.sum(slope * u + curve * u**2, axis=-1), slopes, np.ones(len(theta), bool))
+
+
+def told_problem() -> tuple[Problem, list[Told], list[Problem]]:
+    """Of both trials, and what predicts each, and of each alone."""
+    scenes, own = free_in_trials(nominal(), FREE, BOUNDS, None, EXACT, VARIES)
+    told = [Told(p.shared, (s,), *n) for s, p, n in zip(scenes, own, ((6, 1), (5, 2)), strict=True)]
+    data = [Measured(s.motion.times, np.random.default_rng(k).normal(size=(41, 3))) for k, s in enumerate(scenes)]
+    both: Any = TrialsEvaluator(tuple(told), own[0].differences)
+    shared = [p.shared for p in own]
+    targets = [
+        objective_of(scenes[k], data[k], "likelihood", ("position",), {"position": 0.1}, "linear", SPRINGS)
+        for k in (slice(0, 2), slice(0, 1), slice(1, 2))
+    ]
+    alone = [Problem(s, p, t, e) for s, p, t, e in zip(scenes, shared, targets[1:], told, strict=True)]
+    return Problem(scenes[0], own[0], targets[0], both), told, alone
+
+
+def test_gradient_and_value_are_those_of_trials_with_their_own_lengths_and_steps():
+    """Of predictions by formulas: differences of the value, which two sides give exactly where it is a parabola."""
+    both, told, alone = told_problem()
+    theta = np.array([160.0, 0.0731, POINTS[0] + 0.001, -0.0004, 0.0006])
+    steps = np.diag([1e-2, 1e-6, 1e-6, 1e-6, 1e-6])
+    ahead, behind = (both.normal(theta + side * steps, 12).value for side in (1, -1))
+    found = both.normal(theta, 12)
+    np.testing.assert_allclose(found.gradient[0], (ahead - behind) / 2 / np.diagonal(steps), rtol=1e-5)
+    one, other = np.array([[160.0, 0.0727, theta[2]]]), np.array([[160.0, 0.0737, theta[2] + MOVED]])
+    parts = alone[0].normal(one, 12), alone[1].normal(other, 10)
+    cost = 0.5 * (0.4**2 + 0.6**2)
+    np.testing.assert_allclose(found.value, parts[0].value + parts[1].value + cost, rtol=1e-9)
+    assert [{*each.asked} for each in told] == [{12}, {10}]
+
+
+@pytest.mark.slow
 def test_its_gradient_is_that_of_differences():
     both, theta = problem((0, 1), VARIES), np.array([160.0, 0.0731, POINTS[0] + 0.001, -0.0004, 0.0006])
     steps = np.diag([1e-3, 1e-7, 1e-7, 1e-7, 1e-7])
@@ -179,8 +233,9 @@ def test_what_cannot_vary_is_refused(varies, trials, said):
 
 
 def test_the_papers_objective_has_nothing_to_weigh_them_against():
+    data = [Measured(s.motion.times, np.zeros((41, 3))) for s in nominal()]
     with pytest.raises(InputError, match="varies: the paper's objective has no noise"):
-        fitted(objective="paper", noise=None)
+        fitting.fit_tendons(nominal(), data, free=FREE, bounds=BOUNDS, objective="paper", varies=VARIES)
 
 
 def test_the_command_line_takes_them():

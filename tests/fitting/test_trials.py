@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from typing import Any
 
 import numpy as np
 import pytest
-from lifted_trials import BOUNDS, COMPUTED, FREE, MOVED, POINT, STEPS, nominal, problem_of
+from lifted_trials import BOUNDS, COMPUTED, FREE, MOVED, POINT, STEPS, alike, nominal, problem_of
 from small_scene import small_scene
 
 import fitting
@@ -36,11 +37,19 @@ def true(scene: Scene) -> Scene:
     return scene.set("K1", STIFFNESS).set("L2", LENGTH).set(POINT, point)
 
 
-@cache
 def measured() -> tuple[Measured, Measured]:
+    return seen_of(nominal)
+
+
+def seen_alike() -> tuple[Measured, Measured]:
+    return seen_of(alike)
+
+
+@cache
+def seen_of(trials: Callable[[], tuple[Scene, Scene]]) -> tuple[Measured, Measured]:
     """Positions of both, without noise; the quadriceps' force of the second alone, without some frames."""
     seen = []
-    for scene, steps in zip(nominal(), STEPS, strict=True):
+    for scene, steps in zip(trials(), STEPS if trials is nominal else 2 * STEPS[:1], strict=True):
         step = scene.motion.frame_interval / steps
         result = pftwin.simulate(true(scene), dt=step, integrator=pftwin.LinearImplicit())
         seen.append((result.times, result.center, np.array(result.tensions["quadriceps"])))
@@ -51,7 +60,7 @@ def measured() -> tuple[Measured, Measured]:
 
 @cache
 def together() -> Estimate:
-    return fitted(nominal(), measured())
+    return fitted(alike(), seen_alike())
 
 
 def fitted(scenes: Any, data: Any, **more: Any) -> Estimate:
@@ -69,7 +78,7 @@ def test_what_both_trials_share_is_found():
 
 
 def test_the_fitted_scenes_are_the_true_ones():
-    for scene, other in zip(together().scenes, nominal(), strict=True):
+    for scene, other in zip(together().scenes, alike(), strict=True):
         for name in FREE:
             assert float(scene.get(name)) == pytest.approx(float(true(other).get(name)), rel=1e-6)
 
@@ -212,17 +221,17 @@ def test_a_slack_length_as_strain_is_no_shared_number():
 
 
 def test_a_trial_without_a_channel_of_another_is_refused():
-    one, other = nominal()
+    one, other = alike()
     renamed = replace(other.effects[other.index("contact")], name="inlay")
     scene = other.without("contact").with_effect(renamed)
-    data = [replace(measured()[0], contact_force=np.ones(41)), measured()[1]]
+    data = [replace(seen_alike()[0], contact_force=np.ones(41)), seen_alike()[1]]
     with pytest.raises(InputError, match="high has no 'contact', which another trial has"):
         fitted([one, scene], data, use=("position", "contact"), noise=None)
 
 
 def test_an_estimate_from_a_file_gets_all_its_scenes(tmp_path):
     path = together().save(tmp_path / "fit.json")
-    scenes = [replace(s, measured=m) for s, m in zip(nominal(), measured(), strict=True)]
+    scenes = [replace(s, measured=m) for s, m in zip(alike(), seen_alike(), strict=True)]
     again = Estimate.load(path, scenes)
     assert likelihood_of(again, None).objective.present.sum() == 41 * 3 + 41 * 3 + 37
     with pytest.raises(InputError, match="fitted to 2 trials, and 1 of their scenes given"):

@@ -6,7 +6,7 @@ import sys
 
 import numpy as np
 import pytest
-from lifted_fits import FEW, SPRINGS, clean, scene, truth
+from lifted_fits import COMPUTED, FEW, SPRINGS, clean, scene, truth
 
 import fitting
 import fitting.fit
@@ -80,11 +80,12 @@ def test_what_makes_no_difference_is_refused_before_the_search():
     """A stiffness that may change by 2e-9 N/m moves nothing that could be seen."""
     k1 = float(scene().effect("quadriceps").stiffness)
     with pytest.raises(InputError, match=r"reacts to K1(\W|$)"):
-        fitting.fit_tendons(scene(), clean(), bounds={"K1": (k1 - 1e-9, k1 + 1e-9)})
+        fitting.fit_tendons(scene(), clean(), bounds={"K1": (k1 - 1e-9, k1 + 1e-9)}, computed=COMPUTED)
 
 
 def test_starts_that_die_are_dropped_and_counted():
-    problem = Problem.of([scene()], [fitting.free_parameters(scene(), SPRINGS)], Objective.of(scene(), clean()))
+    free, target = fitting.free_parameters(scene(), SPRINGS), Objective.of(scene(), clean())
+    problem = Problem.of([scene()], [free], target, computed=COMPUTED)
     problem.evaluator.prepare(None)
     search = LeastSquares(problem, 0, starts=8)
     state = search.begin()

@@ -20,6 +20,7 @@ from pftwin.base.errors import InputError
 from pftwin.model.measured import Measured
 from pftwin.model.scene import Scene
 
+FRAMES = 41  # as many as other tests simulate: by the same program
 SPRINGS = ("K1", "L1", "K2", "L2")
 USE = ("position", "contact", "quadriceps", "patellar_tendon")
 TRUTH = np.array([156.0, 0.1432, 629.0, 0.0714]) * np.array([1.1, 0.97, 0.92, 1.02])
@@ -28,7 +29,7 @@ FORCES = ("contact_force", "femoral_spring_force", "tibial_spring_force")
 
 @cache
 def scene() -> Scene:
-    return small_scene(121)
+    return small_scene(FRAMES)
 
 
 @cache
@@ -134,7 +135,7 @@ def test_a_shift_beyond_the_limit_is_refused_and_limits_are_the_users():
 
 def test_what_no_reading_explains_is_left_over_and_named_or_refused():
     """A spring's force with half of its size missing in every other frame: within no bound of the parameters."""
-    odd = truth().femoral_spring_force * np.where(np.arange(121) % 2, 0.5, 1.0)
+    odd = truth().femoral_spring_force * np.where(np.arange(FRAMES) % 2, 0.5, 1.0)
     broken = replace(truth(), femoral_spring_force=odd)
     named = fit(broken, ("position", "quadriceps"))
     assert named.sentence().startswith("INVALID: residual of quadriceps: ")

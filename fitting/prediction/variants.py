@@ -91,7 +91,7 @@ def batches(scenes: Sequence[Scene], variants: Treatment | Sequence[Treatment] |
         for alike in forms.values():
             amounts = np.concatenate([a for _, a, _ in alike])
             places = i * count + np.concatenate([p for *_, p in alike])
-            bare = alike[0][0].with_values([jnp.asarray(0.0) for _ in alike[0][0].values])
+            bare = alike[0][0].with_values([jnp.asarray(0.0, dtype=float) for _ in alike[0][0].values])
             out.append(VariantBatch(scene, bare.prepared(scene), amounts, places))
     return out
 

@@ -20,7 +20,7 @@ from pftwin.model.scene import Scene
 SPRINGS = ("K1", "L1", "K2", "L2")
 TRUTH = np.array([156.0, 0.1432, 629.0, 0.0714]) * np.array([1.1, 0.97, 0.92, 1.02])
 NOISE = 1e-4  # [m]
-COMPUTED = ("position", "quadriceps")  # by the one program of these fits and of `test_posterior`'s
+COMPUTED = ("position", "contact", "quadriceps", "patellar_tendon")  # by one program, that of `test_measured_faults`
 FEW = {"starts": 8, "computed": COMPUTED}
 FALLING, HELD = 0.1, 0.08  # how high the tibia jerks [m]
 

@@ -40,9 +40,15 @@ def toy(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return scene
 
 
-def test_fit_writes_an_estimate_with_figures(toy, tmp_path):
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Of as many frames as other tests simulate of this knee: by the same program."""
+    return write_toy(tmp_path_factory.mktemp("plain"), LIGHT + MEASURED)
+
+
+def test_fit_writes_an_estimate_with_figures(plain, tmp_path):
     output = tmp_path / "fit.json"
-    result = pftwin("fit", toy, "-o", output, "--free", "K1,L1", "--starts", 2, "--json", "-")
+    result = pftwin("fit", plain, "-o", output, "--free", "K1,L1", "--starts", 2, "--json", "-")
     assert result.exit_code == 0, result.output
     printed, written = json.loads(result.stdout), json.loads(output.read_text())
     assert {k: printed[k] for k in written} == written
@@ -55,15 +61,15 @@ def test_fit_writes_an_estimate_with_figures(toy, tmp_path):
     assert "95 % interval" in result.stderr
     assert sum(written["status_frames"].values()) == 0 or written["status"] != "ok"
     assert list(written["status_frames"]) == [str(flag.name).lower() for flag in FLAGS]  # of the fitted motion
-    flags = simulate(Estimate.load(output).apply(load_scene(toy))).flags
+    flags = simulate(Estimate.load(output).apply(load_scene(plain))).flags
     assert {k: written[k] for k in ("status", "status_frames")} == status_facts(flags)
 
 
-def test_a_fit_to_doubted_measurements_is_written_and_flagged(toy, tmp_path):
+def test_a_fit_to_doubted_measurements_is_written_and_flagged(plain, tmp_path):
     """The toy's patella was "measured" not to move, which its springs cannot do to 0.1 mm."""
     output = tmp_path / "fit.json"
     options = ("--free", "K1,L1", "--starts", 2, "--no-figures", "--limit", "position=1e-4:1")
-    result = pftwin("fit", toy, "-o", output, *options)
+    result = pftwin("fit", plain, "-o", output, *options)
     assert result.exit_code == 3, result.output
     assert result.stdout.startswith("INVALID: residual of position: ")
     assert "flagged: INVALID: residual of position: " in result.stderr

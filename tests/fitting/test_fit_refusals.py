@@ -114,7 +114,8 @@ def test_all_starts_failing_is_an_error(monkeypatch):
 
 
 def test_an_unusable_prediction_is_infinitely_bad():
-    problem = Problem.of([scene()], [fitting.free_parameters(scene(), SPRINGS)], Objective.of(scene(), clean()))
+    free, target = fitting.free_parameters(scene(), SPRINGS), Objective.of(scene(), clean())
+    problem = Problem.of([scene()], [free], target, computed=COMPUTED)
     problem.evaluator.prepare(None)
     at = problem.parameters.nominal[None]
     prediction = problem.evaluator.with_slopes(np.repeat(at, 2, axis=0), 6)

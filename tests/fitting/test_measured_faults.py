@@ -8,6 +8,8 @@ from functools import cache
 
 import numpy as np
 import pytest
+from lifted_fits import COMPUTED as USE
+from lifted_fits import SPRINGS
 from small_scene import small_scene
 
 import fitting
@@ -17,19 +19,25 @@ from fitting.estimate import Estimate
 from fitting.evaluation import Evaluator
 from fitting.objective import Objective
 from pftwin.base.errors import InputError
+from pftwin.base.rotations import tibiofemoral_orientation
+from pftwin.files.mocap.poses import PoseSeries
 from pftwin.model.measured import Measured
+from pftwin.model.motion import KneeMotion
 from pftwin.model.scene import Scene
 
-FRAMES = 41  # as many as other tests simulate: by the same program
-SPRINGS = ("K1", "L1", "K2", "L2")
-USE = ("position", "contact", "quadriceps", "patellar_tendon")
+FRAMES, PERIOD = 41, 0.3  # as many as in other tests: the same programs; of the motion [s]
 TRUTH = np.array([156.0, 0.1432, 629.0, 0.0714]) * np.array([1.1, 0.97, 0.92, 1.02])
 FORCES = ("contact_force", "femoral_spring_force", "tibial_spring_force")
 
 
 @cache
 def scene() -> Scene:
-    return small_scene(FRAMES)
+    """Bent to and fro so often that so few frames tell of a shift in time."""
+    times = 0.01 * np.arange(FRAMES)
+    flexion = np.radians(45 + 10 * np.sin(2 * np.pi * times / PERIOD))
+    q = tibiofemoral_orientation(flexion, np.full(FRAMES, 0.05), np.full(FRAMES, -0.03))
+    tibia = PoseSeries(times, np.zeros((FRAMES, 3)), np.stack([q.w, q.x, q.y, q.z], axis=1))
+    return replace(small_scene(FRAMES), motion=KneeMotion.from_poses(None, tibia))
 
 
 @cache

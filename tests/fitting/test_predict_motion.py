@@ -16,11 +16,15 @@ from pftwin.base.errors import InputError
 from pftwin.model.measured import Measured
 
 LEFT = {"X": 0.4e-3, "Y": 0.9e-3, "Z": 1.7e-3, "tilt": 0.02, "flexion": 0.03, "rotation": 0.05}
-VALUES = {"K1": (160.0, 4.0), "L2": (0.0715, 2e-4)}
+PLACE = "quadriceps.origin.y"
+VALUES = {"K1": (160.0, 4.0), "L2": (0.0715, 2e-4), PLACE: (0.014, 1e-6)}
+NOMINAL = np.array([154.0, 0.066, 0.014])
 
 
 def fitted(**more):
-    return made_estimate(VALUES, **{"rmse": {**LEFT, "position": 1e-3, "orientation": 0.03}, **more})
+    """Of two springs and a coordinate, in all tests: one program."""
+    left = {**LEFT, "position": 1e-3, "orientation": 0.03}
+    return made_estimate(VALUES, **{"rmse": left, "nominal": NOMINAL, "coordinates": (PLACE,), **more})
 
 
 @pytest.fixture(scope="module")
@@ -148,14 +152,7 @@ def test_figure_and_files_name_what_they_hold(predicted):
 
 def test_a_coordinate_that_is_other_here_is_what_was_said_in_this_knee(knee):
     """Coordinates are fitted as offsets: in another knee the number itself is set, not the offset from the fit's."""
-    name = "quadriceps.origin.y"
-    estimate = made_estimate(
-        {"K1": (160.0, 4.0), name: (0.014, 1e-4)},
-        coordinates=(name,),
-        rmse={**LEFT, "position": 1e-3, "orientation": 0.03},
-        channels=("position", "orientation"),
-    )
-    other = knee.set(name, 0.020)
-    told = predict_motion(other, estimate, samples=1, dt=2e-3, values={name: 0.016})
-    own = simulate(other.set("K1", 160.0).set(name, 0.016), dt=2e-3)
+    other = knee.set(PLACE, 0.020)
+    told = predict_motion(other, fitted(), samples=1, dt=2e-3, values={PLACE: 0.016})
+    own = simulate(other.set("K1", 160.0).set("L2", 0.0715).set(PLACE, 0.016), dt=2e-3)
     np.testing.assert_allclose(told.value[:, :3], 1e3 * own.center, atol=1e-6)

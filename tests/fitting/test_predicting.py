@@ -10,13 +10,15 @@ import numpy as np
 import pytest
 from small_scene import small_scene
 
+from fitting.prediction import predicting
+from fitting.prediction.members import Members
 from fitting.prediction.outcomes import MEASURES, outcomes
 from fitting.prediction.predicting import STEP, Fitted, predict
 from fitting.prediction.variants import grid
 from fitting.treatments import Treatment, tibial_tuberosity_transfer
 from pftwin import BDF2, rig, simulate
 from pftwin.base.errors import InputError
-from pftwin.dynamics.status import Status
+from pftwin.dynamics.status import FLAGS, Status
 from pftwin.model.measured import SYNTHETIC
 
 TRANSFER = "tibial_tuberosity_transfer"
@@ -96,21 +98,39 @@ VARIANTS = [
 ]
 
 
+TRANSFERS = [VARIANTS[0], VARIANTS[2]]
+
+
 @pytest.fixture(scope="module")
 def sampled(knee):
-    return predict(knee, VARIANTS, Estimated(), samples=6, seed=3, dt=DT, devices=1)
+    """The variants of one form: one program."""
+    return predict(knee, TRANSFERS, Estimated(), samples=6, seed=3, dt=DT, devices=1)
 
 
-def test_variants_stand_in_the_order_they_were_given(sampled):
-    assert sampled.sizes["variant"] == 10
-    assert sampled.sizes["sample"] == 7
-    assert sampled["treatment"].values[8] == "quadriceps tendon 4 mm longer"
-    assert sampled["treatment"].values[3] == "tibial tuberosity 4 mm medially, 3 mm distally"
-    np.testing.assert_allclose(sampled[MEDIAL].values[-2:], [0.0, 0.5e-3])
-    np.testing.assert_allclose(sampled["quadriceps_lengthening_lengthening"].values, [0] * 8 + [0.004, 0])
-    assert sampled[MEDIAL].attrs["units"] == "m"
-    assert sampled.attrs["synthetic"] == 1
-    assert sampled.attrs["note"] == "the parameters were estimated from synthetic measurements"
+def test_variants_stand_in_the_order_they_were_given(knee, monkeypatch):
+    """Each with its own numbers and draws, as whoever simulates the members of each form is given them."""
+
+    def run(recipe, amounts, thetas, *more, **options):
+        found = np.array([3, 7])[len(amounts) < 20] * amounts.sum(axis=1) + thetas[:, 0]
+        flags = np.zeros((len(amounts), len(FLAGS)), int)
+        return Members(dict.fromkeys(MEASURES, found), flags, np.ones(len(amounts), bool), {})
+
+    monkeypatch.setattr(predicting, "run", run)
+    found = predict(knee, VARIANTS, Estimated(), samples=6, seed=3, dt=DT)
+    assert found.sizes["variant"] == 10
+    assert found.sizes["sample"] == 7
+    assert found["treatment"].values[8] == "quadriceps tendon 4 mm longer"
+    assert found["treatment"].values[3] == "tibial tuberosity 4 mm medially, 3 mm distally"
+    medially, distally = (1e-3 * np.array([0, 0, 4, 4, 8, 8, 12, 12, 0, 0.5]), 1e-3 * np.array([*4 * [0, 3], 0, 1]))
+    np.testing.assert_allclose(found[MEDIAL].values, medially)
+    longer = found["quadriceps_lengthening_lengthening"].values
+    np.testing.assert_allclose(longer, [0] * 8 + [0.004, 0])
+    assert found[MEDIAL].attrs["units"] == "m"
+    assert found.attrs["synthetic"] == 1
+    assert found.attrs["note"] == "the parameters were estimated from synthetic measurements"
+    stiffness = [160.0, *Estimated().samples(6, 3)[:, 0]]
+    expected = np.add.outer(3 * (medially + distally) + 7 * longer, stiffness)
+    np.testing.assert_allclose(found["mean_contact_force"].values, expected)
 
 
 def test_a_knee_that_starts_invalid_has_no_valid_variant(sampled, knee):
@@ -141,15 +161,15 @@ def test_samples_spread_around_the_estimate(sampled, knee):
         outcomes(simulate(treated, dt=DT, integrator=BDF2()))["mean_contact_force"], rel=1e-7
     )
     draw = Estimated().apply(knee, Estimated().samples(6, 3)[1])
-    treated = Treatment.of("quadriceps_lengthening", lengthening=0.004)(draw)
+    treated = Treatment.of(TRANSFER, medialisation=0.5e-3, distalisation=0.001)(draw)
     assert force[8, 2] == pytest.approx(
         outcomes(simulate(treated, dt=DT, integrator=BDF2()))["mean_contact_force"], rel=1e-7
     )
 
 
 @pytest.mark.slow
-def test_chunks_do_not_change_the_answer(sampled, knee):
-    calls = []
+def test_chunks_do_not_change_the_answer(knee):
+    sampled, calls = predict(knee, VARIANTS, Estimated(), samples=6, seed=3, dt=DT, devices=1), []
     small = predict(
         knee, VARIANTS, Estimated(), samples=6, seed=3, dt=DT, chunk=16, progress=lambda *a: calls.append(a)
     )

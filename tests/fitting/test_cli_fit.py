@@ -6,13 +6,14 @@ import json
 from pathlib import Path
 
 import pytest
-from toy_scene_files import LIGHT, START, fixed_poses, tibia_poses, write_poses, write_toy
+from toy_scene_files import LIGHT, START, fixed_poses, tibia_poses, write_poses
 from typer.testing import CliRunner, Result
 
 from fitting import Estimate
 from pftwin import load_scene, simulate
 from pftwin.cli import app
 from pftwin.dynamics.status import FLAGS, status_facts
+from pftwin.files.mocap import PoseSeries
 
 MEASURED = """
 [measured]
@@ -31,19 +32,24 @@ def refused(*arguments: object) -> str:
     return result.stderr
 
 
+def files_of(folder: Path, tibia: PoseSeries, text: str = LIGHT + MEASURED) -> Path:
+    """The scene file of a knee without a mesh, whose patella was measured not to move."""
+    write_poses(folder / "poses.csv", {"tibia": tibia, "patella": fixed_poses(tibia, *START)})
+    scene = folder / "scene.toml"
+    scene.write_text(text)
+    return scene
+
+
 @pytest.fixture(scope="module")
 def toy(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Of frames so close that a fit's search and its answer take the same steps: one program."""
-    scene = write_toy(tmp_path_factory.mktemp("toy"), LIGHT + MEASURED)
-    tibia = tibia_poses(121, rate=600)
-    write_poses(scene.with_name("poses.csv"), {"tibia": tibia, "patella": fixed_poses(tibia, *START)})
-    return scene
+    """Of frames so close that a fit's search and its answer take the same steps."""
+    return files_of(tmp_path_factory.mktemp("toy"), tibia_poses(121, rate=600))
 
 
 @pytest.fixture(scope="module")
 def plain(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Of as many frames as other tests simulate of this knee: by the same program."""
-    return write_toy(tmp_path_factory.mktemp("plain"), LIGHT + MEASURED)
+    return files_of(tmp_path_factory.mktemp("plain"), tibia_poses())
 
 
 def test_fit_writes_an_estimate_with_figures(plain, tmp_path):
@@ -130,7 +136,7 @@ def test_mistakes_at_the_command_line(toy, tmp_path):
 
 
 def test_a_scene_without_measurements(tmp_path):
-    scene = write_toy(tmp_path, LIGHT)
+    scene = files_of(tmp_path, tibia_poses(), LIGHT)
     assert "nothing to compare with" in refused("fit", scene, "-o", tmp_path / "fit.json")
 
 
@@ -150,9 +156,7 @@ def test_trials_are_of_one_kind_and_each_is_named_once(toy, tmp_path):
 
 @pytest.mark.slow
 def test_two_trials_are_fitted_and_planned(toy, tmp_path):
-    other = write_toy(tmp_path, LIGHT + MEASURED)
-    tibia = tibia_poses(61, rate=300)
-    write_poses(other.with_name("poses.csv"), {"tibia": tibia, "patella": fixed_poses(tibia, *START)})
+    other = files_of(tmp_path, tibia_poses(61, rate=300))
     output = tmp_path / "fit.json"
     apart = ("--free", "K1,L1", "--starts", 2, "--varies", "L1=1e-3")
     result = pftwin("fit", toy, other, "-o", output, *apart, "--json", "-")

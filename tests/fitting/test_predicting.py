@@ -111,7 +111,7 @@ def test_variants_stand_in_the_order_they_were_given(knee, monkeypatch):
     """Each with its own numbers and draws, as whoever simulates the members of each form is given them."""
 
     def run(recipe, amounts, thetas, *more, **options):
-        found = np.array([3, 7])[len(amounts) < 20] * amounts.sum(axis=1) + thetas[:, 0]
+        found = (7 if len(amounts) < 20 else 3) * amounts.sum(axis=1) + thetas[:, 0]
         flags = np.zeros((len(amounts), len(FLAGS)), int)
         return Members(dict.fromkeys(MEASURES, found), flags, np.ones(len(amounts), bool), {})
 

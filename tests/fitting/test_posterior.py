@@ -6,6 +6,7 @@ import sys
 
 import numpy as np
 import pytest
+from lifted_fits import COMPUTED, SPRINGS
 from small_scene import small_scene
 
 import fitting
@@ -16,10 +17,10 @@ from pftwin.base.errors import InputError, MissingExtraError
 from pftwin.files.result_files import load_dataset
 from pftwin.model.measured import Measured
 
-SPRINGS = ("K1", "L1", "K2", "L2")
 TRUTH = np.array([156.0, 0.1432, 629.0, 0.0714]) * np.array([1.05, 0.98, 0.96, 1.01])
 NOISE = 1e-4  # [m]
 FORCE_NOISE = 0.02  # [N]
+FORCES = {"quadriceps": "tension", "patellar_tendon": "tension", "contact": "force"}
 
 
 @pytest.fixture(scope="module")
@@ -34,17 +35,36 @@ def truth(scene):
     )
 
 
-def fitted(scene, truth, noise):
+def fitted(scene, truth, noise, use=("position", "quadriceps")):
     """With one spring's force measured as well: positions alone leave the common scale of both stiffnesses open."""
-    force = truth.effects["quadriceps"]["tension"]
-    force = force + FORCE_NOISE * np.random.default_rng(9).normal(size=force.shape)
-    measured = Measured(truth.times, truth.center + noise, femoral_spring_force=force, synthetic=True)
-    return fitting.fit_tendons(scene, measured, use=("position", "quadriceps"), starts=4)
+    random = np.random.default_rng(9)
+    told = {name: truth.effects[name][what] for name, what in FORCES.items()}
+    force = {name: values + FORCE_NOISE * random.normal(size=values.shape) for name, values in told.items()}
+    measured = Measured(
+        truth.times,
+        truth.center + noise,
+        femoral_spring_force=force["quadriceps"],
+        tibial_spring_force=force["patellar_tendon"],
+        contact_force=force["contact"],
+        synthetic=True,
+    )
+    return fitting.fit_tendons(scene, measured, use=use, starts=4)
 
 
 @pytest.fixture(scope="module")
-def estimate(scene, truth):
-    return fitted(scene, truth, np.random.default_rng(0).normal(0.0, NOISE, truth.center.shape))
+def noise(truth):
+    return np.random.default_rng(0).normal(0.0, NOISE, truth.center.shape)
+
+
+@pytest.fixture(scope="module")
+def estimate(scene, truth, noise):
+    """With all forces measured: by the program of `lifted_fits`."""
+    return fitted(scene, truth, noise, COMPUTED)
+
+
+@pytest.fixture(scope="module")
+def by_one_force(scene, truth, noise):
+    return fitted(scene, truth, noise)
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +91,7 @@ def posterior(estimate):
 
 
 @pytest.mark.slow
-def test_one_program_serves_fits_to_other_channels(scene, estimate):
+def test_one_program_serves_fits_to_other_channels(scene, by_one_force):
     """It computes both channels; the one that is compared is picked, whatever their order."""
     p = fitting.free_parameters(scene, SPRINGS)
     both = Evaluator(scene, p, ("position", "quadriceps")).with_slopes(TRUTH[None], 6)
@@ -81,14 +101,15 @@ def test_one_program_serves_fits_to_other_channels(scene, estimate):
         np.testing.assert_array_equal(found.values, both.values[..., columns])
         np.testing.assert_array_equal(found.slopes, both.slopes[..., columns, :])
         assert found.values.shape[-1] == (3 if channels == ("position",) else 1)
-    alone = fitting.fit_tendons(scene, estimate.measured, computed=("quadriceps", "position"), starts=4)
+    alone = fitting.fit_tendons(scene, by_one_force.measured, computed=("quadriceps", "position"), starts=4)
     assert alone.channels == ("position",)
-    assert 0.9 * NOISE < alone.rmse["position"] < estimate.rmse["position"]  # with the force it gives way a little
+    assert 0.9 * NOISE < alone.rmse["position"] < by_one_force.rmse["position"]  # with the force it gives way a little
 
 
 @pytest.mark.slow
-def test_a_knees_posterior_is_as_wide_as_its_noise_and_derivatives_say(posterior, estimate, design):
+def test_a_knees_posterior_is_as_wide_as_its_noise_and_derivatives_say(by_one_force, design):
     """The noise is known and small, so the posterior is all but normal: its covariance follows from the design."""
+    posterior = fitting.sample_posterior(by_one_force, draws=250)
     exact = np.linalg.inv(np.einsum("tcp,tcq->pq", design, design))
     sd = np.sqrt(np.diagonal(exact))
     draws = posterior.draws.reshape(-1, 4)

@@ -17,7 +17,7 @@ from fitting.prediction.outcomes import MEASURES, Course, dislocated, groove_sur
 from pftwin import LinearImplicit, rig, simulate
 from pftwin.base.errors import InputError
 from pftwin.dynamics.status import Status
-from pftwin.results.tracking import find_dislocations
+from pftwin.results.tracking import DISLOCATED, find_dislocations
 
 
 @pytest.fixture(scope="module", params=[1, 2])
@@ -82,7 +82,12 @@ def test_one_frames_impact_is_no_peak():
     np.testing.assert_array_equal(running_median(jnp.asarray(noise)), medfilt5(noise))
 
 
-measured, left = eqx.filter_jit(measure), jax.jit(dislocated)
+program, left = eqx.filter_jit(measure), jax.jit(dislocated)
+
+
+def measured(course: Course, threshold: float = DISLOCATED) -> dict:
+    """By one program for all thresholds."""
+    return program(course, jnp.asarray(threshold))
 
 
 def made_up(offset, status=0, force=(3.0, 5.0)) -> Course:
@@ -120,7 +125,7 @@ def test_another_threshold_moves_the_margin_and_the_dislocations(threshold, marg
 @pytest.mark.parametrize(("offset", "times"), [(0.0199, 0), (0.0201, 1)])
 def test_by_default_20_mm_are_a_dislocation(offset, times):
     assert len(find_dislocations(np.arange(3.0), np.array([0.0, offset, 0.0])).events) == times
-    assert float(measured(made_up([0.0, offset, 0.0]))["dislocations"]) == times
+    assert float(measured(made_up([0.0, offset, *[0.0] * 6]))["dislocations"]) == times
 
 
 def test_the_outcomes_of_a_result_take_the_threshold(result):

@@ -128,15 +128,14 @@ def test_options_keep_their_former_names_and_show_those_of_surgeons(monkeypatch)
     pairs = {a.former: a.flag for a in AMOUNTS if a.former}
     assert pairs["--medialise"] == "--tto-medial"
     assert pairs["--distalise"] == "--tto-distal"
+    commands = ("simulate", "treat", "optimise", "calibrate")
+    shown = [RUNNER.invoke(app, [command, "--help"]).stdout.split() for command in commands]
     for former, flag in pairs.items():
         for name in (former, flag):
             outcome = RUNNER.invoke(app, ["treat", "--case", "2", name, "0:2", "-o", "v.nc"])
             assert isinstance(outcome.exception, ZeroDivisionError), outcome.output
         assert seen[-1] == seen[-2]
-        for command in ("simulate", "treat", "optimise", "calibrate"):
-            shown = RUNNER.invoke(app, [command, "--help"]).stdout.split()
-            assert flag in shown
-            assert former not in shown
+        assert all(flag in words and former not in words for words in shown)
     assert seen[1] == {"tibial_tuberosity_transfer": {"medialisation": [0.0, 1.0, 2.0]}}
     both = ["treat", "--case", "2", "--medialise", "1", "--tto-medial", "2", "-o", "v.nc"]
     outcome = RUNNER.invoke(app, both)

@@ -274,27 +274,27 @@ def test_trials_of_one_name_are_told_apart():
     ],
 )
 def test_trials_that_share_nothing_are_refused(scenes, data, more, said):
-    given = None if data is None else [measured()[i] for i in data]
+    given = None if data is None else [seen_alike()[i] for i in data]
     with pytest.raises(InputError, match=said):
-        fitted([nominal()[i] for i in scenes], given, **more)
+        fitted([alike()[i] for i in scenes], given, **more)
 
 
 def test_a_shared_number_that_scenes_have_at_other_values_is_refused():
     """The rig's case 3 has a longer quadriceps tendon than case 2: one value of both would fit neither."""
-    one, other = nominal()
+    one, other = alike()
     longer = other.set("L2", 0.075)
     with pytest.raises(InputError, match=r"L2 is 0\.0714 in trial 1 and 0\.075 in trial 2; .*varies=\{'L2': \.\.\.\}"):
-        fitted([one, longer], measured())
+        fitted([one, longer], seen_alike())
     varied = free_in_trials([one, longer], FREE, BOUNDS, None, EXACT, {"L2": 0.002})[1]
     assert varied[1].nominal[1] == varied[0].nominal[1]
 
 
 def test_measurements_in_the_place_of_a_scene_are_told():
     with pytest.raises(InputError, match="scene: found Measured"):
-        fitted(measured()[0], None)
+        fitted(seen_alike()[0], None)
 
 
 def test_a_trial_with_other_tendons_is_refused():
-    one, other = nominal()
+    one, other = alike()
     with pytest.raises(InputError, match=r"only one of trials 1 and 2 has .*damping"):
-        fitted([one, other.set("quadriceps.damping", 0.0)], measured(), nuisance="damping=0.5")
+        fitted([one, other.set("quadriceps.damping", 0.0)], seen_alike(), nuisance="damping=0.5")

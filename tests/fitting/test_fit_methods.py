@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from lifted_fits import FEW, SPRINGS, clean, noisy, scene, truth
+from lifted_fits import FEW, SPRINGS, clean, scene, truth
 
 import fitting
 import fitting.fit
@@ -20,7 +20,6 @@ from fitting.methods.populations import Genetic
 from fitting.methods.problem import Problem
 from fitting.objective import Objective
 from pftwin.base import cache_folder
-from pftwin.base.errors import InputError
 from pftwin.model.measured import Measured
 
 
@@ -62,20 +61,6 @@ def test_an_interrupt_keeps_the_best_and_can_be_resumed(tmp_path):
     resumed = fitting.fit_tendons(scene(), clean(), checkpoint=path, resume=True, **FEW)
     np.testing.assert_array_equal(resumed.values, whole.values)
     assert resumed.history == whole.history
-
-
-def test_a_checkpoint_of_another_problem_is_refused(tmp_path):
-    path = tmp_path / "state.json"
-    fitting.fit_tendons(scene(), clean(), checkpoint=path, **FEW)
-    for other in ({"seed": 1}, {"bounds": 0.2}, {"objective": "paper"}, {"starts": 4}):
-        with pytest.raises(InputError, match="another problem"):
-            fitting.fit_tendons(scene(), clean(), checkpoint=path, resume=True, **{**FEW, **other})
-    with pytest.raises(InputError, match="another problem"):
-        fitting.fit_tendons(scene(), noisy(5), checkpoint=path, resume=True, **FEW)
-    for text, words in (("not json", "not valid JSON.*pftwin fit checkpoint"), ("{}", "no checkpoint of a fit")):
-        path.write_text(text)
-        with pytest.raises(InputError, match=words):
-            fitting.fit_tendons(scene(), clean(), checkpoint=path, resume=True, **FEW)
 
 
 _KILLED = """

@@ -1,4 +1,7 @@
-"""Known springs are found again: from clean, noisy and incomplete motions, through touch and lift-off."""
+"""Known springs are found again: from clean, noisy and incomplete motions, through touch and lift-off.
+
+Refusals and checkpoints that take the same program are here too: of two files both processes would compile it at once.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,11 @@ import fitting
 import fitting.fit
 import pftwin
 from fitting.evaluation import Evaluator
+from fitting.methods.least_squares import LeastSquares
+from fitting.methods.problem import Problem, Request
+from fitting.objective import Objective
 from fitting.outcome import judge
+from pftwin.base.errors import InputError
 from pftwin.dynamics.status import Status
 from pftwin.model.measured import Measured
 from pftwin.results.verdict import ALLOWED
@@ -139,3 +146,70 @@ def test_a_fit_whose_steps_are_too_long_says_so_first(monkeypatch):
     said = f"the fit's time steps are off by {1e3 * told.step_error['position']:.2g} mm rms of position"
     assert said in "; ".join(told.doubts)
     assert told.sentence().startswith("INVALID: ")
+
+
+def test_a_checkpoint_of_another_problem_is_refused(tmp_path):
+    path = tmp_path / "state.json"
+    fitting.fit_tendons(scene(), clean(), checkpoint=path, **FEW)
+    for other in ({"seed": 1}, {"bounds": 0.2}, {"objective": "paper"}, {"starts": 4}):
+        with pytest.raises(InputError, match="another problem"):
+            fitting.fit_tendons(scene(), clean(), checkpoint=path, resume=True, **{**FEW, **other})
+    with pytest.raises(InputError, match="another problem"):
+        fitting.fit_tendons(scene(), noisy(5), checkpoint=path, resume=True, **FEW)
+    for text, words in (("not json", "not valid JSON.*pftwin fit checkpoint"), ("{}", "no checkpoint of a fit")):
+        path.write_text(text)
+        with pytest.raises(InputError, match=words):
+            fitting.fit_tendons(scene(), clean(), checkpoint=path, resume=True, **FEW)
+
+
+def test_what_makes_no_difference_is_refused_before_the_search():
+    """A stiffness that may change by 2e-9 N/m moves nothing that could be seen."""
+    k1 = float(scene().effect("quadriceps").stiffness)
+    with pytest.raises(InputError, match=r"reacts to K1(\W|$)"):
+        fitting.fit_tendons(scene(), clean(), bounds={"K1": (k1 - 1e-9, k1 + 1e-9)}, computed=COMPUTED)
+
+
+def test_starts_that_die_are_dropped_and_counted():
+    free, target = fitting.free_parameters(scene(), SPRINGS), Objective.of(scene(), clean())
+    problem = Problem.of([scene()], [free], target, computed=COMPUTED)
+    problem.evaluator.prepare(None)
+    search = LeastSquares(problem, 0, starts=8)
+    state = search.begin()
+    answer = problem.answer(request := search.ask(state))
+    dead = answer._replace(value=np.where(np.arange(8) < 3, np.inf, answer.value))
+    search.tell(state, request, dead)
+    alive = int(np.isfinite(answer.value[3:]).sum())
+    assert alive > 0
+    assert len(state["u"]) == alive
+    assert state["dropped"] == 8 - alive
+    all_dead = search.begin()
+    search.tell(all_dead, request, answer._replace(value=np.full(8, np.inf)))
+    assert all_dead["stopped"] == "all starts failed"
+
+
+def test_all_starts_failing_is_an_error(monkeypatch):
+    real = Problem.answer
+
+    def dead(self, request):
+        answer = real(self, request)
+        return answer._replace(value=np.full(len(request.theta), np.inf))
+
+    monkeypatch.setattr(Problem, "answer", dead)
+    with pytest.raises(InputError, match="all 8 starts failed"):
+        fitting.fit_tendons(scene(), clean(), **FEW)
+
+
+def test_an_unusable_prediction_is_infinitely_bad():
+    free, target = fitting.free_parameters(scene(), SPRINGS), Objective.of(scene(), clean())
+    problem = Problem.of([scene()], [free], target, computed=COMPUTED)
+    problem.evaluator.prepare(None)
+    at = problem.parameters.nominal[None]
+    prediction = problem.evaluator.with_slopes(np.repeat(at, 2, axis=0), 6)
+    values = prediction.values.copy()
+    values[1, 3, 0] = np.nan
+    normal = problem.objective.normal(prediction._replace(values=values, usable=np.array([True, False])))
+    assert np.isfinite(normal.value[0])
+    assert np.isinf(normal.value[1])
+    assert (normal.gradient[1] == 0).all()
+    whole = problem.answer(Request(at, 6, "normal"))
+    np.testing.assert_array_equal(normal.gradient[:1], whole.gradient)

@@ -133,7 +133,8 @@ def optimise(
     estimate: EstimateOption = None,
     amounts: Given,
     samples: Annotated[
-        int | None, Option(metavar="N", min=0, help="Draws from the estimate's uncertainty, by default 50.")
+        int | None,
+        Option(metavar="N", min=0, help="Draws from the estimate's uncertainty; default: 50 with --estimate, else 0."),
     ] = None,
     confidence: Annotated[float, Option(metavar="SHARE", help="Share of the draws that must meet all limits.")] = 0.9,
     seed: SeedOption = 0,

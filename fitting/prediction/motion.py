@@ -86,7 +86,7 @@ def predict_motion(
         verdict = f"INVALID: {lost} of {samples} draws have an INVALID motion"
     each = (f"{name} {value:.2g} {unit}" for (name, (unit, _)), value in zip(COORDINATES.items(), left, strict=True))
     notes = [f"{samples} draws, and the residuals of the fit: {', '.join(each)} (rms)"]
-    notes += [f"{lost} draws without a motion omitted"] if lost else []
+    notes += [f"{lost} draws without a valid motion omitted"] if lost else []
     notes += [f"the fitted motion: {estimate.verdict}"] if estimate.verdict.startswith(INVALID) else []
     notes += reservations(estimate, scene.synthetic or (measured is not None and measured.synthetic))
     low, high = _band(paths[1:][good[1:]], paths[0], left)

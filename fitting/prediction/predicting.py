@@ -112,8 +112,10 @@ def predict(
     Returns:
         A dataset over `variant` (and `sample`, of which 0 is the estimate itself), in SI units and degrees, with the
         amounts as coordinates, every outcome of `fitting.prediction.outcomes.MEASURES`, `status_frames` (frames with
-        each status) and `failed`. Members that cannot be simulated are marked and hold NaN; nothing is raised for them.
-        A scene whose untreated motion is INVALID as it starts (`pftwin.simulate` says so) has no valid variant.
+        each status) and `failed`. Variants and draws with an INVALID motion, or that cannot be simulated, have `failed`
+        set and contain NaN; no error is raised. If the untreated scene starts INVALID (nothing pulls the patella
+        upward, or its equilibrium is far from the recorded start), all its variants are INVALID, although
+        `pftwin.simulate` of a treated scene does not check the start.
 
     Raises:
         InputError: no scene or treatment; a scene that lacks what is to be changed or estimated; samples without an
@@ -163,7 +165,7 @@ def predict(
 
 
 def untrusted_start(scene: Scene) -> tuple[str, ...]:
-    """Why no motion of a scene can be trusted that has limits, from its equilibrium (`invalid_start`)."""
+    """Reasons not to trust any motion of a scene, from its equilibrium: see `invalid_start`. Empty without limits."""
     return () if scene.limits is None else invalid_start(scene, equilibrium(scene))
 
 

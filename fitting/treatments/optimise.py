@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from fitting.coverage import NOT_KNOWN
+from fitting.prediction.outcomes import MEASURES
 from fitting.prediction.plots import invalid_variants
 from fitting.prediction.predicting import Fitted, check_draws, estimate_and_draws, predict
 from fitting.treatments import Treatment
@@ -96,17 +97,19 @@ def optimise_treatment(
     simulated = len(amounts)
 
     def plan(met: bool, at: Floats) -> TreatmentPlan:
+        invalid = invalid_variants(coarse) if coarse["failed"].all() else ""
+        share = None if not samples else 0.0 if invalid else search.share(at)
         return TreatmentPlan(
             met,
             search.treated(at),
-            search.outcomes(at),
+            dict.fromkeys(MEASURES, np.nan) if invalid else search.outcomes(at),
             wanted,
             samples=samples,
             confidence=confidence,
-            share=search.share(at) if samples else None,
-            invalid=invalid_variants(coarse) if coarse["failed"].all() else "",
+            share=share,
+            invalid=invalid,
             coverage=(NOT_KNOWN if estimate is None else estimate.coverage).plans,
-            trust=search.trust(at),
+            trust={} if invalid else search.trust(at),
             simulations=simulated + search.count,  # including those for the share and the outcomes
         )
 

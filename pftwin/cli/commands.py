@@ -20,7 +20,7 @@ COMMANDS = (
     Command("view", view.view, "Show results in 3D: a page or a film", "Look", 10),
     Command("explain", audit.explain, "Show the cost of each effect of a scene", "Look", 30),
     Command("audit", audit.audit, "Test the influence of each effect", "Look", 40),
-    Command("doctor-mesh", doctor_mesh, "Find defects of a mesh; repair safe ones", "Check", 10),
+    Command("doctor-mesh", doctor_mesh, "Find defects of a mesh; repair where safe", "Check", 10),
     Command("accuracy", studies.accuracy, "Measure errors and run times of settings", "Check", 20),
     Command("hard-cases", studies.hard_cases, "Run scenes that are hard to simulate", "Check", 30),
     Command("export", exchange.export, "Convert a result to .mot, .sto, .glb or .csv", "Exchange", 10),

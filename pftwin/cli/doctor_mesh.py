@@ -26,7 +26,7 @@ def doctor_mesh(
     mesh: Annotated[Path, Argument(metavar="FILE", help="STL, OBJ or PLY file.")],
     *,
     units: Annotated[str | None, Option(metavar="m|mm", help="Unit of the coordinates; guessed if not given.")] = None,
-    repair: Annotated[Path | None, Option(metavar="OUT", help="Write the mesh with its safe defects repaired.")] = None,
+    repair: Annotated[Path | None, Option(metavar="OUT", help="Write the mesh, repaired where that is safe.")] = None,
     output: Annotated[
         Path | None, Option("-o", "--output", metavar="FIGURE.png", help="Figure of the proposed axes.")
     ] = None,

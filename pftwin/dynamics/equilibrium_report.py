@@ -166,8 +166,8 @@ def _turned(q: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float6
 
 
 def invalid_start(scene: Scene, start: EquilibriumReport) -> tuple[str, ...]:
-    """Why no motion of a scene can be trusted that has limits: as it starts, nothing pulls the patella upward, or the
-    equilibrium is not that of the recorded start. An equilibrium that was not found is a status of its own.
+    """Reasons not to trust any motion of a scene with limits: fewer lines than `least_upward_lines` pull the patella
+    upward at the start, or the equilibrium is far from the recorded start. A failed search has its own status flag.
     """
     limits = scene.limits
     if limits is None or not start.converged:

@@ -132,6 +132,7 @@ def simulate(
 
     Warns:
         PftwinWarning: JAX's default device is an accelerator, which is slow for a single motion; once per process.
+            Or no tried step meets `tolerance`; the result then has the shortest step that has an error estimate.
     """
     _refuse_traced(scene, "simulate")
     warn_of_accelerator(jax.default_backend())

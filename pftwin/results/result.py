@@ -209,7 +209,7 @@ class Result:
 
     @cached_property
     def verdict(self) -> Verdict:
-        """Whether the motion may be spoken of, and if not, why."""
+        """Whether the motion is valid, with the reasons if it is not."""
         return verdict_of(self.flags, invalid_start(self.scene, self.equilibrium))
 
     @property

@@ -1,4 +1,4 @@
-"""What an accelerator brings: variants a second by the size of the batch, and where the time goes.
+"""Throughput of an accelerator by the size of the batch, and its time by parts.
 
 The study of `tests.benchmarks.batches`, on the first device that JAX has, in processes of their own for double and
 single precision; and a batch with mesh contact, which an accelerator is ill suited to. Without an accelerator there is
@@ -32,7 +32,7 @@ SIZES, QUICK_SIZES = (1_024, 131_072, 1_000_000), (1, 16)
 MESH_SIZE = 2_048
 REAL_TIME = 1e6  # seconds of motion computed in a second, all variants together
 PRECISIONS = ("float64", "float32")
-_REPEATS = 3  # below a million variants, of which one
+_REPEATS = 3  # repeated runs of a batch; a batch of a million runs once
 
 
 def has_one() -> bool:

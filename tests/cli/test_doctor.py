@@ -38,7 +38,7 @@ def test_this_installation_is_sound(rested):
     found = {f["name"]: f for f in facts["findings"]}
     assert found["numpy"]["found"] == np.__version__
     assert found["precision"]["found"] == "float64"
-    assert "N left over" in found["equilibrium at the start"]["found"]
+    assert "residual force" in found["equilibrium at the start"]["found"]
     assert {"c3d", "cuda", "viewer", "posterior"} <= set(facts["extras"])
     assert "sound" in done.stderr
 

@@ -17,7 +17,7 @@ import pftwin
 from fitting.cli.fit_options import deviations
 from fitting.cli.report import tables
 from fitting.cli.report.material import Material
-from fitting.coverage import NOT_KNOWN, QUICK
+from fitting.coverage import QUICK, SEVERAL_TRIALS
 from fitting.estimate import Estimate
 from fitting.evaluation import Prediction
 from fitting.fit import likelihood_of
@@ -284,7 +284,7 @@ def test_a_report_tells_what_trials_share_and_each_trials_own():
 @pytest.mark.slow
 def test_how_often_they_hold_is_not_known_of_simulations():
     assert found().coverage == QUICK
-    assert replace(found(), draws=np.tile(found().values, (50, 1))).coverage == NOT_KNOWN
+    assert replace(found(), draws=np.tile(found().values, (50, 1))).coverage == SEVERAL_TRIALS
 
 
 @pytest.mark.slow

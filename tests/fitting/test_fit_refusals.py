@@ -21,7 +21,7 @@ from pftwin.model.measured import Measured
         ({"method": "simplex"}, "no method 'simplex'"),
         ({"objective": "likely"}, "no objective"),
         ({"loss": "huge"}, "no loss"),
-        ({"loss": "huber"}, "not known here"),
+        ({"loss": "huber"}, "needs the measurements' noise"),
         ({"use": ("orientation",)}, "no 'orientation' was measured"),
         ({"use": ("magic",)}, "no channel 'magic'"),
         ({"objective": "paper", "use": ("quadriceps",)}, "position alone"),

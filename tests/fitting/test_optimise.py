@@ -178,6 +178,19 @@ def test_limits_hold_for_the_share_of_draws_that_was_asked_for(knee, bound):
     assert half.share == pytest.approx(6 / 11)
 
 
+def test_an_invalid_plan_holds_no_limit(knee):
+    """The knee's equilibrium is far from where its search begins: nothing that follows can be trusted."""
+    limit = Limit("mean_contact_force", at_most=1000.0)
+    found = optimise_treatment(knee.with_limits(), limit, {"medialisation": (0.0, 7.5e-3)}, dt=DT)
+    assert not found.met
+    assert "from the recorded start" in found.describe()
+    plain = found.to_dict()
+    assert plain["verdict"].startswith("INVALID")
+    assert not plain["limits"][0]["holds"]
+    assert "status" not in plain
+    assert all(np.isnan(value) for value in found.outcomes.values())
+
+
 @pytest.mark.slow
 def test_no_treatment_is_sure_enough(knee, bound):
     """Two points of the grid are left to the draws: 34 members, which the grid's own program of 64 holds."""

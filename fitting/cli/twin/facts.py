@@ -17,7 +17,10 @@ from pftwin.results.verdict import IN_ORDER, most_frames
 
 
 def facts(scene: Scene, knobs: tuple[Knob, ...], missing: dict[str, str]) -> dict[str, Any]:
-    """Data of a scene for the page, as values for JSON; `missing` gives reasons for missing sliders, by group."""
+    """Data of a scene for the page, as values for JSON; `missing` gives reasons for missing sliders, by group.
+
+    `reasons` are why the untreated scene is INVALID; they hold for all values of the sliders.
+    """
     motion, contact = scene.motion, scene.contact
     surface: Any = None if contact is None else contact.groove_surface()
     shown = ("name", "label", "group", "unit", "least", "most", "step", "neutral", "hint")

@@ -37,9 +37,9 @@ def main(there: str, precision: str, cache: str, contact: str) -> None:
 
     here, away = batch(jax.devices("cpu")[:1]), batch(jax.devices(there)[:1])
     apart = differences(here, away)
-    # The error of the steps is the difference of two runs: it is known as well as these are, not to a share of itself.
+    # An estimated error is the difference of two runs: its rounding is relative to their size, not to its own.
     for name, size in ESTIMATES.items():
-        most = float(np.abs(here[size].values).max())
+        most = max(float(np.abs(here[size].values).max()), 1e-30)
         apart[name] *= float(np.abs(here[name].values).max()) / most
     seen = {
         "dtype": str(here["sphere_center"].dtype),

@@ -228,7 +228,7 @@ def command_for(folder) -> list[str]:
 
 @pytest.mark.slow
 def test_the_command_takes_a_number(tmp_path):
-    """In a process of its own, for what a wrapped length is computed with has to be set up first."""
+    """In a process of its own: JAX has to be configured before wrapped lengths are computed."""
     command = command_for(tmp_path)
     alone = [sys.executable, "-m", "pftwin", *command, "--activation", "0.2"]
     done = subprocess.run(alone, capture_output=True, text=True, check=False, timeout=300)

@@ -158,7 +158,7 @@ def test_the_command_refuses(tmp_path):
     file.write_text("")
     assert "is a file; try: " in CliRunner().invoke(app, ["accuracy", "--case", "1", "--out", str(file)]).stderr
     full = CliRunner().invoke(app, ["accuracy", "--full", "--contact", "P5", "--out", str(tmp_path / "a")])
-    assert "leave --full out" in full.stderr
+    assert "omit --full" in full.stderr
 
 
 def test_a_table_that_was_kept_is_read_back(tmp_path):

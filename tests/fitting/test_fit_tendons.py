@@ -143,7 +143,7 @@ def test_a_fit_whose_steps_are_too_long_says_so_first(monkeypatch):
     )
     rms = np.sqrt(np.mean(np.sum((long - short) ** 2, axis=1)))
     assert told.step_error["position"] == pytest.approx(rms, rel=0.2)
-    said = f"the fit's time steps are off by {1e3 * told.step_error['position']:.2g} mm rms of position"
+    said = f"the fit's time steps cause an error of {1e3 * told.step_error['position']:.2g} mm rms of position"
     assert said in "; ".join(told.doubts)
     assert told.sentence().startswith("INVALID: ")
 

@@ -71,6 +71,19 @@ def test_a_small_knee_is_told_what_it_cannot_have():
     assert "dislocation margin" not in plan.describe()
 
 
+def test_an_invalid_plan_holds_no_limit():
+    """The knee's equilibrium is far from where its search begins: nothing that follows can be trusted."""
+    scene, limit = small_scene(5).with_limits(), Limit("mean_contact_force", at_most=1000.0)
+    found = optimise_treatment(scene, limit, {"medialisation": (0.0, 0.02)}, dt=DT)
+    assert not found.met
+    assert "from the recorded start" in found.describe()
+    plain = found.to_dict()
+    assert plain["verdict"].startswith("INVALID")
+    assert not plain["limits"][0]["holds"]
+    assert "status" not in plain
+    assert all(np.isnan(value) for value in found.outcomes.values())
+
+
 @pytest.mark.slow
 def test_one_amount_ends_where_its_limit_is_just_met(knee, bound):
     plan = optimise_treatment(knee, Limit("largest_offset", at_most=bound), {"medialisation": (0.0, 0.02)}, dt=DT)
@@ -176,19 +189,6 @@ def test_limits_hold_for_the_share_of_draws_that_was_asked_for(knee, bound):
     half = optimise_treatment(knee, limit, reach, **options, confidence=0.5)
     assert 1e3 * float(half.treatment.values[0]) == pytest.approx(7.3, abs=0.02)  # as the estimate itself asks for
     assert half.share == pytest.approx(6 / 11)
-
-
-def test_an_invalid_plan_holds_no_limit(knee):
-    """The knee's equilibrium is far from where its search begins: nothing that follows can be trusted."""
-    limit = Limit("mean_contact_force", at_most=1000.0)
-    found = optimise_treatment(knee.with_limits(), limit, {"medialisation": (0.0, 7.5e-3)}, dt=DT)
-    assert not found.met
-    assert "from the recorded start" in found.describe()
-    plain = found.to_dict()
-    assert plain["verdict"].startswith("INVALID")
-    assert not plain["limits"][0]["holds"]
-    assert "status" not in plain
-    assert all(np.isnan(value) for value in found.outcomes.values())
 
 
 @pytest.mark.slow

@@ -44,11 +44,11 @@ class Solution(eqx.Module):
     rounding: Scalar | float = 0.0  # uncertainty of the load [N]: rounding of positions, or a jump of the load
 
     def tolerance(self) -> Scalar:
-        """Largest residual of a converged equilibrium, given the float type [N]."""
+        """Largest residual of a converged equilibrium, given the float type and jumps of the load [N]."""
         return jnp.maximum(jnp.asarray(tolerance_of(self.residual.dtype), self.residual.dtype), self.rounding)
 
     def converged(self) -> Scalar:
-        """Whether the residual is below the tolerance (1e-6 N in float64 except for extreme stiffness)."""
+        """Whether the residual is below the tolerance (1e-6 N in float64 except for extreme stiffness or a jump)."""
         return self.residual < self.tolerance()
 
 
@@ -68,10 +68,10 @@ def converged_on_host(solution: Solution) -> NDArray[np.bool_]:
 
 
 def place_unknown(solution: Solution) -> float:
-    """Possible distance of the patella from the true equilibrium due to rounding [m]; on the host.
+    """Possible distance of the patella from the true equilibrium due to rounding or a jump [m]; on the host.
 
     It is the residual plus the rounding error of the load, divided by the stiffness of the softest direction; 0 if the
-    load is accurate to the usual tolerance, as always in float64 except for extreme stiffness.
+    load is accurate to the usual tolerance, as in float64 except for extreme stiffness and at jumps.
     """
     rounding = float(solution.rounding)
     if rounding <= tolerance_of(solution.residual.dtype):

@@ -149,7 +149,8 @@ def _size(r: list[Scalar]) -> Scalar:
 
 def _improved(system: System, guide: Guide, at: _Iterate) -> _Iterate:
     """One Newton iteration; a converged pose does not change."""
-    searching = at.count < SEARCH_STEPS  # the pose does not move until the memories are refined
+    remembers = bool(jax.tree.leaves(at.memories))
+    searching = at.count < (SEARCH_STEPS if remembers else 0)  # the pose does not move until memories are refined
     there = look_around(system, lambda d: patella_at_rest(guide, displaced_pose(at.pose, d)), at.memories, at.residual)
     r, stiffness = there.residual(), there.tangent()
     size = _size(r)

@@ -46,8 +46,9 @@ def near_the_ball(count: int = 2000) -> tuple[np.ndarray, np.ndarray]:
 
 @eqx.filter_jit
 def below(grid, points):
-    depth, normal, rim = grid.below(None, Vec3.from_array(points))
-    return depth, normal.array(), rim, grid.facet(None, Vec3.from_array(points))
+    points = Vec3.from_array(points)
+    found = grid.below(None, points, points)
+    return found.depth, found.normal.array(), found.rim, found.facet
 
 
 def test_depths_below_a_sphere():
@@ -83,6 +84,25 @@ def test_derivatives_are_those_of_a_sphere():
     assert curvature.std() < 0.15
     back = jax.grad(lambda x: jnp.sum(below(grid(1e-3), x)[0]))(jnp.asarray(points))
     np.testing.assert_allclose(np.sum(np.asarray(back) * outward, axis=1), falls, rtol=1e-9)
+
+
+def test_the_surface_bends_as_its_normals_turn():
+    """The normal's component along a vector, differentiated twice as finely as the cubes are large."""
+    points, _ = near_the_ball(300)
+    at = (points - np.asarray(grid(3e-3).low)) / 3e-3
+    points = points[np.abs(at - np.floor(at) - 0.5).min(axis=1) > 0.02]  # differences must not cross a cube's face
+    vector = np.random.default_rng(8).normal(size=points.shape)
+
+    @jax.jit
+    def along(at):
+        return jnp.sum(below(grid(3e-3), at)[1] * vector, axis=1)
+
+    here = [Vec3.from_array(jnp.asarray(a)) for a in (points, vector)]
+    bend = jax.jit(lambda p, v: grid(3e-3).below(None, p, v).bend.array())(*here)
+    steps = 1e-6 * np.eye(3)
+    slopes = np.stack([(along(points + d) - along(points - d)) / 2e-6 for d in steps], axis=1)
+    assert np.abs(slopes).max() > 30.0  # about one over the radius
+    np.testing.assert_allclose(bend, slopes, atol=1e-5 * np.abs(slopes).max())
 
 
 def test_a_plane_is_exact_up_to_its_rim():
@@ -146,7 +166,7 @@ def test_triangles_taken_together_bear_the_same_linear_pressure():
     for together in (1, 3, 8):
         button = pressing_surface(mesh, together)
         own = np.asarray(button.index) >= 0
-        merged = np.asarray(button.corners).reshape(*own.shape, 3, 3)[own]
+        merged = np.asarray(button.corners).swapaxes(1, 2).reshape(*own.shape, 3, 3)[own]
         area = 0.5 * np.cross(merged[:, 1] - merged[:, 0], merged[:, 2] - merged[:, 0])
         np.testing.assert_allclose(area.sum(axis=0), vectors.sum(axis=0), atol=1e-15)
         fewer = len(corners) / len(merged)
@@ -168,7 +188,7 @@ def test_any_number_of_triangles_is_taken_together():
         mesh = SurfaceMesh(corners, np.arange(3 * n).reshape(n, 3), "soup")
         for most in (2, 3, 5):
             button = pressing_surface(mesh, most)
-            merged = np.asarray(button.corners).reshape(-1, 3, 3)
+            merged = np.asarray(button.corners).swapaxes(1, 2).reshape(-1, 3, 3)
             assert (merged.mean(axis=1) > 1).all()
 
 

@@ -94,8 +94,8 @@ def _pieces(
 
 def _centroids(button: PressingSurface, leaf: Array, position: Vec3, rotation: Rotation) -> Vec3:
     """Centroids of a leaf's triangles, one per lane, in the femur's frame."""
-    rows = jax.lax.dynamic_slice_in_dim(button.corners, leaf * jnp.int32(button.lanes), button.lanes)
-    return optimization_barrier(position + rotation.apply(centroid(Triangle.of_rows(rows))))
+    rows = jax.lax.dynamic_index_in_dim(button.corners, leaf, keepdims=False)
+    return optimization_barrier(position + rotation.apply(centroid(Triangle.of_rows(rows.T))))
 
 
 def centroid(t: Triangle) -> Vec3:

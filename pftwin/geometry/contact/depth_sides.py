@@ -7,7 +7,7 @@ normal there. Both surfaces may be open.
 from __future__ import annotations
 
 from functools import partial
-from typing import TypeVar
+from typing import NamedTuple, TypeVar
 
 import equinox as eqx
 import jax
@@ -33,6 +33,16 @@ T = TypeVar("T")
 FEMUR_LANES = 8  # largest number of triangles in a leaf of the femur
 BUTTON_LANES = 16  # and of the button
 ON_SURFACE = 1e-10  # [m] at smaller distances the normal is the surface's pseudo-normal
+
+
+class Below(NamedTuple):
+    """A surface as seen from points (k,) near it; vectors in its frame."""
+
+    depth: Scalar  # [m], positive inside
+    normal: Vec3  # unit, outward: minus the depth's gradient
+    bend: Vec3  # gradient by the point of the normal's component along a given vector [of its unit, per m]
+    rim: Array  # bool: whether the nearest point is on the rim of an open surface
+    facet: Array | None  # int32 label of the nearest triangle; None if the mesh has no labels
 
 
 class PressedSurface(eqx.Module):
@@ -80,8 +90,8 @@ class PressedSurface(eqx.Module):
         search = member_by_member(partial(touching_leaves, width, band, reach))
         return search(button, self, position, rotation)
 
-    def below(self, place: Array, point: Vec3) -> tuple[Scalar, Vec3, Array]:
-        """Depths [m] of points (k,) below the triangles in places (k,), normals, and whether the rim is nearest."""
+    def below(self, place: Array, point: Vec3, vector: Vec3) -> Below:
+        """The surface at points (k,) whose nearest triangles are in places (k,). It does not bend: facets are flat."""
         on = closest_on_triangle(Triangle.of_rows(gathered(self.corners[place])), point)
         feature = stop_gradient(7 * self.triangle[place] + on.feature)
         outward = Vec3.from_array(gathered(self.outward[feature]))
@@ -91,15 +101,9 @@ class PressedSurface(eqx.Module):
         sign = jnp.where(stop_gradient(away.dot(outward)) < 0, -1.0, 1.0)
         scale = sign / jnp.where(apart, size, 1.0)
         normal = jax.tree.map(lambda a, n: jnp.where(apart, scale * a, n), away, outward)
-        return -normal.dot(away), normal, self.rim[feature]
-
-    def bend(self, place: Array, point: Vec3, vector: Vec3) -> Vec3:
-        """Gradients by the points of the normals' components along vectors (k,): zero, since facets are flat."""
-        return jax.tree.map(jnp.zeros_like, point)
-
-    def facet(self, place: Array, point: Vec3) -> Array | None:
-        """Labels (k,) of the triangles in places (k,), nearest to the points; None if the mesh has no labels."""
-        return None if self.label is None else self.label[self.triangle[place]]
+        facet = None if self.label is None else self.label[self.triangle[place]]
+        flat = jax.tree.map(jnp.zeros_like, vector)
+        return Below(-normal.dot(away), normal, flat, self.rim[feature], facet)
 
 
 class PressingSurface(eqx.Module):
@@ -107,7 +111,7 @@ class PressingSurface(eqx.Module):
 
     rows: Array  # (16 nodes, 4) float32 balls about centroids, the children of each node in turn
     first: Array  # (nodes,) int32: each node's first child
-    corners: Array  # (leaves * lanes, 9) a, b, c [m]
+    corners: Array  # (leaves, 9, lanes) a, b, c [m]
     index: Array  # (leaves, lanes) int32: triangle; negative in an empty lane, which holds a copy
     discs: Array  # (leaves, 8) about the centroids in a leaf: middle, normal, radius, half thickness [m]
     mesh: Array  # (n, 9) corners of the mesh's own triangles [m]
@@ -180,7 +184,7 @@ def pressing_surface(mesh: SurfaceMesh, together: int = 1) -> PressingSurface:
     parts = (
         rows_of(fans),
         fans.first,
-        corners.reshape(-1, 9).astype(own),
+        np.ascontiguousarray(corners.reshape(*corners.shape[:2], 9).swapaxes(1, 2)).astype(own),
         fans.places,
         _discs(corners).astype(own),
         whole.reshape(-1, 9).astype(own),

@@ -80,16 +80,13 @@ def depths_in(
         place: nearest places, (leaves, lanes) int32, from `pftwin.geometry.contact.depth_search`.
         there: whether a leaf is valid, (leaves,) bool.
     """
-    lane = jnp.arange(button.lanes, dtype=jnp.int32)
-    own_places = (leaf[:, None] * jnp.int32(button.lanes) + lane[None, :]).reshape(-1)
-    own_place, place = gathered((own_places, place.reshape(-1)))
-    index = button.index.reshape(-1)[own_place]
-    # Gather rows of flat tables only: gathers along two axes at once within a loop take XLA minutes to compile.
-    own = Triangle.of_rows(gathered(button.corners[own_place]))
-    local = centroid(own)
+    # Every value is an array over the triangles, so that XLA computes several triangles with one instruction.
+    rows, index = gathered((button.corners[leaf], button.index[leaf].reshape(-1)))
+    own = Triangle.of_rows(jnp.moveaxis(rows, 1, -1).reshape(-1, 9))
+    local, vector = centroid(own), own.area_vector()
     point = position + rotation.apply(local)
-    depth, normal, rim = femur.below(place, point)
-    vector, along = own.area_vector(), rotation.unapply(normal)
+    depth, normal, bend, rim, facet = femur.below(place.reshape(-1), point, rotation.apply(vector))
+    along = rotation.unapply(normal)
     projected = 0.5 * vector.dot(along)
     facing = jnp.where(stop_gradient(projected) < 0, -1.0, 1.0)  # independent of the mesh's orientation
     inside = (stop_gradient(depth) >= -band) & (stop_gradient(depth) <= REACH) & ~rim
@@ -102,6 +99,6 @@ def depths_in(
         normal=normal,
         area=facing * projected,
         tilting=(0.5 * facing) * along.cross(vector),
-        sliding=(-0.5 * facing) * femur.bend(place, point, rotation.apply(vector)),
-        facet=femur.facet(place, point),
+        sliding=(-0.5 * facing) * bend,
+        facet=facet,
     )

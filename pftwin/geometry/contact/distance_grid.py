@@ -8,7 +8,8 @@ no equilibrium. On the femoral cartilage of a living knee (29,800 triangles) cub
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -25,7 +26,7 @@ from pftwin.base.program_cache import cached
 from pftwin.base.spatial import Rotation, Scalar, Vec3
 from pftwin.geometry.bvh.triangle import Triangle, closest_on_triangle
 from pftwin.geometry.contact.depth_search import TouchingLeaves, nearest_triangle
-from pftwin.geometry.contact.depth_sides import PressedSurface, PressingSurface, gathered, pressed_surface
+from pftwin.geometry.contact.depth_sides import Below, PressedSurface, PressingSurface, gathered, pressed_surface
 from pftwin.geometry.mesh.mesh import SurfaceMesh
 
 _AROUND = 12e-3  # [m] margin of the table around the surface: more than the depths that are searched for
@@ -33,6 +34,7 @@ _BEYOND = 6e-3  # [m] distance beyond the rim up to which the depth is continued
 _MOST_NODES = 5_000_000  # 108 bytes each
 _ALLOWED = 5e-5  # [m] largest rms error of a table's depths on the surface
 _SHARPEST = 100.0  # [1/m] largest curvature of a joint's surface
+_FLAT = 1e-6  # smallest square of a slope by which it is divided
 _OFF = 0.1  # largest error of a table's depth, as a share of a cube's edge
 _LATERAL, _RIM = 1, 2  # bits of a node's code
 # The quadratic spline's polynomial (power, neighbour) from -1/2 to 1/2 around a node, from it and its neighbours.
@@ -56,7 +58,8 @@ class DistanceGrid(eqx.Module):
         position, rotation = stop_gradient((position, rotation))
         discs = button.discs
         middle, normal, radius, half = (Vec3.from_array(discs[:, :3]), Vec3.from_array(discs[:, 3:6]), *discs[:, 6:].T)
-        depth, slope = stop_gradient(self._polynomial(position + rotation.apply(middle)))
+        near = self._near(position + rotation.apply(middle))
+        depth, slope = stop_gradient((near.depth, near.slope))
         # How much deeper a disc reaches than its middle, because of its tilt and the surface's curvature.
         along = jnp.abs(slope.dot(rotation.apply(normal)))
         tilted = jnp.sqrt(jnp.maximum(slope.squared_norm() - along**2, 0.0))
@@ -65,49 +68,61 @@ class DistanceGrid(eqx.Module):
         leaf = jnp.nonzero(wanted, size=width, fill_value=0)[0].astype(jnp.int32)
         return TouchingLeaves(leaf, jnp.zeros((width, button.lanes), jnp.int32), jnp.sum(wanted, dtype=jnp.int32))
 
-    def below(self, place: Array, point: Vec3) -> tuple[Scalar, Vec3, Array]:
-        """Depths [m] of points (k,), the normals there, and whether the rim is nearest; places are not used."""
-        depth, slope = self._polynomial(point)
-        size = jnp.sqrt(jnp.maximum(slope.squared_norm(), 1e-6))
-        return depth, (-1 / size) * slope, (self._code(point) & _RIM) > 0
+    def below(self, place: Array, point: Vec3, vector: Vec3) -> Below:
+        """The surface at points (k,); places are not used."""
+        near = self._near(point)
+        slope, steep = near.slope, near.slope.squared_norm()
+        over = 1 / jnp.sqrt(jnp.maximum(steep, _FLAT))
+        normal = -over * slope
+        # d(n.v)/dp = -(H v - (n.v) H n) / |slope|, with H the depth's second derivative.
+        along = jnp.where(steep > _FLAT, normal.dot(vector), 0.0)
+        bend = -over * (near.bent(vector) - near.bent(normal) * along)
+        code = self.codes[near.node]
+        facet = None if self.exact.label is None else (code & _LATERAL).astype(jnp.int32)
+        return Below(near.depth, normal, bend, (code & _RIM) > 0, facet)
 
-    def bend(self, place: Array, point: Vec3, vector: Vec3) -> Vec3:
-        """Gradients by the points of the normals' components along vectors (k,): the surface's curvature."""
-        return jax.vjp(lambda p: self.below(place, p)[1], point)[1](vector)[0]
+    def _near(self, point: Vec3) -> _Near:
+        """The polynomials of points (k,), evaluated from the innermost coordinate outwards."""
+        low, size, shape = self.low, self.spacing, self.shape
+        at = [(p - low[i]) / size for i, p in enumerate((point.x, point.y, point.z))]
+        inside = [jnp.clip(a, 0.0, n - 1.0) for a, n in zip(at, shape, strict=True)]
+        out = [jnp.abs(stop_gradient(a - b)) for a, b in zip(at, inside, strict=True)]
+        node = [jnp.round(stop_gradient(b)) for b in inside]
+        (x, y, z), (i, j, k) = (b - n for b, n in zip(inside, node, strict=True)), (n.astype(jnp.int32) for n in node)
+        number = (i * jnp.int32(shape[1]) + j) * jnp.int32(shape[2]) + k
+        terms = gathered(self.cells[number]).astype(x.dtype)
+        rows = _threes([terms[:, n] for n in range(27)])
+        # The letters after `f` are the coordinates by which the depth is differentiated.
+        f, f_z, f_zz = (_summed(g, rows, z) for g in (_value, _slope, _bend))
+        f_y, f_yy, f_yz = (_summed(g, _threes(p), y) for g, p in ((_slope, f), (_bend, f), (_slope, f_z)))
+        f, f_z, f_zz = (_summed(_value, _threes(p), y) for p in (f, f_z, f_zz))
+        per = 1 / size
+        slope = per * Vec3(_slope(f, x), _value(f_y, x), _value(f_z, x))
+        second = (_bend(f, x), _value(f_yy, x), _value(f_zz, x), _slope(f_y, x), _slope(f_z, x), _value(f_yz, x))
+        outside = size * jnp.maximum(jnp.maximum(out[0], out[1]), out[2])
+        return _Near(number, _value(f, x) - outside, slope, tuple(per * per * s for s in second))
 
-    def facet(self, place: Array, point: Vec3) -> Array | None:
-        """Labels (k,) of the triangles nearest to the points; None if the mesh has no labels."""
-        return None if self.exact.label is None else (self._code(point) & _LATERAL).astype(jnp.int32)
 
-    def _within(self, point: Vec3) -> tuple[Array, Array]:
-        """Grid coordinates (3, k) of the points, clipped to the table; and their distance outside of it [m]."""
-        at = (point.array().T - self.low[:, None]) / self.spacing
-        inside = jnp.clip(at, 0.0, jnp.array([[n - 1] for n in self.shape], at.dtype))
-        return inside, self.spacing * jnp.max(jnp.abs(stop_gradient(at - inside)), axis=0)
+class _Near(NamedTuple):
+    """The nearest nodes of points (k,), and their polynomials there."""
 
-    def _polynomial(self, point: Vec3) -> tuple[Scalar, Vec3]:
-        """Depth (k,) and its gradient."""
-        at, outside = self._within(point)
-        node = jnp.round(stop_gradient(at))
-        terms = gathered(self.cells[self._number(node)]).astype(at.dtype)
-        ux, uy, uz = at - node
-        # From the innermost coordinate outwards: values, and slopes along the coordinates already summed.
-        rows = [[terms[:, 9 * a + 3 * b + c] for c in range(3)] for a in range(3) for b in range(3)]
-        value, along_z = ([f(row, uz) for row in rows] for f in (_value, _slope))
-        value, along_z = ([p[3 * a : 3 * a + 3] for a in range(3)] for p in (value, along_z))
-        along_y = [_slope(row, uy) for row in value]
-        value, along_z = ([_value(row, uy) for row in p] for p in (value, along_z))
-        gradient = Vec3(_slope(value, ux), _value(along_y, ux), _value(along_z, ux))
-        return _value(value, ux) - outside, (1 / self.spacing) * gradient
+    node: Array  # int32
+    depth: Scalar  # [m]
+    slope: Vec3  # the depth's gradient
+    second: tuple[Scalar, ...]  # the depth's second derivatives: xx, yy, zz, xy, xz, yz [1/m]
 
-    def _number(self, node: Array) -> Array:
-        i, j, k = node.astype(jnp.int32)
-        _, ny, nz = (jnp.int32(n) for n in self.shape)
-        return (i * ny + j) * nz + k
+    def bent(self, v: Vec3) -> Vec3:
+        """The matrix of second derivatives times a vector."""
+        xx, yy, zz, xy, xz, yz = self.second
+        return Vec3(xx * v.x + xy * v.y + xz * v.z, xy * v.x + yy * v.y + yz * v.z, xz * v.x + yz * v.y + zz * v.z)
 
-    def _code(self, point: Vec3) -> Array:
-        """Codes of the nearest nodes (k,)."""
-        return self.codes[self._number(jnp.round(stop_gradient(self._within(point)[0])))]
+
+def _threes(terms: list[Scalar]) -> list[list[Scalar]]:
+    return [terms[n : n + 3] for n in range(0, len(terms), 3)]
+
+
+def _summed(power: Callable[[list[Scalar], Scalar], Scalar], rows: list[list[Scalar]], u: Scalar) -> list[Scalar]:
+    return [power(row, u) for row in rows]
 
 
 def _value(terms: list[Scalar], u: Scalar) -> Scalar:
@@ -116,6 +131,10 @@ def _value(terms: list[Scalar], u: Scalar) -> Scalar:
 
 def _slope(terms: list[Scalar], u: Scalar) -> Scalar:
     return terms[1] + 2 * u * terms[2]
+
+
+def _bend(terms: list[Scalar], u: Scalar) -> Scalar:
+    return 2 * terms[2]
 
 
 def distance_grid(mesh: SurfaceMesh, spacing: float, labels: ArrayLike | None = None) -> DistanceGrid:

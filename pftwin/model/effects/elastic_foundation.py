@@ -118,7 +118,7 @@ class ElasticFoundation(ButtonMesh):
 
     def _enclosed(self, at: Bedded, found: Pressures) -> Array:
         """Whether the button is too deep for the search: no triangle is in contact, but one is behind the surface."""
-        middle = at.position + at.rotation.apply(centroid(Triangle.of_rows(self.button.corners[0])))
+        middle = at.position + at.rotation.apply(centroid(Triangle.of_rows(self.button.corners[0, :, 0])))
         femur = self.femur.exact
         return behind(femur.corners, femur.triangle, femur.rim_edges(), middle, found.area == 0).there
 

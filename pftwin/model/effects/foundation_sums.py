@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array
 
 from pftwin.base.leaves import what_changes
@@ -23,7 +24,11 @@ from pftwin.geometry.contact.depths import REACH, Depths, depths_in
 from pftwin.geometry.contact.distance_grid import DistanceGrid
 from pftwin.model.effects.foundation_law import FoundationLaw
 
-PIECE = 16  # number of the button's leaves per iteration
+PIECE = 4  # number of the button's leaves per iteration
+# Of a symmetric matrix (6, 6): rows and columns of its lower triangle, and the place in it of every element.
+_ROWS, _COLUMNS = np.tril_indices(6)
+_PLACE = np.zeros((6, 6), int)
+_PLACE[_ROWS, _COLUMNS] = _PLACE[_COLUMNS, _ROWS] = range(len(_ROWS))
 
 
 class Bedded(eqx.Module):
@@ -61,105 +66,137 @@ class Pressures(NamedTuple):
     deepest: Array  # () maximum depth [m]
 
 
-Sums = tuple[Forces, Pressures]
+class Lanes(NamedTuple):
+    """Sums and maxima over every n-th triangle, arrays (n,), so that a loop adds several with one instruction."""
+
+    force: list[Array]  # 6
+    elastic: list[Array]  # 6
+    stiffness: list[Array]  # 21, the lower triangle
+    size: Array
+    energy: Array
+    area: Array
+    borne: list[Array]  # one on each facet
+    moment: list[list[Array]]  # 3 on each facet
+    facets: list[list[Array]]
+    most: Array
+    deepest: Array
+
+    def plus(self, other: Lanes) -> Lanes:
+        """The sums and maxima of both."""
+        most, deepest = (jnp.maximum(a, b) for a, b in ((self.most, other.most), (self.deepest, other.deepest)))
+        return jax.tree.map(jnp.add, self, other)._replace(most=most, deepest=deepest)
+
+    def total(self) -> tuple[Forces, Pressures]:
+        """Over all triangles."""
+        largest = jnp.max(self.most), jnp.max(self.deepest)
+        t = jax.tree.map(jnp.sum, self)
+        triangle = jnp.stack(t.stiffness)
+        stiffness = triangle[_PLACE.ravel()].reshape(6, 6)
+        forces = Forces(jnp.stack(t.force), jnp.stack(t.elastic), stiffness, t.size, t.energy)
+        moment, facets = (jnp.stack([jnp.stack(v) for v in per_facet]) for per_facet in (t.moment, t.facets))
+        return forces, Pressures(t.area, jnp.stack(t.borne), moment, facets, *largest)
 
 
-def triangle_sums(at: Bedded) -> Sums:
+def triangle_sums(at: Bedded) -> tuple[Forces, Pressures]:
     """Sums over all triangles in contact. Supports jit, vmap, and forward and reverse differentiation."""
     found = at.femur.touching(at.button, at.position, at.rotation, width=at.button.leaves, band=0.0, reach=REACH)
-    return _sum_contacts(at, found)
+    return _sum_contacts(at, found).total()
 
 
 @eqx.filter_custom_jvp
-def _sum_contacts(at: Bedded, found: TouchingLeaves) -> Sums:
+def _sum_contacts(at: Bedded, found: TouchingLeaves) -> Lanes:
     return member_by_member(_sum_of_all)(at, found)
 
 
 @_sum_contacts.def_jvp
-def _summed_jvp(primals: Any, tangents: Any) -> tuple[Sums, Sums]:
+def _summed_jvp(primals: Any, tangents: Any) -> tuple[Lanes, Lanes]:
     at, found = primals
     moving, still = what_changes(at, tangents[0])
     most = most_in_batch(found.total)
 
-    def total(moving: Any) -> Sums:
+    def total(moving: Any) -> Lanes:
         at = eqx.combine(moving, still)
+        zero = _zero_lanes(at)
 
-        def piece(so_far: Sums, start: Array) -> tuple[Sums, None]:
-            more = jax.lax.cond(start < most, lambda: _sums_over_leaves(at, found, start), lambda: _zero_sums(at))
-            return _added_sums(so_far, more), None
+        def piece(so_far: Lanes, start: Array) -> tuple[Lanes, None]:
+            more = jax.lax.cond(start < most, lambda: _lanes_of_leaves(at, found, start), lambda: zero)
+            return so_far.plus(more), None
 
         starts = jnp.arange(0, at.button.leaves, PIECE, dtype=jnp.int32)
-        return jax.lax.scan(piece, _zero_sums(at), starts)[0]
+        return jax.lax.scan(piece, zero, starts)[0]
 
     return jax.jvp(total, (moving,), (tangents[0],))
 
 
-def _sum_of_all(at: Bedded, found: TouchingLeaves) -> Sums:
-    def piece(state: tuple[Array, Sums]) -> tuple[Array, Sums]:
+def _sum_of_all(at: Bedded, found: TouchingLeaves) -> Lanes:
+    def piece(state: tuple[Array, Lanes]) -> tuple[Array, Lanes]:
         start, so_far = state
-        return start + PIECE, _added_sums(so_far, _sums_over_leaves(at, found, start))
+        return start + PIECE, so_far.plus(_lanes_of_leaves(at, found, start))
 
-    return jax.lax.while_loop(lambda s: s[0] < found.total, piece, (jnp.zeros((), jnp.int32), _zero_sums(at)))[1]
-
-
-def _zero_sums(at: Bedded) -> Sums:
-    def zeros(*shape: int) -> Array:
-        return jnp.zeros(shape, at.position.x.dtype)
-
-    forces = Forces(zeros(6), zeros(6), zeros(6, 6), zeros(), zeros())
-    return forces, Pressures(zeros(), zeros(2), zeros(2, 3), zeros(2, 3), zeros(), zeros())
+    return jax.lax.while_loop(lambda s: s[0] < found.total, piece, (jnp.zeros((), jnp.int32), _zero_lanes(at)))[1]
 
 
-def _added_sums(one: Sums, other: Sums) -> Sums:
-    forces, pressures = jax.tree.map(jnp.add, one, other)
-    most, deepest = (jnp.maximum(getattr(one[1], n), getattr(other[1], n)) for n in ("most", "deepest"))
-    return forces, pressures._replace(most=most, deepest=deepest)
+def _zero_lanes(at: Bedded) -> Lanes:
+    zero = jnp.zeros(min(PIECE, at.button.leaves) * at.button.lanes, at.position.x.dtype)
+    vectors = [[zero] * 3 for _ in range(2)]
+    return Lanes(
+        force=[zero] * 6,
+        elastic=[zero] * 6,
+        stiffness=[zero] * len(_ROWS),
+        size=zero,
+        energy=zero,
+        area=zero,
+        borne=[zero] * 2,
+        moment=vectors,
+        facets=vectors,
+        most=zero,
+        deepest=zero,
+    )
 
 
-def _sums_over_leaves(at: Bedded, found: TouchingLeaves, start: Array) -> Sums:
-    """Sums over the piece of leaves that begins at `start`."""
+def _lanes_of_leaves(at: Bedded, found: TouchingLeaves, start: Array) -> Lanes:
+    """The piece of leaves that begins at `start`."""
     # The last piece starts early enough to be full, and counts only leaves that no other piece has counted.
     first = jnp.minimum(start, max(at.button.leaves - PIECE, 0))
     leaf, place = (jax.lax.dynamic_slice_in_dim(x, first, min(PIECE, at.button.leaves)) for x in found[:2])
     number = first + jnp.arange(leaf.shape[0], dtype=jnp.int32)
     there = (number >= start) & (number < found.total)
     d = depths_in(at.button, at.femur, at.position, at.rotation, leaf, place, there)
-    rows = _wrenches(at, d, d.normal)
-    # Per triangle; all zero without contact.
+    row = _wrench(at, d, d.normal)
+    # All zero without contact.
     pressure, slope, stored = at.law.press(jnp.where(d.listed, d.depth, -1.0))
-    elastic, stiffness = d.area * pressure, d.area * slope
-    force = elastic - at.damping_time * stiffness * (at.twist @ rows)
-    kept = jnp.where(force > 0, stored, 0.0)
-    force, elastic, stiffness = (jnp.where(force > 0, a, 0.0) for a in (force, elastic, stiffness))
+    borne, stiffness = d.area * pressure, d.area * slope
+    force = borne - at.damping_time * stiffness * sum(at.twist[i] * r for i, r in enumerate(row))
+    pressed = force > 0
+    force, elastic, stiffness, kept = (jnp.where(pressed, a, 0.0) for a in (force, borne, stiffness, stored))
     # Contribution of the changing projected areas, so that forces and moments are the derivatives of the energy.
-    moved = _wrenches(at, d, d.sliding) @ kept
-    turning = moved + jnp.concatenate([jnp.zeros(3, kept.dtype), kept @ d.tilting.array()])
-    forces = Forces(
-        force=rows @ force + turning,
-        elastic=rows @ elastic + turning,
-        stiffness=(rows * stiffness[None, :]) @ rows.T,
-        size=jnp.sum(force),
-        energy=jnp.sum(d.area * stored),
-    )
+    nothing = [0.0] * 3
+    tilting = (*nothing, d.tilting.x, d.tilting.y, d.tilting.z)
+    turning = [kept * (m + t) for m, t in zip(_wrench(at, d, d.sliding), tilting, strict=True)]
     touching = d.listed & (d.depth > 0)
     facet = jnp.zeros_like(d.triangle) if d.facet is None else d.facet
-    on = jnp.stack([facet == k for k in range(2)])  # (2, triangles)
-    borne_on = jnp.where(on, d.area * pressure, 0.0)
-    pressures = Pressures(
-        area=jnp.sum(jnp.where(touching, d.area, 0.0)),
-        borne=jnp.sum(borne_on, axis=1),
-        moment=borne_on @ d.point.array(),
-        facets=jnp.sum(jnp.where(on[:, None, :], (force * d.normal + kept * d.sliding).array().T, 0.0), axis=2),
-        most=jnp.max(pressure),
-        deepest=jnp.max(jnp.where(touching, d.depth, 0.0)),
+    push = force * d.normal + kept * d.sliding
+    on = [facet == k for k in range(2)]
+    borne_on = [jnp.where(here, borne, 0.0) for here in on]
+    stiff = [stiffness * r for r in row]
+    return Lanes(
+        force=[r * force + t for r, t in zip(row, turning, strict=True)],
+        elastic=[r * elastic + t for r, t in zip(row, turning, strict=True)],
+        stiffness=[stiff[i] * row[j] for i, j in zip(_ROWS, _COLUMNS, strict=True)],
+        size=force,
+        energy=d.area * stored,
+        area=jnp.where(touching, d.area, 0.0),
+        borne=borne_on,
+        moment=[[b * d.point.x, b * d.point.y, b * d.point.z] for b in borne_on],
+        facets=[[jnp.where(here, a, 0.0) for a in (push.x, push.y, push.z)] for here in on],
+        most=pressure,
+        deepest=jnp.where(touching, d.depth, 0.0),
     )
-    return forces, pressures
 
 
-def _wrenches(at: Bedded, d: Depths, forces: Vec3) -> Array:
-    """Wrenches (6, triangles) of forces at the centroids (femur axes): force in world axes, and moment about the centre
-    of mass in patella axes."""
-    arm = d.local + Vec3(*(jnp.broadcast_to(a, d.depth.shape) for a in (at.origin.x, at.origin.y, at.origin.z)))
-    moment = arm.cross(at.rotation.unapply(forces))
+def _wrench(at: Bedded, d: Depths, forces: Vec3) -> list[Array]:
+    """Wrenches of forces at the centroids (femur axes): force in world axes, and moment about the centre of mass in
+    patella axes."""
+    moment = (d.local + at.origin).cross(at.rotation.unapply(forces))
     direction = forces if at.world is None else at.world.apply(forces)
-    return jnp.concatenate([direction.array(), moment.array()], axis=-1).T
+    return [direction.x, direction.y, direction.z, moment.x, moment.y, moment.z]

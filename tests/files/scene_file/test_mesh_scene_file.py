@@ -105,11 +105,11 @@ def test_a_buttons_mesh_anywhere_in_any_unit_is_the_same_button(toy: Path) -> No
     there = '{ mesh = "away.ply", units = "mm", center_mm = [0, 0, 0], mesh_pose = POSE }'.replace("POSE", pose)
     other = the(load(toy, foundation(button=there)))
     np.testing.assert_array_equal(other.origin.array(), 0)
-    one, two = (corners(e.button.corners, e.button.index) for e in (here, other))
+    one, two = (corners(e.button.corners.swapaxes(1, 2), e.button.index) for e in (here, other))
     np.testing.assert_allclose(one, two, atol=1e-7)
     without = the(load(toy, foundation(button=there.replace("center_mm = [0, 0, 0], ", ""))))
     np.testing.assert_allclose(without.origin.array(), place)  # the mesh frame's own origin
-    two = corners(without.button.corners, without.button.index)
+    two = corners(without.button.corners.swapaxes(1, 2), without.button.index)
     np.testing.assert_allclose(one.mean(axis=0), two.mean(axis=0) + place, atol=1e-7)
 
 
@@ -159,7 +159,9 @@ def test_a_left_knee_is_the_mirror_image(toy: Path) -> None:
         made.append(the(load(toy, text)))
     one, two = made
     np.testing.assert_allclose(
-        corners(one.button.corners, one.button.index), corners(two.button.corners, two.button.index), atol=1e-9
+        corners(one.button.corners.swapaxes(1, 2), one.button.index),
+        corners(two.button.corners.swapaxes(1, 2), two.button.index),
+        atol=1e-9,
     )
     normals = [np.asarray(e.femur.outward)[np.asarray(e.femur.triangle)[:50] * 7] for e in made]
     places = [np.asarray(e.femur.corners)[:50].reshape(-1, 3, 3) for e in made]

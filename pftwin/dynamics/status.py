@@ -59,20 +59,21 @@ _WORDS = {
     Status.NO_CONTACT: "the button touches nothing",
     Status.LEFT_PATCH: "a loaded contact lies outside the fitted surface (extrapolated), or"
     " reaches over the rim of the mesh",
-    Status.DEEP_INDENTATION: f"indentation above {DEEPEST:.0%} of the button's radius, or deeper than is looked for:"
-    " step too large or law too soft",
-    Status.NOT_FINITE: "not finite: step too large, or a load that is not known",
-    Status.STEP_TOO_LONG: "the patella moves or turns too far within one step, or the step's equations are not solved:"
-    " take a shorter one",
-    Status.SEARCH_OVERFLOW: "the search for what touches ran out of room: a contact may be wrong",
-    Status.SNAPPED: "the equilibrium ended and the patella snapped to another one, in a dynamic burst without a time",
-    Status.ENERGY_FROM_NOWHERE: "there is more energy than before, less the work done: step too long, or forces that"
-    " have no potential, as those of coarse meshes",
-    Status.INACCURATE: "by estimate the steps, or rounding at the start, make an error above"
-    f" {1e3 * MOST_PATH_ERROR:g} mm in place, or above {_FORCE} in contact force: take shorter steps, or float64",
-    Status.FACETS_INACCURATE: f"by estimate the steps make an error above {_FORCE} in the force on one facet:"
-    " take shorter steps, or use the sum of both",
-    Status.END_WITHIN_WRAP: "an end of a line lies within what it wraps over, so that it runs straight through:"
+    Status.DEEP_INDENTATION: f"indentation above {DEEPEST:.0%} of the button's radius, or beyond the reach of the"
+    " search: the step is too long or the contact law too soft",
+    Status.NOT_FINITE: "not finite: the step is too long, or a load could not be computed",
+    Status.STEP_TOO_LONG: "the patella moves or turns too far within one step, or a step is unstable or did not"
+    " converge: take shorter steps",
+    Status.SEARCH_OVERFLOW: "the contact search ran out of room: a contact may be wrong",
+    Status.SNAPPED: "the patella lost its equilibrium and snapped to another one; the duration of the snap is not"
+    " computed",
+    Status.ENERGY_FROM_NOWHERE: "energy has increased by more than the work done: the step is too long, or forces are"
+    " not conservative, as those of coarse meshes",
+    Status.INACCURATE: "the estimated error of the time steps, or of rounding at the start, exceeds"
+    f" {1e3 * MOST_PATH_ERROR:g} mm in position, or {_FORCE} in contact force: take shorter steps, or use float64",
+    Status.FACETS_INACCURATE: f"the estimated error of the time steps exceeds {_FORCE} in the force on one facet:"
+    " take shorter steps, or use the sum of both facets",
+    Status.END_WITHIN_WRAP: "an end of a line lies inside its wrapping obstacle, so the line runs straight through it:"
     " move the end or make the obstacle smaller",
     Status.START_NOT_IN_EQUILIBRIUM: "the run did not start from a converged equilibrium",
 }

@@ -47,7 +47,7 @@ def main(arguments: list[str] | None = None) -> int:
             given.out.mkdir(parents=True, exist_ok=True)
             write_text(given.out / "audit.csv", to_csv(table(found)))
             save_dataset(dataset(found), given.out / "audit.nc")
-            title = f"{found.scene} (recording simulated by OpenSim JAM): what each effect is worth"
+            title = f"{found.scene} (recording simulated by OpenSim JAM): influence of each effect"
             save_figure(audit_figure(found, title), given.out / "audit")
     except PftwinError as error:
         print(f"error: {error}", file=sys.stderr)

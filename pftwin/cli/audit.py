@@ -91,6 +91,6 @@ def _write(found: Audit, folder: Path) -> list[Path]:
         save_dataset(dataset(found), netcdf)
         if found.interrupted:
             return [csv, netcdf]
-        title = f"{found.scene}: what each effect is worth"
+        title = f"{found.scene}: influence of each effect"
         save_figure(audit_figure(found, title), figures[0].with_suffix(""))
     return files

@@ -141,7 +141,7 @@ def _energies(result: Result) -> Variables:
     for name, values in e.stored.items():
         found[f"stored_energy_{name}"] = (values, f"energy stored by {name.replace('_', ' ')}")
     found["total_energy"] = (e.total, "kinetic and stored energy")
-    taken = "energy that the integrator's steps took out since the start; negative: put in"
+    taken = "energy that the integrator's steps removed since the start; negative: added"
     found |= {
         "work": (e.work, "work of the guided bodies and of known pulls since the start"),
         "heat": (e.heat, "energy lost in damping since the start"),

@@ -222,8 +222,8 @@ def _verdict(kind: Kind, found: Changes | None, outcome: str, tolerance: float) 
         return "indispensable" if kind == "left out" else "cannot be judged"
     matters = found.center_max > tolerance or "dislocate" in outcome
     return {
-        "left out": ("worth keeping", "could go"),
-        "put in": ("worth putting in", "not needed"),
+        "left out": ("worth keeping", "can be left out"),
+        "added": ("worth adding", "not needed"),
         "changed": ("matters", "does not matter"),
-        "yardstick": ("steps too long for that", "steps short enough"),
+        "yardstick": ("steps too long", "steps short enough"),
     }[kind][0 if matters else 1]

@@ -92,7 +92,7 @@ def audit_sheet(found: Audit) -> Sheet:
     notes += [f"not applicable: {v.name} ({v.kind}): {v.reason}" for v in found.not_applicable]
     notes.append(
         f"verdicts by the largest distance from the scene's own path, against {1e3 * found.tolerance:g} mm; angles are "
-        "rms; time: share of the scene's run that it takes, - where several ran side by side; "
+        "rms; time: share of the scene's run that it takes, - where several ran in one batch; "
         f"{found.programs} programs compiled"
     )
     notes += [f"restitution: {found.impact}"] if found.impact else []
@@ -178,7 +178,7 @@ def dataset(found: Audit) -> Dataset:
     return to_dataset(table(found), "variant", about, names="what")
 
 
-_COLOUR = {"left out": style.COLOURS[0], "put in": style.COLOURS[1], "changed": style.COLOURS[2], "yardstick": "0.55"}
+_COLOUR = {"left out": style.COLOURS[0], "added": style.COLOURS[1], "changed": style.COLOURS[2], "yardstick": "0.55"}
 _MOST = 150.0  # larger shares of time are outside the axis and written as numbers [%]
 _LEAST = 1e-3  # smaller changes are drawn as zero [mm], [N]
 _BESIDE: dict[str, Any] = {"xytext": (4, 0), "textcoords": "offset points", "va": "center", "fontsize": style.SMALL}
@@ -250,7 +250,7 @@ def _time_bars(axes: Axes, rows: tuple[Worth, ...], share: Column, spread: Colum
     for i, row in enumerate(rows):
         value = share.values[i]
         if np.isnan(value):
-            axes.annotate("ran beside others", (0, i), **_BESIDE)
+            axes.annotate("not timed (batch)", (0, i), **_BESIDE)
             continue
         drawn = float(np.clip(value, *axes.get_xlim()))
         axes.barh(i, drawn, height=0.6, color=_COLOUR[row.kind], alpha=1.0 if drawn == value else 0.35)

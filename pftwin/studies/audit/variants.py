@@ -26,7 +26,7 @@ from pftwin.model.motion import KneeMotion, SegmentMotion
 from pftwin.model.scene import Scene
 from pftwin.studies.audit.account import parts
 
-Kind = Literal["left out", "put in", "changed", "yardstick"]
+Kind = Literal["left out", "added", "changed", "yardstick"]
 KINDS: tuple[Kind, ...] = get_args(Kind)  # in the order of tables
 
 
@@ -60,7 +60,7 @@ def without_femur_inertia(scene: Scene) -> Variant | NotApplicable:
     femur = scene.motion.femur
     if femur is None:
         reason = "the femur stands still in this scene, and nothing in it tells how it moved in the world"
-        return NotApplicable(NAME, "put in", reason)
+        return NotApplicable(NAME, "added", reason)
     seen = {e.name: e.in_still_femur(femur) for e in scene.effects}
     if grounded := [name for name, effect in seen.items() if effect is None]:
         return NotApplicable(NAME, "left out", f"fixed to the ground, which would move then: {', '.join(grounded)}")
@@ -122,7 +122,7 @@ WEIGHT = 9.81  # [m/s^2]
 def additions(scene: Scene, integrator: Integrator) -> list[Variant | NotApplicable]:
     """Returns variants with friction, weight or a toe region added, with other inertia, and with half the step."""
     found = [_friction(scene), _gravity(scene), *_refinements(scene), *_inertia(scene, integrator)]
-    half = Variant("steps half as long", "yardstick", "what the step itself is worth", scene, refine=2)
+    half = Variant("steps half as long", "yardstick", "the effect of the time step itself", scene, refine=2)
     return [*(v for v in found if v is not None), half]
 
 
@@ -130,13 +130,13 @@ def _friction(scene: Scene) -> Variant | NotApplicable | None:
     if any(c.label == "friction" for e in scene.effects for c in e.simplifications()):
         return None
     if scene.contact is None:
-        return NotApplicable("friction", "put in", "nothing touches")
+        return NotApplicable("friction", "added", "nothing touches")
     try:
         rough = scene.contact.with_friction(Friction(number(FRICTION), number(SLIP_SPEED)))
     except InputError as error:
-        return NotApplicable("friction", "put in", str(error))
+        return NotApplicable("friction", "added", str(error))
     sentence = f"Coulomb, coefficient {FRICTION:g}, slip speed {1e3 * SLIP_SPEED:g} mm/s, in {scene.contact.name}"
-    return Variant("friction", "put in", sentence, scene.with_effect(rough))
+    return Variant("friction", "added", sentence, scene.with_effect(rough))
 
 
 def _gravity(scene: Scene) -> Variant | None:
@@ -147,15 +147,15 @@ def _gravity(scene: Scene) -> Variant | None:
     if femur is not None:
         down = femur.frames(scene.motion.start_time).rotation.apply(down)
     sentence = f"{WEIGHT:g} m/s2 towards the femur's distal end at the first frame: a thigh held upright"
-    return Variant("gravity", "put in", sentence, scene.with_effect(Gravity(scene.patella.mass, down)))
+    return Variant("gravity", "added", sentence, scene.with_effect(Gravity(scene.patella.mass, down)))
 
 
 def _refinements(scene: Scene) -> list[Variant | NotApplicable]:
     """Refinements that effects offer; toe regions are not applicable if no tendon is linear."""
     lacking = [c for e in scene.effects for c in e.elaborations()]
     known = any(c.label.startswith(TOE) for e in scene.effects for c in (*lacking, *e.simplifications()))
-    absent = [] if known else [NotApplicable(TOE, "put in", "no tendon is linear")]
-    return [*changed_together(scene, "put in", lacking), *absent]
+    absent = [] if known else [NotApplicable(TOE, "added", "no tendon is linear")]
+    return [*changed_together(scene, "added", lacking), *absent]
 
 
 def _inertia(scene: Scene, integrator: Integrator) -> list[Variant | NotApplicable]:
@@ -166,7 +166,7 @@ def _inertia(scene: Scene, integrator: Integrator) -> list[Variant | NotApplicab
 
     if not integrator.inertia:
         sentence = "mass and moments of inertia, by linear_implicit"
-        return [Variant("patella inertia", "put in", sentence, scene, integrator=LinearImplicit())]
+        return [Variant("patella inertia", "added", sentence, scene, integrator=LinearImplicit())]
     return [
         _no_inertia(scene),
         Variant("patella inertia x 2", "changed", "mass and moments doubled, weight as it is", times(2.0), alike=True),

@@ -72,7 +72,7 @@ def test_every_variant_has_its_row(whole):
     assert names <= {r.name for r in whole.rows}
     assert {v.name: v.reason for v in whole.not_applicable}["friction"] == "nothing touches"
     assert [r.kind for r in whole.rows] == sorted(
-        [r.kind for r in whole.rows], key=["left out", "put in", "changed", "yardstick"].index
+        [r.kind for r in whole.rows], key=["left out", "added", "changed", "yardstick"].index
     )
     assert whole.programs == 1 + 6 + 8 + 1  # simulate's; structures' equilibria; motions; those that differ in numbers
 
@@ -129,7 +129,7 @@ def test_weight_moves_it_by_what_statics_says(found):
 def test_what_stands_still_needs_neither_damping_nor_inertia(found):
     for name in ("tendons' damping", "patella inertia x 2"):
         assert row(found, name).changes.center_max < 1e-8
-    assert row(found, "tendons' damping").verdict == "could go"
+    assert row(found, "tendons' damping").verdict == "can be left out"
     assert row(found, "tendons' damping").cost is None
     assert row(found, "steps half as long").verdict == "steps short enough"
     assert row(found, "steps half as long").cost is not None
@@ -190,8 +190,8 @@ def test_outcomes_are_what_is_new(own):
     assert "dislocates" in _outcome(aside, own)
 
 
-@pytest.mark.parametrize(("kind", "yes", "no"), [("left out", "worth keeping", "could go"),
-                                                 ("put in", "worth putting in", "not needed")])  # fmt: skip
+@pytest.mark.parametrize(("kind", "yes", "no"), [("left out", "worth keeping", "can be left out"),
+                                                 ("added", "worth adding", "not needed")])  # fmt: skip
 def test_verdicts_go_by_the_tolerance_and_by_dislocation(own, kind, yes, no):
     moved = compare_runs(small_scene(), replace(own, position=own.position + np.array([2e-4, 0, 0])), own)
     assert _verdict(kind, moved, "", 1e-4) == yes
@@ -201,7 +201,7 @@ def test_verdicts_go_by_the_tolerance_and_by_dislocation(own, kind, yes, no):
 
 def test_an_effect_with_which_nothing_runs_cannot_be_judged():
     broken = "does not stay finite"
-    said = [_verdict(kind, None, broken, 1e-4) for kind in ("left out", "put in", "changed", "yardstick")]
+    said = [_verdict(kind, None, broken, 1e-4) for kind in ("left out", "added", "changed", "yardstick")]
     assert said == ["indispensable", *["cannot be judged"] * 3]
 
 

@@ -1,4 +1,4 @@
-"""What is left out and put in is what it is said to be."""
+"""Variants leave out and add what their descriptions say."""
 
 from __future__ import annotations
 
@@ -110,7 +110,7 @@ def test_inertia_is_left_out_or_put_in_by_the_integrator():
     assert (inertia.kind, inertia.integrator) == ("left out", QuasiStatic())
     inertia = named(additions(hung(), QuasiStatic()), "patella inertia")
     assert isinstance(inertia, Variant)
-    assert (inertia.kind, inertia.integrator) == ("put in", LinearImplicit())
+    assert (inertia.kind, inertia.integrator) == ("added", LinearImplicit())
     heavy = named(additions(hung(), Newmark()), "patella inertia x 2")
     assert isinstance(heavy, Variant)
     assert heavy.scene.patella.mass == 2 * MASS

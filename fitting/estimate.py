@@ -73,7 +73,7 @@ class Estimate:
     notes: list[str] = field(default_factory=list)
     priors: dict[str, tuple[float, float]] = field(default_factory=dict)
     nuisance: Nuisance = EXACT  # nuisance parameters' priors, and sensor errors
-    besides: tuple[str, ...] = ()  # names of nuisance parameters and of differences between trials, the last of `names`
+    auxiliary: tuple[str, ...] = ()  # nuisance parameters and differences between trials, the last of `names`
     kinds: tuple[str, ...] = ()  # of each parameter: `fitting.parameters.ASKED`, or the kind of nuisance
     varies: dict[str, float] = field(default_factory=dict)  # standard deviation between trials, by parameter
     differences: tuple[tuple[int, int], ...] = ()  # for each of the last parameters: index of its mean, and the trial
@@ -115,7 +115,7 @@ class Estimate:
     @property
     def asked(self) -> int:
         """Number of requested parameters: the first of `names`; nuisance parameters follow."""
-        return len(self.names) - len(self.besides)
+        return len(self.names) - len(self.auxiliary)
 
     @property
     def shared(self) -> int:
@@ -138,7 +138,9 @@ class Estimate:
     @property
     def coverage(self) -> Coverage:
         """Measured coverage of intervals, bands and plans of such fits, in words."""
-        return coverage_of(self.draws is not None, len(self.besides) > len(self.differences), len(self.trial_rmse) > 1)
+        return coverage_of(
+            self.draws is not None, len(self.auxiliary) > len(self.differences), len(self.trial_rmse) > 1
+        )
 
     @property
     def at_bounds(self) -> tuple[str, ...]:
@@ -254,7 +256,7 @@ class Estimate:
         lines.append(f"{self.scene_name}: {self.method}, objective {self.objective} = {self.objective_value:.6g}")
         for i, name in enumerate(self.names):
             low, high = self.intervals[i]
-            lines += ["besides:"] if name == next(iter(self.besides), None) else []
+            lines += ["nuisance and differences between trials:"] if name == next(iter(self.auxiliary), None) else []
             lines.append(
                 f"  {name:<12} {self.values[i]:.6g} +- {self.standard_deviations[i]:.2g} {self.units[i]}"
                 f"  (95 %: {low:.6g} to {high:.6g}; nominal {self.nominal[i]:.6g})"
@@ -353,6 +355,8 @@ class Estimate:
         try:
             if content.get("format") != FORMAT:
                 raise ValueError(f"its format is {content.get('format')!r}")
+            if "besides" in content:  # the key in older files
+                content.setdefault("auxiliary", content["besides"])
             known = {f.name: f for f in fields(Estimate) if f.name != "trials"}
             needed = [n for n, f in known.items() if f.default is MISSING and f.default_factory is MISSING]
             if absent := [name for name in needed if name not in content]:
@@ -361,7 +365,7 @@ class Estimate:
             for key in _ARRAYS:
                 setattr(found, key, np.asarray(getattr(found, key), dtype=float))
             found.draws = None if found.draws is None else np.asarray(found.draws, dtype=float)
-            for key in ("names", "units", "channels", "coordinates", "besides", "kinds"):
+            for key in ("names", "units", "channels", "coordinates", "auxiliary", "kinds"):
                 setattr(found, key, tuple(getattr(found, key)))
             found.differences = tuple((int(at), int(trial)) for at, trial in found.differences)
             found.nuisance = Nuisance(**content.get("nuisance", {}))

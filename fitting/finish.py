@@ -52,7 +52,7 @@ def finished(search: Method, state: State, run: Callable[[Method], State]) -> tu
     theta = np.asarray(state["best_theta"])
     try:
         problem = _weighed(problem, theta)
-        left = settle(problem.evaluator, lambda n: told_at(problem, theta, n)) if search.rough else 0.0
+        left = settle(problem.evaluator, lambda n: estimate_at(problem, theta, n)) if search.rough else 0.0
         problem = _weighed(problem, theta)
         again = run(LeastSquares(started_at(problem, theta), search.seed, near=True))
     except KeyboardInterrupt:  # before there is an answer
@@ -67,25 +67,27 @@ def finished(search: Method, state: State, run: Callable[[Method], State]) -> tu
 
 
 def settle(
-    evaluator: Evaluator | TrialsEvaluator, told: Callable[[int], Told | None], tolerance: float = _SETTLED
+    evaluator: Evaluator | TrialsEvaluator,
+    estimate: Callable[[int], NormalEstimate | None],
+    tolerance: float = _SETTLED,
 ) -> float:
-    """Halves an evaluator's steps until the normal distribution `told(substeps)` changes by no more than a tolerance
-    [nats]; stops if `told` returns None, because a simulation failed.
+    """Halves an evaluator's steps until `estimate(substeps)` changes by no more than a tolerance [nats]; stops if it
+    returns None, because a simulation failed.
 
     Returns the remaining change [nats], after the last halving extrapolated: the error of steps is of first order.
     """
-    left, halvings = change(told, evaluator.fine), int(np.log2(_MOST * evaluator.first / evaluator.fine))
+    left, halvings = change(estimate, evaluator.fine), int(np.log2(_MOST * evaluator.first / evaluator.fine))
     while left > tolerance and halvings > 0:
         evaluator.fine *= 2
         halvings -= 1
-        left = change(told, evaluator.fine) if halvings else left / 4
+        left = change(estimate, evaluator.fine) if halvings else left / 4
     return left
 
 
-def change(told: Callable[[int], Told | None], substeps: int) -> float:
-    """Change of what `told` returns when steps are halved [nats]; 0 if a simulation fails, infinite if one of the two
-    is not finite."""
-    ours, theirs = (told(n) for n in (substeps, 2 * substeps))
+def change(estimate: Callable[[int], NormalEstimate | None], substeps: int) -> float:
+    """Change of the estimate when steps are halved [nats]; 0 if a simulation fails, infinite if one of the two is not
+    finite."""
+    ours, theirs = (estimate(n) for n in (substeps, 2 * substeps))
     if ours is None or theirs is None:
         return 0.0
     finite = np.isfinite(ours.precision).all() and np.isfinite(theirs.precision).all()
@@ -134,18 +136,18 @@ def share_at(problem: Problem, theta: Floats) -> float:
     return 1.0 if share > _WHOLE else share
 
 
-class Told(NamedTuple):
+class NormalEstimate(NamedTuple):
     """Normal distribution of the requested parameters, in shares of their ranges."""
 
     mean: Floats  # (d,)
     precision: Floats  # (d, d), including the information in the bounds
 
     @staticmethod
-    def of(mean: Floats, precision: Floats) -> Told:
+    def of(mean: Floats, precision: Floats) -> NormalEstimate:
         """Adds the information in the bounds."""
-        return Told(mean, precision + _BY_BOUNDS * np.eye(len(mean)))
+        return NormalEstimate(mean, precision + _BY_BOUNDS * np.eye(len(mean)))
 
-    def divergence(self, other: Told) -> float:
+    def divergence(self, other: NormalEstimate) -> float:
         """Kullback-Leibler divergence from another distribution [nats]."""
         spread = np.linalg.solve(self.precision.T, other.precision.T).T  # its precision times our covariance
         off = self.mean - other.mean
@@ -153,7 +155,7 @@ class Told(NamedTuple):
         return float(0.5 * (np.trace(spread) - len(off) + off @ other.precision @ off + determinants))
 
 
-def told_at(problem: Problem, theta: Floats, substeps: int) -> Told | None:
+def estimate_at(problem: Problem, theta: Floats, substeps: int) -> NormalEstimate | None:
     """The estimate from the quadratic model at these parameters; None if the simulation fails."""
     seen, target, p = problem.prediction(theta, substeps), problem.objective, problem.parameters
     if not seen.usable[0]:
@@ -164,8 +166,8 @@ def told_at(problem: Problem, theta: Floats, substeps: int) -> Told | None:
     mean = p.share(theta + problem.ahead(theta, substeps))
     covariance = (uncertainty(known, p, r, j, theta).covariance / np.outer(span, span))[asked, asked]
     if not np.linalg.eigvalsh(covariance)[0] > 0:  # derivatives that grow from step to step, or an open combination
-        return Told(mean[asked], np.full(covariance.shape, np.nan))
-    return Told.of(mean[asked], inverse_information(covariance))
+        return NormalEstimate(mean[asked], np.full(covariance.shape, np.nan))
+    return NormalEstimate.of(mean[asked], inverse_information(covariance))
 
 
 def started_at(problem: Problem, theta: Floats) -> Problem:

@@ -13,8 +13,8 @@ from fitting.channel_checks import limits_of
 from fitting.estimate import Estimate
 from fitting.finish import finished
 from fitting.first_look import first_look, plain_look
-from fitting.inference.besides import at_own_lengths
 from fitting.inference.infer import PER_ROUND, ROUNDS, TOGETHER, check_size, infer
+from fitting.inference.nuisance_draws import at_own_lengths
 from fitting.methods.problem import MOST_SEED, Method, Problem, State, load_checkpoint, save_checkpoint
 from fitting.metric import StatedNoise
 from fitting.nuisance import EXACT, Nuisance
@@ -149,12 +149,12 @@ def fit_tendons(
     if objective == "paper" and (priors or varies or nuisance is not None):
         where = "priors" if priors else "nuisance" if nuisance is not None else "varies"
         raise InputError("the paper's objective has no noise to weigh priors against", where=where)
-    besides = Nuisance.of(nuisance)
+    extra = Nuisance.of(nuisance)
     if method != SIMULATIONS:
-        besides.refuse_sensors(f"method {method!r}")
+        extra.refuse_sensors(f"method {method!r}")
     else:
-        besides = besides.at_work(nominal)
-    scenes, parameters = free_in_trials(nominal, free, bounds, priors, besides, varies)
+        extra = extra.at_work(nominal)
+    scenes, parameters = free_in_trials(nominal, free, bounds, priors, extra, varies)
     target = objective_of(scenes, given, objective, use, noise, loss, springs)
     knee = scenes[0]
     problem = Problem.of(scenes, parameters, target, _computed(knee, target, computed), devices)
@@ -169,10 +169,10 @@ def fit_tendons(
         def report(e: dict[str, float], most: int) -> None:
             tell(Progress(method, int(e["iteration"]), most, e["best"], e["spread"]))
 
-        found = infer(problem, besides, seed, count, rounds, report)
+        found = infer(problem, extra, seed, count, rounds, report)
         if not found.interrupted:
-            besides, draws = at_own_lengths(problem, besides, found.answer.draws)
-            scenes, parameters = free_in_trials(nominal, free, bounds, priors, besides, varies)
+            extra, draws = at_own_lengths(problem, extra, found.answer.draws)
+            scenes, parameters = free_in_trials(nominal, free, bounds, priors, extra, varies)
             problem = Problem.of(scenes, parameters, target, problem.evaluator.computed, devices)
             problem.evaluator.prepare(TOGETHER)
             found = found._replace(answer=found.answer._replace(draws=draws))
@@ -187,7 +187,7 @@ def fit_tendons(
         doubts = first_look(problem, search.ask(search.begin()) if state is None else None, allowed)
         search, state = _searched(search, state, identity, tell, path)
         problem, outcome = search.problem, Outcome.of_search(search, state)
-    estimate = estimate_of(problem, outcome, method, given, springs, besides, doubts, allowed, began)
+    estimate = estimate_of(problem, outcome, method, given, springs, extra, doubts, allowed, began)
     if not outcome.interrupted:
         compiled()
         judge(estimate)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fitting.estimate import Estimate
 from fitting.evaluation import Evaluator
-from fitting.finish import Told, settle
+from fitting.finish import NormalEstimate, settle
 from fitting.fit import SPRING_PARAMETERS, likelihood_of
 from fitting.methods.problem import Problem, refuse_moved_point
 from fitting.nuisance import Nuisance
@@ -120,9 +120,9 @@ def plan_experiment(
     """
     for each in (scene, *further):
         check(each)
-    besides = Nuisance.of(nuisance)
-    besides.refuse_sensors("a plan of experiments")
-    prepared, free_in_each = free_in_trials([scene, *further], free, bounds, priors, besides, varies)
+    extra = Nuisance.of(nuisance)
+    extra.refuse_sensors("a plan of experiments")
+    prepared, free_in_each = free_in_trials([scene, *further], free, bounds, priors, extra, varies)
     (scene, *others), (first, *theirs) = prepared, free_in_each
     parameters, asked, between = first.shared, first.asked, first.varies
     channels, more, units = _channels(scene, use, candidates)
@@ -226,13 +226,13 @@ def _information(
     span = parameters.upper - parameters.lower
     prior = np.diag(parameters.prior_terms(parameters.nominal)[2])
 
-    def told(substeps: int) -> Told | None:
+    def estimate(substeps: int) -> NormalEstimate | None:
         if not (found := _information_at(evaluator, parameters, noise, substeps)):
             return None
         scaled = (sum(found[c] for c in use) + prior) * np.outer(span, span)
-        return Told.of(np.zeros(parameters.asked), _of_the_first(scaled, parameters.asked))
+        return NormalEstimate.of(np.zeros(parameters.asked), _of_the_first(scaled, parameters.asked))
 
-    settle(evaluator, told, _SETTLED)
+    settle(evaluator, estimate, _SETTLED)
     if not (found := _information_at(evaluator, parameters, noise, evaluator.fine)):
         raise InputError("the scene's motion cannot be simulated", where=scene.name, remedy="pftwin simulate")
     felt = np.sqrt(sum(np.diagonal(found[c]) for c in use)) * span

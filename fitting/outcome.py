@@ -205,7 +205,7 @@ def estimate_of(
         priors={p.name: p.prior for p in parameters.items if p.prior is not None},
         springs=dict(springs),
         nuisance=nuisance,
-        besides=parameters.names[parameters.asked :],
+        auxiliary=parameters.names[parameters.asked :],
         kinds=tuple(p.kind for p in parameters.items),
         varies=parameters.varies,
         differences=parameters.differences,

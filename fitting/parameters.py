@@ -248,8 +248,8 @@ def with_nuisance(
     more = nuisance.numbers(scene, but=[name for p in asked.items for name in p.place.names])
     if not more.names:
         return scene, asked
-    besides = free_parameters(scene, more.names, more.bounds, more.priors).items
-    return scene, Parameters((*asked.items, *(replace(p, kind=more.kinds[p.name]) for p in besides)))
+    extra = free_parameters(scene, more.names, more.bounds, more.priors).items
+    return scene, Parameters((*asked.items, *(replace(p, kind=more.kinds[p.name]) for p in extra)))
 
 
 def _parameter(

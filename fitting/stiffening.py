@@ -72,7 +72,9 @@ class Working(NamedTuple):
         d = 2 * a / (b + jnp.sqrt(jnp.where(square > 0, square, 1.0)))
         return StiffeningSpring(stiffness / (1 + m * (2 * d + self.skew)), m), self.mean - d
 
-    def told_at(self, other: Working, stiffness: Scalar, slack_length: Scalar, share: Scalar) -> tuple[Scalar, ...]:
+    def converted_to(
+        self, other: Working, stiffness: Scalar, slack_length: Scalar, share: Scalar
+    ) -> tuple[Scalar, ...]:
         """The same spring described at other lengths: stiffness and slack length of its nearest line there, and the
         share with which `other.bent` returns the spring."""
         law, own = self.bent(stiffness, slack_length, share)

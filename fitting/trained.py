@@ -19,9 +19,9 @@ from fitting.estimate import Estimate
 from fitting.evaluation import Prediction
 from fitting.first_look import plain_look
 from fitting.fit import SIMULATIONS
-from fitting.inference.besides import at_own_lengths, with_nuisance
 from fitting.inference.infer import DRAWS, TOGETHER, Inferred
 from fitting.inference.learning import Answer, Learned
+from fitting.inference.nuisance_draws import at_own_lengths, with_nuisance
 from fitting.methods.problem import Problem
 from fitting.nuisance import Nuisance
 from fitting.objective import Objective
@@ -90,15 +90,15 @@ class TrainedPosterior:
         problem, given = self._problem(scene, measured, self.set_up)
         compiled = compiled_aside(problem.scene.unnamed())
         doubts = plain_look(problem, allowed)
-        answer, draws, besides, more = self._answer(problem, allowed)
-        problem, given = self._problem(scene, measured, self.set_up._replace(nuisance=besides))
+        answer, draws, extra, more = self._answer(problem, allowed)
+        problem, given = self._problem(scene, measured, self.set_up._replace(nuisance=extra))
         reason = f"a posterior trained by {self.simulations - self.dropped} simulations answered"
         found = Inferred(
             answer._replace(draws=draws), self.learned.noise, self.simulations, self.dropped, self.substeps, [], reason
         )
         outcome = Outcome.of_simulations(problem, found, self.seed, allowed)
         doubts = [*(f"{doubt} (in training)" for doubt in self.doubts), *doubts, *more]
-        of = (SIMULATIONS, given, self.set_up.springs, besides, doubts, allowed, began)
+        of = (SIMULATIONS, given, self.set_up.springs, extra, doubts, allowed, began)
         estimate = estimate_of(problem, outcome, *of)
         compiled()
         judge(estimate)
@@ -145,8 +145,8 @@ class TrainedPosterior:
         doubts += bounded("trained_noise", answer.level, said, source, limits)
         random, nuisance = np.random.default_rng([self.seed, 1]), self.set_up.nuisance
         draws = with_nuisance(problem, nuisance, held, self.learned, recording, answer.draws, self.substeps, random)
-        besides, draws = at_own_lengths(problem, nuisance, draws)
-        return answer, draws, besides, doubts
+        extra, draws = at_own_lengths(problem, nuisance, draws)
+        return answer, draws, extra, doubts
 
     def _set_up_error(self, held: Objective, seen: Prediction) -> Floats:
         """Shift of the posteriors (d,) of the probes between training and this motion and set-up, each relative to its

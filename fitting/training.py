@@ -70,11 +70,11 @@ def train_posterior(
         InputError: as `fit_tendons(method="simulations")`; if too many frames of a channel are missing; if frames have
             weights, which every recording would need to share.
     """
-    began, allowed, besides = time.perf_counter(), limits_of(limits), Nuisance.of(nuisance)
+    began, allowed, extra = time.perf_counter(), limits_of(limits), Nuisance.of(nuisance)
     nominal, given = trials_of(scene, measured)
     refuse_weights(given)
-    besides = besides.at_work(nominal)
-    scenes, parameters = free_in_trials(nominal, free, bounds, priors, besides, varies)
+    extra = extra.at_work(nominal)
+    scenes, parameters = free_in_trials(nominal, free, bounds, priors, extra, varies)
     target = objective_of(scenes, given, "likelihood", use, noise, "linear", springs)
     problem = Problem.of(scenes, parameters, target, devices=devices)
     numbers = target.present.size
@@ -90,11 +90,11 @@ def train_posterior(
     check_enough(len(probes.theta), _PROBES, problem)
     first = bridged(problem, held, held.present)
     drawn = region.drawn(simulations, random)
-    theta, recordings = _simulated(problem, held, besides, drawn, substeps, random, progress)
+    theta, recordings = _simulated(problem, held, extra, drawn, substeps, random, progress)
     check_enough(len(theta), simulations, problem)
     learned = learn(region, theta, recordings, first, held, Noise.initial(target), random)
     return TrainedPosterior(
-        SetUp.of(problem, besides, springs),
+        SetUp.of(problem, extra, springs),
         learned,
         probes,
         held.present,

@@ -76,7 +76,7 @@ class FitTable(Section):
     noise: dict[str, Positive] | None = _optional("standard deviations by channel, in m, rad or N")
     method: Method | None = _optional("how the best parameters, or the posterior, are found")
     nuisance: Annotated[str, AfterValidator(_nuisance)] | None = _optional(
-        'what scenes lack, fitted besides: "rig", "mocap", "mri", or deviations'
+        'nuisance parameters to fit: "rig", "mocap", "mri", or deviations'
     )
     objective: Literal["likelihood", "paper"] | None = _optional("what makes a fit good")
     loss: Literal["linear", "huber", "soft_l1"] | None = _optional("how outliers count")

@@ -75,7 +75,7 @@ def fit_dataset(estimate: Estimate) -> Dataset:
     attributes |= {
         "synthetic": int(estimate.synthetic),
         "at_bounds": " ".join(estimate.at_bounds),
-        "besides": " ".join(estimate.besides),
+        "auxiliary": " ".join(estimate.auxiliary),
         "sentence": estimate.sentence(),
         "remarks": "; ".join(estimate.remarks()),
     }
@@ -147,9 +147,9 @@ def table(rows: Iterable[Row], units: Mapping[str, str], about: Mapping[str, Any
 def _fitted(fit: Dataset, units: Units) -> Row:
     about = fit.attrs
     row: Row = {"fit_method": about["method"], "fit_stopped": about["reason"], "at_bounds": about["at_bounds"]}
-    besides = str(about.get("besides", "")).split()  # nuisance parameters are in the store alone
+    auxiliary = str(about.get("auxiliary", about.get("besides", ""))).split()  # key in older stores: besides
     for name, unit in zip(fit["parameter"].values, fit["parameter_unit"].values, strict=True):
-        if name in besides:
+        if name in auxiliary:
             continue
         at, column = fit.sel(parameter=name), str(name).replace(".", "_")
         for ending, variable in (("", "value"), ("_sd", "standard_deviation"), ("_low", "low"), ("_high", "high")):

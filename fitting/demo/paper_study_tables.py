@@ -122,7 +122,7 @@ def notes(study: PaperStudy) -> Iterator[str]:
     sums = {springs: run[PATHOLOGY].objective for springs, run in study.runs.items()}
     listed = ", ".join(f"{value:.1f} mm {SPRINGS[springs]}" for springs, value in sums.items())
     least = (
-        " So the search did not miss the straight lines: other springs come closer. What the twin lacks besides "
+        " So the search did not miss the straight lines: other springs come closer. What else the twin lacks "
         "(the plant's smooth trochlea, its friction, its attachments) can do that."
     )
     least = least if sums[PAPERS] < sums[LINES] else ""
@@ -132,12 +132,12 @@ def notes(study: PaperStudy) -> Iterator[str]:
         found = study.fits[fit]
         used = " and ".join(found.channels)
         yield (
-            f"Friction, attachments, damping and springs that stiffen fitted besides, by {found.starts:,} simulated "
-            f"knees, on the spline surface ({used}): {found.sentence()}."
+            f"Friction, attachments, damping and springs that stiffen fitted as nuisance, by {found.starts:,} "
+            f"simulated knees, on the spline surface ({used}): {found.sentence()}."
         )
     for fit, found in study.fits.items():
         stopped = fit not in LEARNED and found.reason != "converged"
-        at_bounds = [name for name in found.at_bounds if name not in found.besides]
+        at_bounds = [name for name in found.at_bounds if name not in found.auxiliary]
         if stopped or at_bounds:
             bounds = f"; at a bound: {', '.join(at_bounds)}" if at_bounds else ""
             yield f"The fit '{SPRINGS[fit]}' ended: {found.reason}{bounds}."

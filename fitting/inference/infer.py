@@ -3,7 +3,8 @@
 1. Parameters are drawn from their priors (requested ones uniformly within their bounds), including nuisance, and
    simulated as recordings: motions with noise like the part of the measurements that simulations do not explain.
 2. Networks learn the posterior of the requested parameters from summaries of these recordings
-   (`fitting.inference.network`); nuisance, given those, follows from a linear model (`fitting.inference.besides`).
+   (`fitting.inference.network`); nuisance, given those, follows from a linear model
+   (`fitting.inference.nuisance_draws`).
 3. The next round draws from where this posterior lies (`fitting.inference.region`), until it no longer changes.
 """
 
@@ -15,8 +16,8 @@ from typing import NamedTuple
 import numpy as np
 
 from fitting.evaluation import HALVINGS, Prediction
-from fitting.inference.besides import with_nuisance
 from fitting.inference.learning import Answer, Learned, learn
+from fitting.inference.nuisance_draws import with_nuisance
 from fitting.inference.recordings import Noise
 from fitting.inference.region import Region
 from fitting.methods.problem import Problem

@@ -61,7 +61,7 @@ class PredictedMotion:
         return found | {name: float(np.sqrt(np.nanmean(own**2))) for name, own in there.items()}
 
     @property
-    def held(self) -> dict[str, float]:
+    def coverage(self) -> dict[str, float]:
         """Share of the compared frames whose measurement lies within the band, by coordinate."""
         if self.measured is None:
             return {}
@@ -70,9 +70,9 @@ class PredictedMotion:
         return {n: float(inside[there[:, k], k].mean()) for k, n in enumerate(COORDINATES) if there[:, k].any()}
 
     @property
-    def all_held(self) -> float | None:
-        """Mean of `held` over the coordinates; None if nothing was compared."""
-        return float(np.mean(list(self.held.values()))) if self.held else None
+    def mean_coverage(self) -> float | None:
+        """Mean of `coverage` over the coordinates; None if nothing was compared."""
+        return float(np.mean(list(self.coverage.values()))) if self.coverage else None
 
     def sentence(self) -> str:
         """The result in a sentence."""
@@ -80,23 +80,23 @@ class PredictedMotion:
             return self.verdict
         if not self.errors:
             return f"{self.scene_name}: {self.times.size} frames predicted; nothing was measured there"
-        e, held, count = self.errors, self.all_held or 0.0, int(self.compared.sum())
+        e, covered, count = self.errors, self.mean_coverage or 0.0, int(self.compared.sum())
         path = f"{e['mean_distance']:.2g} mm from the measured path on average" if "mean_distance" in e else "turns"
         angles = "".join(f", {name} {e[name]:.2g} deg rms" for name in ("rotation", "flexion", "tilt") if name in e)
         return (
             f"{self.scene_name}: {path} of {count} frames"
-            f"{angles}; {100 * LEVEL:.0f} % bands contain {100 * held:.0f} % of the measurements"
+            f"{angles}; {100 * LEVEL:.0f} % bands contain {100 * covered:.0f} % of the measurements"
         )
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, for JSON."""
         told = {"scene": self.scene_name, "verdict": self.verdict, "level": LEVEL, "notes": list(self.notes)}
-        return {**told, "errors": self.errors, "held": self.held, "sentence": self.sentence()}
+        return {**told, "errors": self.errors, "coverage": self.coverage, "sentence": self.sentence()}
 
     def rows(self) -> list[tuple[str, str, str, str]]:
         """Coordinate, unit, RMS error, share of frames whose measurement lies within the band."""
         return [
-            (meaning, unit, f"{self.errors[name]:.2f}", f"{100 * self.held[name]:.0f} %")
+            (meaning, unit, f"{self.errors[name]:.2f}", f"{100 * self.coverage[name]:.0f} %")
             for name, (unit, meaning) in COORDINATES.items()
             if name in self.errors
         ]
@@ -114,7 +114,11 @@ class PredictedMotion:
             "time": (("time",), self.times, {"units": "s", "long_name": "time"}),
             "coordinate": (("coordinate",), list(COORDINATES), {"long_name": "of the patella in the femur"}),
             "unit": (("coordinate",), [unit for unit, _ in COORDINATES.values()], {"long_name": "its unit"}),
-            "compared": (("time",), self.compared, {"long_name": "held against the measurements", "units": "1"}),
+            "compared": (
+                ("time",),
+                self.compared,
+                {"long_name": "whether compared with the measurements", "units": "1"},
+            ),
         }
         about = {"title": f"predicted motion: {self.scene_name}", "level": LEVEL, "verdict": self.verdict}
         return Dataset(variables, coordinates, {**about, "note": "; ".join(self.notes)})

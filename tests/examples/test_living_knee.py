@@ -37,8 +37,8 @@ def test_the_unseen_half_is_predicted_within_its_bands(outcome):
     assert motion.errors["mean_distance"] < 2.3
     assert motion.errors["rotation"] < 3.7
     assert max(motion.errors["flexion"], motion.errors["tilt"]) < 2
-    assert motion.all_held is not None
-    assert motion.all_held > 0.85
+    assert motion.mean_coverage is not None
+    assert motion.mean_coverage > 0.85
 
 
 def test_the_patellar_tendon_is_as_long_as_its_strands_were_measured(outcome):

@@ -97,7 +97,7 @@ def test_value_gradient_and_information_are_those_of_the_trials_with_their_own_n
 
 
 @dataclass
-class Told:
+class PredictedTrial:
     """What predicts a trial without a simulation: by a line and a parabola in each of the numbers that trials share."""
 
     parameters: Parameters
@@ -115,10 +115,10 @@ class Told:
         return Prediction(np.sum(slope * u + curve * u**2, axis=-1), slopes, np.ones(len(theta), bool))
 
 
-def told_problem() -> tuple[Problem, list[Told], list[Problem]]:
+def told_problem() -> tuple[Problem, list[PredictedTrial], list[Problem]]:
     """Of both trials, and what predicts each, and of each alone."""
     scenes, own = free_in_trials(nominal(), FREE, BOUNDS, None, EXACT, VARIES)
-    told = [Told(p.shared, (s,), *n) for s, p, n in zip(scenes, own, ((6, 1), (5, 2)), strict=True)]
+    told = [PredictedTrial(p.shared, (s,), *n) for s, p, n in zip(scenes, own, ((6, 1), (5, 2)), strict=True)]
     data = [Measured(s.motion.times, np.random.default_rng(k).normal(size=(41, 3))) for k, s in enumerate(scenes)]
     both: Any = TrialsEvaluator(tuple(told), own[0].differences)
     shared = [p.shared for p in own]

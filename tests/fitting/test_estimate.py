@@ -153,6 +153,15 @@ def test_its_file_holds_its_numbers_and_what_follows_from_them(tmp_path):
     assert again.to_dict() == e.to_dict()
 
 
+def test_a_file_with_the_key_of_older_versions_is_read(tmp_path):
+    path = made_estimate(VALUES, auxiliary=("K2",)).save(tmp_path / "fit.json")
+    content = json.loads(path.read_text())
+    content["besides"] = content.pop("auxiliary")
+    path.write_text(json.dumps(content))
+    again = Estimate.load(path)
+    assert (again.auxiliary, again.asked) == (("K2",), 2)
+
+
 def test_its_file_is_json_where_numbers_are_not_finite(tmp_path):
     """JSON has no Infinity: R and JavaScript refuse a file that holds it."""
 

@@ -13,9 +13,9 @@ from scipy.linalg import toeplitz
 
 from fitting.channel_checks import LIMITS
 from fitting.evaluation import Prediction
-from fitting.inference.besides import with_nuisance
 from fitting.inference.infer import Inferred, check_size, infer
 from fitting.inference.learning import Answer, learn
+from fitting.inference.nuisance_draws import with_nuisance
 from fitting.inference.recordings import Noise
 from fitting.inference.region import Region
 from fitting.methods.problem import Problem

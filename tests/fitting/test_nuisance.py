@@ -1,4 +1,4 @@
-"""What a twin lacks is fitted besides: which numbers, with which priors, and what that does to the ones asked for."""
+"""What a twin lacks is fitted as nuisance: which parameters, with which priors, and the effect on requested ones."""
 
 from __future__ import annotations
 
@@ -195,13 +195,13 @@ def fitted(knee: tuple[Scene, Measured], nuisance: Nuisance | None) -> Estimate:
 @pytest.mark.slow
 def test_an_estimate_speaks_of_what_was_asked_for(tmp_path):
     found = fitted(knee_with(0.03, 0.006), Nuisance(friction=0.05))
-    assert (found.names, found.besides) == (("K1", "L1", COEFFICIENT), (COEFFICIENT,))
+    assert (found.names, found.auxiliary) == (("K1", "L1", COEFFICIENT), (COEFFICIENT,))
     assert np.all(np.abs(found.values - [150.0, 0.1432, 0.03]) < 2.5 * found.standard_deviations)
     assert "friction" not in found.sentence()
     assert QUICK_WITH_NUISANCE.intervals in found.sentence()
-    assert "besides:\n  contact.friction.coefficient 0.0" in found.summary()
+    assert "nuisance and differences between trials:\n  contact.friction.coefficient 0.0" in found.summary()
     again = Estimate.load(found.save(tmp_path / "fit.json"), small_scene(21))
-    assert (again.besides, again.nuisance) == (found.besides, found.nuisance)
+    assert (again.auxiliary, again.nuisance) == (found.auxiliary, found.nuisance)
     assert float(again.scene.get(COEFFICIENT)) == pytest.approx(found.values[2])
 
 
@@ -209,7 +209,7 @@ def test_an_estimate_speaks_of_what_was_asked_for(tmp_path):
 def test_what_the_twin_lacks_does_not_go_into_what_is_asked_for():
     knee = knee_with(0.03, 0.0072)
     exact, open_ = (fitted(knee, nuisance) for nuisance in (None, Nuisance(attachments=1e-3, friction=0.05)))
-    assert set(open_.besides) == {COEFFICIENT, *ENDS}
+    assert set(open_.auxiliary) == {COEFFICIENT, *ENDS}
     assert exact.at_bounds == ("K1",)  # a third too stiff
     assert exact.rmse["position"] > 2 * NOISE
     assert abs(open_.values[0] - 150.0) < 2.5 * open_.standard_deviations[0]

@@ -8,7 +8,7 @@ import pytest
 from small_scene import small_scene
 
 import pftwin
-from fitting.inference.besides import at_own_lengths
+from fitting.inference.nuisance_draws import at_own_lengths
 from fitting.methods.problem import Problem
 from fitting.nuisance import Nuisance
 from fitting.trials import free_in_trials, objective_of
@@ -17,9 +17,9 @@ from pftwin.model.measured import Measured
 FREE = ("K1", "L1", "K2", "L2")
 
 
-def problem(free: tuple[str, ...], besides: Nuisance) -> Problem:
+def problem(free: tuple[str, ...], nuisance: Nuisance) -> Problem:
     knee = small_scene()
-    scenes, parameters = free_in_trials([knee], free, 0.3, None, besides)
+    scenes, parameters = free_in_trials([knee], free, 0.3, None, nuisance)
     seen = Measured(knee.motion.times, np.zeros((knee.motion.times.size, 3)))
     target = objective_of(scenes, [seen], "likelihood", "position", None, "linear", {})
     return Problem.of(scenes, parameters, target)
@@ -28,11 +28,11 @@ def problem(free: tuple[str, ...], besides: Nuisance) -> Problem:
 @pytest.mark.slow
 def test_draws_are_told_by_lines_through_what_the_knee_pulls():
     """A knee with shorter tendons works at other lengths than the nominal one: another line, the same tensions."""
-    besides = Nuisance(stiffening=0.2).at_work([small_scene()])
-    one = problem(FREE, besides)
+    nuisance = Nuisance(stiffening=0.2).at_work([small_scene()])
+    one = problem(FREE, nuisance)
     theta = one.parameters.nominal * np.array([1.2, 0.75, 0.9, 0.95, 1.0, 1.2])
     draws = theta + np.array([[1.0], [0.0], [-1.0]]) * np.array([2.0, 1e-3, 5.0, 2e-4, 0.0, 0.0])
-    own, told = at_own_lengths(one, besides, draws)
+    own, told = at_own_lengths(one, nuisance, draws)
     other = problem(FREE, own)
     before, after = (
         pftwin.simulate(p.parameters.apply(p.scene, row).set("quadriceps.damping", 0.0), dt=1e-3)
@@ -46,21 +46,21 @@ def test_draws_are_told_by_lines_through_what_the_knee_pulls():
 
 
 def test_what_is_not_free_is_left_as_it_is():
-    besides = Nuisance(stiffening=0.2).at_work([small_scene()])
-    one = problem(("K1", "L2"), besides)
+    nuisance = Nuisance(stiffening=0.2).at_work([small_scene()])
+    one = problem(("K1", "L2"), nuisance)
     draws = np.tile(one.parameters.nominal, (3, 1))
-    own, told = at_own_lengths(one, besides, draws)
-    assert own is besides
+    own, told = at_own_lengths(one, nuisance, draws)
+    assert own is nuisance
     np.testing.assert_array_equal(told, draws)
 
 
 def test_tendons_that_would_hang_slack_are_left_as_they_are():
     """So long that the knee's own lengths do not stretch them: the line there is no line."""
-    besides = Nuisance(stiffening=0.2).at_work([small_scene()])
-    one = problem(FREE, besides)
+    nuisance = Nuisance(stiffening=0.2).at_work([small_scene()])
+    one = problem(FREE, nuisance)
     draws = np.tile(one.parameters.nominal, (3, 1))
     draws[2, 1] = 0.3
-    own, told = at_own_lengths(one, besides, draws)
+    own, told = at_own_lengths(one, nuisance, draws)
     np.testing.assert_array_equal(told[:, :2], draws[:, :2])
-    assert dict(own.working)["quadriceps"] == dict(besides.working)["quadriceps"]
-    assert dict(own.working)["patellar_tendon"] != dict(besides.working)["patellar_tendon"]
+    assert dict(own.working)["quadriceps"] == dict(nuisance.working)["quadriceps"]
+    assert dict(own.working)["patellar_tendon"] != dict(nuisance.working)["patellar_tendon"]

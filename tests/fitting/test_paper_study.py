@@ -43,15 +43,15 @@ FRICTION = ("friction.coefficient", 0.02, 0.005)
 def estimate(fit: str, share: np.ndarray, sd: float, seconds: float) -> Estimate:
     """An estimate as a fit leaves it, with relative standard deviations of sd; all but the paper's with nuisance."""
     numbers = dict(zip(NAMES, zip(PUBLISHED * share, sd * PUBLISHED, strict=True), strict=True))
-    besides = () if fit == "paper" else FRICTION[:1]
-    numbers |= dict.fromkeys(besides, FRICTION[1:])
-    nominal = np.append(PUBLISHED, len(besides) * [0.01])
+    auxiliary = () if fit == "paper" else FRICTION[:1]
+    numbers |= dict.fromkeys(auxiliary, FRICTION[1:])
+    nominal = np.append(PUBLISHED, len(auxiliary) * [0.01])
     return made_estimate(
         numbers,
         nominal=nominal,
         lower=0.7 * nominal,
         upper=1.3 * nominal if fit == "paper" else 2.5 * nominal,
-        besides=besides,
+        auxiliary=auxiliary,
         objective="paper" if fit == "paper" else "likelihood",
         noise={"position": 1e-3},
         serial_correlation=0.9,

@@ -65,7 +65,7 @@ def test_correlations_and_intervals_are_the_estimates(estimate):
 
 
 def test_nuisance_is_left_out_of_the_correlations(estimate):
-    estimate = dataclasses.replace(estimate, besides=estimate.names[-1:])
+    estimate = dataclasses.replace(estimate, auxiliary=estimate.names[-1:])
     left, right = estimate.plot.correlation().axes[:2]
     asked = len(estimate.names) - 1
     np.testing.assert_allclose(left.get_images()[0].get_array(), CORRELATION[:asked, :asked], atol=1e-12)

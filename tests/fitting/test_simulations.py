@@ -36,7 +36,7 @@ def test_what_is_said_of_intervals_is_said_of_simulations():
     found = drawn()
     assert SIMULATIONS.intervals in found.sentence()
     assert QUICK.intervals not in found.sentence()
-    found.besides, found.dropped, found.starts = ("L2",), 7, 900
+    found.auxiliary, found.dropped, found.starts = ("L2",), 7, 900
     assert SIMULATIONS_WITH_NUISANCE.intervals in found.sentence()
     assert found.coverage == SIMULATIONS_WITH_NUISANCE
     assert "7 of 900 simulations found no equilibrium" in found.remarks()[-1]

@@ -73,7 +73,7 @@ def test_a_spring_told_at_other_lengths_is_the_same_spring(reach, share, longer,
     lengths = 0.15 + reach * (1 + 0.1 * random.uniform(size=40) ** 2)
     there = 0.15 + longer * reach * (1 + 0.08 * random.uniform(size=40) ** 3)
     old, new = Working.of(lengths), Working.of(there)
-    told = old.told_at(new, *(jnp.asarray(x) for x in (173.0, 0.15, share)))
+    told = old.converted_to(new, *(jnp.asarray(x) for x in (173.0, 0.15, share)))
     (law, own), (again, own_again) = old.bent(*(jnp.asarray(x) for x in (173.0, 0.15, share))), new.bent(*told)
     np.testing.assert_allclose([*again, own_again], [*law, own], rtol=1e-9, atol=1e-12)
     stretch = there - float(own)
@@ -148,19 +148,19 @@ def test_its_slack_length_follows_from_a_tension(tension):
 def test_a_treated_knee_is_given_the_same_springs():
     """Through `Applied`, traced: K and L of a fit are lines over the fitted knee's lengths in other scenes too."""
     knee, _ = bent_knee()
-    besides = Nuisance(stiffening=0.1).at_work([knee])
-    scene, free = with_nuisance(knee, ("K1", "L1"), 0.3, None, besides)
+    nuisance = Nuisance(stiffening=0.1).at_work([knee])
+    scene, free = with_nuisance(knee, ("K1", "L1"), 0.3, None, nuisance)
     assert free.names == ("K1", "L1", "quadriceps.stiffening", "patellar_tendon.stiffening")
     share = free.items[2]
     assert (share.lower, share.upper, share.nominal) == (0.0, 0.1, pytest.approx(0.05))
     assert share.prior == pytest.approx((0.05, 0.1 / np.sqrt(12)))
     theta = np.array([170.0, 0.14, 0.03, 0.07])
-    apply = Applied(free.names, theta, (), besides)
+    apply = Applied(free.names, theta, (), nuisance)
     there = jax.jit(lambda s, x: apply(s, x).effect("quadriceps").held_tension(jnp.asarray(0.2)))(knee, theta)
     assert float(there) == pytest.approx(float(free.apply(scene, theta).effect("quadriceps").held_tension(0.2)))
-    again = Nuisance(**json.loads(json.dumps(asdict(besides))))
-    assert again == besides
-    assert hash(again) == hash(besides)
+    again = Nuisance(**json.loads(json.dumps(asdict(nuisance))))
+    assert again == nuisance
+    assert hash(again) == hash(nuisance)
 
 
 def test_without_lengths_at_work_tendons_stay_straight():

@@ -150,7 +150,7 @@ def test_simulations_take_trials_and_nuisance():
     simulated = {"method": "simulations", "simulations": 2000, "rounds": 4, "nuisance": "attachments=0.001"}
     found = fitting.fit_tendons(nominal(), data, **more, **simulated)
     assert np.abs((found.values[:2] - [STIFFNESS, LENGTH]) / found.standard_deviations[:2]).max() < 4
-    assert len(found.besides) == 12
+    assert len(found.auxiliary) == 12
     assert found.trial_rmse.keys() == {"low", "high"}
     assert max(left["position"] for left in found.trial_rmse.values()) < 3 * NOISE["position"]
 

@@ -237,11 +237,11 @@ def test_posteriors_by_simulations_with_nuisance(tmp_path):
     result = pftwin("cohort", file)
     assert result.exit_code == 0, result.output
     found = Estimate.load(tmp_path / "cohort_results/patients/first.fit.json")
-    assert found.besides == ("contact.friction.coefficient",)
+    assert found.auxiliary == ("contact.friction.coefficient",)
     assert found.draws is not None
     _, fitted, predicted = read_store(tmp_path / "cohort_results" / "patients" / "first.nc")
     assert fitted is not None
-    assert fitted.attrs["besides"] == "contact.friction.coefficient"
+    assert fitted.attrs["auxiliary"] == "contact.friction.coefficient"
     assert predicted is not None
     drawn = {tuple(row) for row in found.draws[:, :2].round(9)}
     assert {tuple(row) for row in predicted["parameters"].values[1:, :2].round(9)} <= drawn

@@ -98,10 +98,13 @@ def test_without_pyarrow_it_is_refused_at_once(tmp_path, monkeypatch):
     assert work.ran == []
 
 
-def test_nuisance_is_in_the_store_alone():
+@pytest.mark.parametrize("key", ["auxiliary", "besides"])  # the latter in stores that were written before
+def test_nuisance_is_in_the_store_alone(key):
     found = made_estimate({"K1": (160.0, 2.0), "contact.friction.coefficient": (0.03, 0.01)})
-    found.besides = ("contact.friction.coefficient",)
+    found.auxiliary = ("contact.friction.coefficient",)
     units: dict[str, str] = {}
-    row = _fitted(fit_dataset(found), units)
+    store = fit_dataset(found)
+    store.attrs[key] = store.attrs.pop("auxiliary")
+    row = _fitted(store, units)
     assert {"K1", "K1_sd", "K1_low", "K1_high"} <= row.keys()
     assert not any("friction" in column for column in (*row, *units))

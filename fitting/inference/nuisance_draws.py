@@ -118,7 +118,7 @@ def _within(mean: Floats, root: Floats, parameters: Parameters, random: np.rando
     return np.clip(drawn, lower, upper)
 
 
-def at_own_lengths(problem: Problem, besides: Nuisance, draws: Floats) -> tuple[Nuisance, Floats]:
+def at_own_lengths(problem: Problem, nuisance: Nuisance, draws: Floats) -> tuple[Nuisance, Floats]:
     """Draws (N, p) and nuisance, re-expressed for the lengths at which tendons work in the motions of the draws' mean.
 
     Stiffening springs are learned as lines over the nominal knee's working lengths, which are the same for all
@@ -130,17 +130,17 @@ def at_own_lengths(problem: Problem, besides: Nuisance, draws: Floats) -> tuple[
     parameters = problem.parameters
     vary = {parameters.items[at].place for at, _ in parameters.differences}
     columns = {p.place.name: i for i, p in enumerate(parameters.items) if p.place not in vary}
-    numbers = {name: [f"{name}.{number}" for number in _SPRING_FIELDS] for name, _ in besides.working}
+    numbers = {name: [f"{name}.{number}" for number in _SPRING_FIELDS] for name, _ in nuisance.working}
     places = {name: [columns[n] for n in own] for name, own in numbers.items() if columns.keys() >= set(own)}
     if not places:
-        return besides, draws
+        return nuisance, draws
     try:
         found = working_of(problem.evaluator.scenes_at(draws.mean(axis=0)), tuple(places))
     except PftwinError:  # a mean beyond the scene's limits
-        return besides, draws
-    known, told = dict(besides.working), draws.copy()
+        return nuisance, draws
+    known, told = dict(nuisance.working), draws.copy()
     for name, own in places.items():
-        there = np.stack(known[name].told_at(found[name], *draws[:, own].T), axis=1)
+        there = np.stack(known[name].converted_to(found[name], *draws[:, own].T), axis=1)
         if np.isfinite(there).all() and (there[:, :2] > 0).all() and found[name].taut(there[:, 1].max()):
             told[:, own], known[name] = there, found[name]
-    return replace(besides, working=tuple(known.items())), told
+    return replace(nuisance, working=tuple(known.items())), told

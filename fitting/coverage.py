@@ -15,51 +15,52 @@ class Coverage(NamedTuple):
     briefly: str  # coverage of bands in a few words, for figures
 
 
-_NO_BANDS = "How often bands predicted from such fits contain the truth was not measured"
+_NO_BANDS = "How often bands predicted from such fits contain the true value was not measured"
 _NO_PLANS = "how many plans from such fits are safe was not measured"
-_NO_WORD = "how often they contain the truth was not measured"
+_NO_WORD = "how often they contain the true value was not measured"
 
 NOT_KNOWN = Coverage(
-    "How often intervals of such fits contain the truth was not measured", _NO_BANDS, _NO_PLANS, _NO_WORD
+    "How often intervals of such fits contain the true value was not measured", _NO_BANDS, _NO_PLANS, _NO_WORD
 )
 SEVERAL_TRIALS = NOT_KNOWN._replace(
     intervals="Of posteriors of several trials only those with nuisance 'rig', trained once on three trials with a "
-    "force in each, were tested: their 95 % intervals contained the truth in 39 of 40 cases"
+    "force in each, were tested: their 95 % intervals contained the true value in 39 of 40 cases"
 )
 QUICK = Coverage(
-    "95 % intervals of such fits held the truth in 55 to 87 % of repeated experiments on a knee like the twin, and in "
-    "28 to 76 % on one that differs from it",
-    "95 % bands of the rig's case 1, predicted from fits of case 2, held the truth in 4 % (tilt), 46 % (peak contact "
-    "force) and 88 % (lateral offset) of repeated experiments",
+    "95 % intervals of such fits contained the true value in 55 to 87 % of repeated experiments on a knee like the "
+    "twin, and in 28 to 76 % on one that differs from it",
+    "95 % bands of the rig's case 1, predicted from fits of case 2, contained the true value in 4 % (tilt), 46 % (peak"
+    " contact force) and 88 % (lateral offset) of repeated experiments",
     "plans that were safe in nine of ten draws were safe in 5 of 14 plants of the virtual rig",
     "too narrow for a knee",
 )
 QUICK_WITH_NUISANCE = Coverage(
-    "95 % intervals of fits with nuisance 'rig', on 28 plants of the virtual rig, held the truth in 82 of 112 cases "
-    "where a force was measured, and in 78 of 112 from positions alone",
+    "95 % intervals of fits with nuisance 'rig', on 28 plants of the virtual rig, contained the true value in 82 of "
+    "112 cases where a force was measured, and in 78 of 112 from positions alone",
     _NO_BANDS,
     _NO_PLANS,
     _NO_WORD,
 )
 SIMULATIONS = NOT_KNOWN._replace(
     intervals="The twin was taken as exact: 95 % intervals of such posteriors, trained once on positions and a force, "
-    "contained the truth in 50 to 75 % of eight synthetic knees that differ from it, by parameter"
+    "contained the true value in 50 to 75 % of eight synthetic knees that differ from it, by parameter"
 )
 SIMULATIONS_WITH_NUISANCE = Coverage(
-    "95 % intervals of posteriors with nuisance 'rig', trained once on positions and a force, held the truth in 89 to "
-    "100 % of synthetic plants, by parameter and kind of plants; learned in rounds, before springs stiffened in them, "
-    "in 23 of 24 cases, and 24 of 24 from positions alone",
+    "95 % intervals of posteriors with nuisance 'rig', trained once on positions and a force, contained the true value"
+    " in 89 to 100 % of synthetic plants, by parameter and kind of plants; learned in rounds, before springs stiffened"
+    " in them, in 23 of 24 cases, and 24 of 24 from positions alone",
     "Bands of 90 % (not 95) of six outcomes of treated knees, predicted from posteriors with nuisance 'rig' that were "
-    "trained once on positions and a force, held the truth in 78 to 100 % of synthetic plants, by outcome and kind",
-    "plans from posteriors with nuisance 'rig', trained once on positions and a force, were safe in 67 of 73 synthetic "
-    "plants where nine of ten draws had to be",
-    "bands of 90 % held the truth in 78 to 100 % of synthetic plants",
+    "trained once on positions and a force, contained the true value in 78 to 100 % of synthetic plants, by outcome "
+    "and kind",
+    "plans from posteriors with nuisance 'rig', trained once on positions and a force, were safe in 67 of 73 synthetic"
+    " plants where nine of ten draws had to be",
+    "bands of 90 % contained the true value in 78 to 100 % of synthetic plants",
 )
 
 
-def coverage_of(simulated: bool, besides: bool, trials: bool) -> Coverage:
+def coverage_of(simulated: bool, nuisance: bool, trials: bool) -> Coverage:
     """Coverage of a kind of fit: by simulations or a search, with nuisance or without, of several trials or one."""
     if simulated and trials:
         return SEVERAL_TRIALS
     alone, with_nuisance = (SIMULATIONS, SIMULATIONS_WITH_NUISANCE) if simulated else (QUICK, QUICK_WITH_NUISANCE)
-    return with_nuisance if besides else alone
+    return with_nuisance if nuisance else alone

@@ -51,7 +51,7 @@ class Metric(NamedTuple):
 
     @staticmethod
     def joined(each: Sequence[Metric | None], lengths: Sequence[int]) -> Metric | None:
-        """The metric of trials joined with a frame between two."""
+        """The metric of trials joined in sequence, with a frame of weight zero between two."""
         if not any(each):
             return None
         parts = [np.ones(n) if one is None else one.frames for one, n in zip(each, lengths, strict=True)]
@@ -91,8 +91,8 @@ def check_noise(noise: StatedNoise, channels: Sequence[str], widths: Sequence[in
             raise InputError(f"{channel}: found numbers of shape {value.shape}", where="noise", expected=expected)
         whole = np.isfinite(value).all() and np.abs(value - value.T).max() <= _SYMMETRIC * np.abs(value).max()
         if not whole or np.linalg.eigvalsh(value)[0] <= 0:
-            found = f"{channel}: a matrix that is no covariance"
-            raise InputError(found, where="noise", expected="a symmetric one with positive eigenvalues")
+            found = f"{channel}: a matrix that is not a covariance"
+            raise InputError(found, where="noise", expected="a symmetric matrix with positive eigenvalues")
 
 
 def _whitening(covariance: Floats) -> Floats:

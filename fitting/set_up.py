@@ -105,8 +105,10 @@ def refuse_weights(measured: Sequence[Measured]) -> None:
     """Raises InputError if frames have weights: a set-up's recordings would all need the same."""
     for data in measured:
         if data.weights is not None:
-            remedy = "measurements without them, or fit_tendons, which answers one recording"
-            raise InputError("weights of frames", where=data.source, expected="frames that all count", remedy=remedy)
+            remedy = "leave out the weights, or use fit_tendons, which fits a single recording"
+            raise InputError(
+                "frames have weights", where=data.source, expected="measurements without weights", remedy=remedy
+            )
 
 
 def listed(numbers: Sequence[int]) -> str:

@@ -35,12 +35,12 @@ class CalibrationPlots:
             for ax, (kind, answers) in zip(panels, c.kinds.items(), strict=True):
                 ax.plot([0, 1], [0, 1], color="black", linewidth=0.7)
                 for i, name in enumerate(c.names):
-                    held = [answers.held(level)[:, i].mean() for level in _GRID] if len(answers.ranks) else []
+                    shares = [answers.covered(level)[:, i].mean() for level in _GRID] if len(answers.ranks) else []
                     style = {"color": COLOURS[i % len(COLOURS)], "linestyle": DASHES[i % len(DASHES)]}
-                    ax.plot(_GRID[: len(held)], held, label=name, **style)
+                    ax.plot(_GRID[: len(shares)], shares, label=name, **style)
                 ax.set(title=f"{kind}: {len(answers.ranks)} plants", xlabel="level", xlim=(0, 1), ylim=(0, 1))
                 ax.set_aspect("equal")
-            panels[0].set_ylabel("share that holds the truth")
+            panels[0].set_ylabel("coverage")
             figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper right", ncols=len(c.names))
         return figure
 

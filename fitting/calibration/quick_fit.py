@@ -51,21 +51,21 @@ class QuickFit(NamedTuple):
         """Arguments are those of `fit_tendons` for a first recording, which defines the set-up.
 
         Raises:
-            InputError: a method that is not a search; weights of frames; as `fit_tendons`.
+            InputError: a method that is not a search; frames with weights; as `fit_tendons`.
         """
         if method not in METHODS:
             found = "simulations would be learned from anew for each plant" if method == SIMULATIONS else repr(method)
             remedy = "for simulations a posterior that is trained once: fitting.train_posterior"
             raise InputError(found, where="method", expected=f"one of: {', '.join(METHODS)}", remedy=remedy)
-        besides = Nuisance.of(nuisance)
-        besides.refuse_sensors(f"method {method!r}")
+        extra = Nuisance.of(nuisance)
+        extra.refuse_sensors(f"method {method!r}")
         nominal, data = trials_of(scene, measured)
         refuse_weights(data)
-        scenes, parameters = free_in_trials(nominal, free, bounds, priors, besides, varies)
+        scenes, parameters = free_in_trials(nominal, free, bounds, priors, extra, varies)
         target = objective_of(scenes, data, "likelihood", use, noise, "linear", springs)
         there = [measured_channels(one, own, springs)[0] for one, own in zip(scenes, data, strict=True)]
         channels = tuple(tuple(name for name in target.channels if name in each) for each in there)
-        return QuickFit(SetUp.of(Problem.of(scenes, parameters, target), besides, springs), method, channels)
+        return QuickFit(SetUp.of(Problem.of(scenes, parameters, target), extra, springs), method, channels)
 
     def estimate(
         self,

@@ -29,8 +29,9 @@ INTERVALS, BANDS = 0.95, 0.9  # nominal levels that are judged: of parameters' i
 _SURE = 0.95  # joint confidence of the intervals of all parameters' coverage that are compared with the level
 _LEAST_TOLD = 0.5  # plants are too few if even full coverage of them does not exclude this coverage
 _MOST_RUN = 0.5  # least share of draws that must run for a prediction to count
-_NARROW, _WIDE, _NONE, _FEW = "too narrow", "wider than need be", "no plant was answered", "too few plants to tell"
-_UNSAFE, _NO_PLAN = "not as safe as they say", "no plan was found"
+_AS_STATED, _NARROW, _WIDE = "as stated", "too narrow", "wider than necessary"
+_NONE, _FEW = "no valid answer for any plant", "too few plants to tell"
+_UNSAFE, _NO_PLAN = "less safe than stated", "no plan was found"
 _BAD = (_NARROW, _NONE, _FEW, _UNSAFE, _NO_PLAN)
 
 
@@ -63,14 +64,14 @@ class Answers(NamedTuple):
         answers = _answers(clean, len(names), BANDS)
         return answers._replace(doubted=len(some) - len(clean), dropped=len(treated) - len(some))
 
-    def held(self, level: float) -> NDArray[np.bool_]:
+    def covered(self, level: float) -> NDArray[np.bool_]:
         """Which (N, d) central intervals of a level contain the truth."""
         return np.abs(self.ranks - 0.5) < 0.5 * level
 
     @property
     def coverage(self) -> dict[float, Floats]:
         """Coverage (d,): share of intervals that contain the truth, by level."""
-        return {level: self.held(level).mean(axis=0) for level in LEVELS}
+        return {level: self.covered(level).mean(axis=0) for level in LEVELS}
 
     @property
     def rms(self) -> Floats:
@@ -98,7 +99,7 @@ class Answers(NamedTuple):
         listed = {
             word: [name for name, own in zip(names, words, strict=True) if own == word] for word in (_NARROW, _WIDE)
         }
-        return "; ".join(f"{word}: {', '.join(named)}" for word, named in listed.items() if named) or "hold"
+        return "; ".join(f"{word}: {', '.join(named)}" for word, named in listed.items() if named) or _AS_STATED
 
     @property
     def _few(self) -> bool:
@@ -109,9 +110,9 @@ class Answers(NamedTuple):
     def _verdicts(self) -> list[str]:
         """Verdict for each parameter, from a binomial interval of its coverage, corrected for their number."""
         found, sure = [], 1 - (1 - _SURE) / max(self.ranks.shape[1], 1)
-        for held in self.held(self.level).T:
-            share = binomtest(int(held.sum()), len(held)).proportion_ci(sure)
-            found.append(_NARROW if share.high < self.level else _WIDE if share.low > self.level else "hold")
+        for covered in self.covered(self.level).T:
+            share = binomtest(int(covered.sum()), len(covered)).proportion_ci(sure)
+            found.append(_NARROW if share.high < self.level else _WIDE if share.low > self.level else _AS_STATED)
         return [_FEW] * len(found) if self._few and _NARROW not in found else found
 
     def column(self, names: tuple[str, ...], scales: Floats) -> tuple[str, ...]:
@@ -119,9 +120,9 @@ class Answers(NamedTuple):
         of = len(self.ranks) + self.doubted + self.refused + self.dropped
         cells, words = [""] * len(names), [self.verdict(names)]
         if len(self.ranks):
-            held, half = self.coverage[self.level], scales * self.half_widths.mean(axis=0)
-            cells = [f"{100 * share:.0f} %, {width:.2g}" for share, width in zip(held, half, strict=True)]
-            words = [word for word in (_NARROW, _WIDE, _FEW) if word in self._verdicts()] or ["hold"]
+            shares, half = self.coverage[self.level], scales * self.half_widths.mean(axis=0)
+            cells = [f"{100 * share:.0f} %, {width:.2g}" for share, width in zip(shares, half, strict=True)]
+            words = [word for word in (_NARROW, _WIDE, _FEW) if word in self._verdicts()] or [_AS_STATED]
         return f"{len(self.ranks)} of {of}", *cells, "; ".join(words)
 
     def to_dict(self, names: tuple[str, ...]) -> dict[str, Any]:
@@ -132,7 +133,7 @@ class Answers(NamedTuple):
             "doubted": self.doubted,
             "refused": self.refused,
             "dropped": self.dropped,
-            "coverage": {f"{level:g}": held.tolist() for level, held in self.coverage.items()} if some else {},
+            "coverage": {f"{level:g}": shares.tolist() for level, shares in self.coverage.items()} if some else {},
             "rms_error": self.rms.tolist() if some else [],
             "half_width": self.half_widths.mean(axis=0).tolist() if some else [],
             "verdict": self.verdict(names),
@@ -169,7 +170,7 @@ class Plans(NamedTuple):
         if not self.found:
             return _NO_PLAN
         high = binomtest(self.safe, self.found).proportion_ci(_SURE).high
-        return _UNSAFE if high < self.confidence else "hold"
+        return _UNSAFE if high < self.confidence else _AS_STATED
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,8 +202,8 @@ class Calibration:
         """The verdict in a line."""
         what = "95 % intervals" + (" and 90 % bands" if self.predictions else "") + (" and plans" if self.plans else "")
         if self.holds:
-            return f"{what} hold on all kinds of plants tried"
-        return f"{what} do NOT hold as often as they say: {'; '.join(self._failing())}"
+            return f"{what} are as reliable as stated on all kinds of plants tried"
+        return f"{what} are NOT shown to be as reliable as stated: {'; '.join(self._failing())}"
 
     def widened(self, trained: TrainedPosterior) -> TrainedPosterior:
         """The posterior with its answers widened so that their intervals would have contained the truth on every kind

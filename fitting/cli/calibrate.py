@@ -162,9 +162,9 @@ def _operation(amounts: Given, meet: list[str], samples: int, confidence: float)
 def _sheets_of(found: Calibration, name: str) -> list[Sheet]:
     """Tables of coverage, with a column for each kind of plant."""
     head, said = ("SYNTHETIC plants", *found.kinds), found.operation
-    sheets = [Sheet(f"{name}: 95 % intervals held, mean half width", head, tuple(found.rows()), words=(0,))]
+    sheets = [Sheet(f"{name}: coverage of 95 % intervals, mean half width", head, tuple(found.rows()), words=(0,))]
     if found.predictions:
-        title = f"90 % bands held, mean half width, after {said}"
+        title = f"coverage of 90 % bands, mean half width, after {said}"
         sheets.append(Sheet(title, head, tuple(found.prediction_rows()), words=(0,)))
     if found.plans:
         sheets.append(Sheet(f"plans: {said}", head, tuple(found.plan_rows()), words=(0,)))

@@ -140,7 +140,9 @@ def _with_values(
                 thetas[:, k] = np.concatenate([[0.5 * (low + high)], drawn[1:]])
             elif low < high:
                 expected = f"one of: {', '.join(names)}"
-                raise InputError("a range of what was not fitted", where=name, expected=expected, remedy="one number")
+                raise InputError(
+                    "a range for a parameter that was not fitted", where=name, expected=expected, remedy="one number"
+                )
             else:
                 scene = place.written(scene, number(low))
     return scene, thetas

@@ -187,7 +187,8 @@ def outcome_sheet(data: Dataset, most: int) -> Sheet:
         lines.append((*scene, *(f"{a[i]:.4g}" for a in amounts), _dislocation(data, i), *cells))
     title = str(data.attrs.get("title", "Treatment prediction"))
     title += f" ({count - most} of {count} variants not shown)" if count > most else ""
-    notes = (f"in brackets: 95 % of the draws that ran; {coverage_in(data)}",) if "sample" in data.dims else ()
+    brackets = f"in brackets: 95 % interval over the draws, without those that failed; {coverage_in(data)}"
+    notes = (brackets,) if "sample" in data.dims else ()
     keys = headings.index("dislocation")
     return Sheet(title, tuple(headings), tuple(lines), words=(), notes=notes, keys=keys)
 
@@ -214,7 +215,7 @@ def _dislocation(data: Dataset, i: int) -> str:
     if "sample" in data.dims:
         drawn = one["dislocations"].isel(sample=slice(1, None)).values
         rest = drawn[np.isfinite(drawn)]
-        of = "draws" if rest.size == drawn.size else f"the {rest.size} of {drawn.size} draws that ran"
+        of = "draws" if rest.size == drawn.size else f"the {rest.size} of {drawn.size} draws that did not fail"
         said += f"; {100 * np.mean(rest > 0):.0f} % of {of}" if rest.size else "; no draw ran"
     return said
 

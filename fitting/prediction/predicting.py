@@ -294,8 +294,8 @@ def _coordinates(batches: list[VariantBatch], order: NDArray[np.int64], count: i
 def _verdicts(found: Members, frames: int, why: tuple[str, ...], many: int) -> list[str]:
     """Of every variant, for the estimate itself."""
     own = zip(found.flags[::many], found.sensible[::many], strict=True)
-    senseless = ("a parameter that makes no sense",)
-    reasons = [verdict_of_counts(counts, frames).reasons if good else senseless for counts, good in own]
+    impossible = ("a parameter has an impossible value",)
+    reasons = [verdict_of_counts(counts, frames).reasons if good else impossible for counts, good in own]
     return [Verdict((*said, *why)).describe() for said in reasons]
 
 

@@ -129,15 +129,15 @@ class TreatmentPlan:
         drawn = ""
         if self.share is not None:
             drawn = (
-                f"; all limits hold in {self.share:.0%} of {self.samples} draws from the estimate's uncertainty "
-                f"({self.confidence:.0%} asked for); {self.coverage}"
+                f"; all limits are met in {self.share:.0%} of {self.samples} draws from the estimate's uncertainty "
+                f"({self.confidence:.0%} required); {self.coverage}"
             )
         if self.met:
             reached = {x.outcome: in_units(x.outcome, self.outcomes[x.outcome]) for x in self.limits}
             said = ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in reached.items())
             return f"smallest that meets the limits: {self.treatment.describe()} ({said}){drawn}"
         broken = [lim.describe() for lim in self.limits if not lim.room(self.outcomes[lim.outcome]) >= 0]
-        fault = f"which breaks {'; '.join(broken)}" if broken else "which is not sure enough"
+        fault = f"which breaks {'; '.join(broken)}" if broken else "which meets the limits in too few draws"
         return f"no amount within the range meets the limits; nearest: {self.treatment.describe()}, {fault}{drawn}"
 
     def to_dict(self) -> dict[str, Any]:

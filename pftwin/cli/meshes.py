@@ -29,7 +29,10 @@ def fit_surface(
         str | None, Option(metavar="LENGTH", help="Rms error that a spline must reach; default 0.02 mm [mm].")
     ] = None,
     chart: Annotated[
-        str | None, Option(metavar="plane|cylinder", help="Base of the heights; a spline chooses by default.")
+        str | None,
+        Option(
+            metavar="plane|cylinder", help="Surface from which heights are measured; a spline chooses it by default."
+        ),
     ] = None,
     anterior: Annotated[str, Option(help="Anterior direction in the mesh's frame.")] = "+z",
     proximal: Annotated[str, Option(help="Proximal direction in the mesh's frame.")] = "+x",

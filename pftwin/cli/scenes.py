@@ -131,7 +131,9 @@ def chosen_scene(
     if natural is not None:
         return _natural(natural, activity, contact, motion)
     if activity is not None:
-        raise InputError("given without --knee", where="--activity", expected="--knee, whose motion is invented")
+        raise InputError(
+            "given without --knee", where="--activity", expected="--knee as well: only its motion has activities"
+        )
     if contact is not None:
         from pftwin.rig.contacts import ON_MESHES, parse_contact
 

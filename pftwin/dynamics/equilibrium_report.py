@@ -109,7 +109,9 @@ class EquilibriumReport:
         """Description of the equilibrium in one sentence."""
         if not self.converged:
             why = f"; {self.status.describe()}" if self.status else ""
-            return f"no equilibrium: {self.residual:.3g} N are left after {self.iterations} iterations{why}"
+            return (
+                f"no equilibrium: the residual force is {self.residual:.3g} N after {self.iterations} iterations{why}"
+            )
         place = {0: "free of contact", 1: f"on the {' '.join(self.facets)} facet alone"}
         where = place.get(len(self.facets), "on the medial and the lateral facet at once")
         helped = ", found by damped relaxation" if self.relaxed else ""

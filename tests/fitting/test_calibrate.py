@@ -45,17 +45,17 @@ def test_right_posteriors_hold_as_often_as_they_say():
         np.testing.assert_allclose(held, level, atol=3 * np.sqrt(level * (1 - level) / 200))
     np.testing.assert_allclose(found.rms, [0.02, 0.01], rtol=0.15)
     np.testing.assert_allclose(found.half_widths.mean(axis=0), [1.96 * 0.02, 1.96 * 0.01], rtol=0.05)
-    assert found.verdict(NAMES) == "hold"
+    assert found.verdict(NAMES) == "as stated"
 
 
 @pytest.mark.parametrize(
-    ("width", "said", "holds"), [(0.6, "too narrow: K1, L2", False), (2.0, "wider than need be: K1, L2", True)]
+    ("width", "said", "holds"), [(0.6, "too narrow: K1, L2", False), (2.0, "wider than necessary: K1, L2", True)]
 )
 def test_other_posteriors_are_told_apart(width, said, holds):
     found = Calibration(NAMES, {"twin": answers(1.0), "odd": answers(width)}, "a posterior", 0, 1.0)
     assert found.kinds["odd"].verdict(NAMES) == said
     assert found.holds is holds
-    assert ("do NOT hold" in found.sentence()) is not holds
+    assert ("are NOT shown to be as reliable as stated" in found.sentence()) is not holds
 
 
 def test_a_posterior_is_widened_until_its_intervals_would_have_held():
@@ -68,7 +68,7 @@ def test_a_posterior_is_widened_until_its_intervals_would_have_held():
 
 
 def test_few_plants_accuse_nobody():
-    assert answers(0.8, count=8).verdict(NAMES) == "hold"
+    assert answers(0.8, count=8).verdict(NAMES) == "as stated"
 
 
 def test_doubted_answers_are_counted_apart():
@@ -81,7 +81,7 @@ def test_doubted_answers_are_counted_apart():
 def test_where_nothing_was_answered_nothing_holds(tmp_path):
     empty = Calibration(NAMES, {"twin": answers(1.0, count=3, doubted=3)}, "a posterior", 0, 1.0)
     assert not empty.holds
-    assert "no plant was answered" in empty.sentence()
+    assert "no valid answer for any plant" in empty.sentence()
     assert json.loads(empty.save(tmp_path / "c.json").read_text())["kinds"]["twin"]["answered"] == 0
     assert len(empty.plot.save(tmp_path / "c")) == 4
 
@@ -153,7 +153,7 @@ def test_too_few_plants_tell_nothing():
     few, enough = answers(1.0, count=5), answers(1.5, count=6)
     assert few.verdict(NAMES) == "too few plants to tell"
     assert few.column(NAMES, np.ones(2))[-1] == "too few plants to tell"
-    assert enough.verdict(NAMES) == "hold"
+    assert enough.verdict(NAMES) == "as stated"
     whole = Calibration(NAMES, {"twin": few}, "a posterior", 0, 1.0)
     assert not whole.holds
     assert "too few plants to tell" in whole.sentence()

@@ -83,11 +83,11 @@ def test_right_bands_hold_in_nine_of_ten_plants():
     np.testing.assert_allclose(found.coverage[0.9], 0.9, atol=0.06)
     half = 1.645 * np.array([0.01, 1e-4, 2e-4, 0.3, 2.0, 0.02])  # of a normal distribution's 90 %, in SI
     np.testing.assert_allclose(found.half_widths.mean(axis=0), half, rtol=0.03)
-    assert found.verdict(OUTCOMES) == "hold"
+    assert found.verdict(OUTCOMES) == "as stated"
     whole = calibration(predictions={"twin": found})
-    assert whole.sentence() == "95 % intervals and 90 % bands hold on all kinds of plants tried"
+    assert whole.sentence() == "95 % intervals and 90 % bands are as reliable as stated on all kinds of plants tried"
     rows = whole.prediction_rows()
-    assert (rows[0], rows[-1]) == (("answered", "300 of 300"), ("verdict", "hold"))
+    assert (rows[0], rows[-1]) == (("answered", "300 of 300"), ("verdict", "as stated"))
     assert [row[0] for row in rows[1:4]] == ["mean tilt [deg]", "mean shift [mm]", "largest lateral offset [mm]"]
     half = [float(row[1].split(", ")[1]) for row in rows[1:-1]]
     np.testing.assert_allclose(half, [0.94, 0.165, 0.33, 0.49, 3.3, 3.3], rtol=0.04)  # deg, mm, mm, N, N, %
@@ -96,7 +96,7 @@ def test_right_bands_hold_in_nine_of_ten_plants():
 def test_bands_too_narrow_are_told_although_intervals_hold():
     whole = calibration(predictions={"twin": Answers.of_predictions(predictions(0.5), OUTCOMES)})
     assert not whole.holds
-    assert "do NOT hold as often as they say: 90 % bands on twin: too narrow: mean_tilt" in whole.sentence()
+    assert "are NOT shown to be as reliable as stated: 90 % bands on twin: too narrow: mean_tilt" in whole.sentence()
 
 
 def test_plants_without_an_outcome_are_dropped():
@@ -108,7 +108,7 @@ def test_plants_without_an_outcome_are_dropped():
     assert (len(found.ranks), found.dropped, found.doubted) == (6, 1, 1)
 
 
-@pytest.mark.parametrize(("safe", "verdict"), [(5, "not as safe as they say"), (11, "hold"), (14, "hold")])
+@pytest.mark.parametrize(("safe", "verdict"), [(5, "less safe than stated"), (11, "as stated"), (14, "as stated")])
 def test_plans_are_held_against_their_confidence(safe, verdict, tmp_path):
     """Of 14 with 0.9 asked for: with five safe ones a true share of 0.9 can be ruled out, with eleven not."""
     met = [Operated(np.zeros(6), np.zeros((1, 6)), True, i < safe) for i in range(14)]
@@ -117,7 +117,7 @@ def test_plans_are_held_against_their_confidence(safe, verdict, tmp_path):
     assert (plans.safe, plans.found, plans.asked) == (safe, 14, 16)
     whole = calibration(plans={"twin": plans})
     assert whole.plan_rows() == [("found", "14 of 16"), ("safe in the plant", f"{safe} of 14"), ("verdict", verdict)]
-    assert whole.holds is (verdict == "hold")
+    assert whole.holds is (verdict == "as stated")
     again = json.loads(whole.save(tmp_path / "c.json").read_text())
     assert again["plans"]["twin"] == {"safe": safe, "found": 14, "asked": 16, "confidence": 0.9, "verdict": verdict}
 
@@ -196,8 +196,8 @@ def asked_of(count: int, operation: Operation) -> Calibration:
 @pytest.mark.slow
 def test_answers_are_carried_to_treated_plants():
     found = asked_of(4, Operation(MOVED, samples=20))
-    assert [a.verdict(("K1",)) for a in found.kinds.values()] == ["hold", "too narrow: K1"]
-    assert found.predictions["like"].verdict(OUTCOMES) == "hold"
+    assert [a.verdict(("K1",)) for a in found.kinds.values()] == ["as stated", "too narrow: K1"]
+    assert found.predictions["like"].verdict(OUTCOMES) == "as stated"
     assert "mean_contact_force" in found.predictions["stiffer"].verdict(OUTCOMES)
     assert (found.operation, found.plans) == (Operation(MOVED).describe(), {})
 

@@ -149,9 +149,9 @@ def test_the_level_of_a_covariance_is_that_of_its_columns() -> None:
         ({"position": -0.1, "contact": 1.0}, "found -0.1"),
         ({"position": np.eye(2), "contact": 1.0}, r"shape \(2, 2\).*or a covariance \(3, 3\)"),
         ({"position": 0.1, "contact": np.eye(1)}, r"contact: found numbers of shape \(1, 1\)"),
-        ({"position": np.diag([1.0, 1.0, -1.0]), "contact": 1.0}, "no covariance"),
-        ({"position": np.triu(np.ones((3, 3))) + np.eye(3), "contact": 1.0}, "no covariance"),
-        ({"position": np.full((3, 3), np.nan), "contact": 1.0}, "no covariance"),
+        ({"position": np.diag([1.0, 1.0, -1.0]), "contact": 1.0}, "not a covariance"),
+        ({"position": np.triu(np.ones((3, 3))) + np.eye(3), "contact": 1.0}, "not a covariance"),
+        ({"position": np.full((3, 3), np.nan), "contact": 1.0}, "not a covariance"),
     ],
 )
 def test_noise_that_is_none_is_refused(noise: Any, said: str) -> None:

@@ -185,7 +185,7 @@ def test_limits_hold_for_the_share_of_draws_that_was_asked_for(knee, bound):
     assert plan.share == pytest.approx(10 / 11)
     moved = 1e3 * float(plan.treatment.values[0])
     assert moved == pytest.approx(7.3 + 0.8, abs=0.02)  # the tenth of eleven draws is at 0.8 mm
-    assert "all limits hold in 91% of 11 draws" in plan.describe()
+    assert "all limits are met in 91% of 11 draws" in plan.describe()
     half = optimise_treatment(knee, limit, reach, **options, confidence=0.5)
     assert 1e3 * float(half.treatment.values[0]) == pytest.approx(7.3, abs=0.02)  # as the estimate itself asks for
     assert half.share == pytest.approx(6 / 11)
@@ -200,7 +200,7 @@ def test_no_treatment_is_sure_enough(knee, bound):
     )
     assert not found.met
     assert 0.5 < found.share < 1
-    assert "which is not sure enough; all limits hold in" in found.describe()
+    assert "which meets the limits in too few draws; all limits are met in" in found.describe()
     plain = found.to_dict()
     assert plain["share_of_draws"] == found.share
     assert plain["limits"][0]["holds"]

@@ -51,7 +51,7 @@ def test_a_plan_with_its_sureness(toy, fit, tmp_path):
     assert plan["samples"] == 5
     assert [x["holds"] for x in plan["limits"]] == [True, True]
     assert plan["notes"] == ["the parameters were estimated from synthetic measurements"]
-    assert "all limits hold in 100% of 5 draws" in " ".join(result.stderr.split())
+    assert "all limits are met in 100% of 5 draws" in " ".join(result.stderr.split())
     assert "peak contact force at most 1e+06 N" in result.stderr
 
 

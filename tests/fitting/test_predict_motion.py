@@ -66,14 +66,14 @@ def test_errors_and_shares_are_of_the_frames_compared(knee, truth, predicted):
     off = predicted.value[:, :3] - 1e3 * truth.center
     assert predicted.errors["mean_distance"] == pytest.approx(np.linalg.norm(off, axis=1).mean())
     assert predicted.errors["y"] == pytest.approx(np.sqrt(np.mean(off[:, 1] ** 2)))
-    assert predicted.held == dict.fromkeys(COORDINATES, 1.0)
+    assert predicted.coverage == dict.fromkeys(COORDINATES, 1.0)
     moved = truth.center.copy()
     moved[:20, 2] += 0.2
     half = replace(truth, center=moved).during([(truth.times[10], truth.times[39])])
     seen = predict_motion(knee, fitted(), half, samples=4, dt=2e-3)
     assert seen.compared.sum() == 30
-    assert seen.held["z"] == pytest.approx(20 / 30)
-    assert (seen.held["x"], seen.held["tilt"]) == (1.0, 1.0)
+    assert seen.coverage["z"] == pytest.approx(20 / 30)
+    assert (seen.coverage["x"], seen.coverage["tilt"]) == (1.0, 1.0)
 
 
 def test_a_knee_that_starts_invalid_is_predicted_invalid(knee):
@@ -118,7 +118,7 @@ def test_numbers_that_are_other_in_this_recording(knee):
     assert np.ptp([ranged.high, ranged.low], axis=0).max() > np.ptp([fixed.high, fixed.low], axis=0).max()
     heavy = predict_motion(knee, fitted(), samples=2, dt=2e-3, values={"patella.mass": 0.5})
     assert np.abs(heavy.value - free.value).max() > 0.01
-    assert free.errors == free.held == {}
+    assert free.errors == free.coverage == {}
 
 
 @pytest.mark.parametrize(
@@ -127,7 +127,7 @@ def test_numbers_that_are_other_in_this_recording(knee):
         (made_estimate(VALUES, rmse={"position": 1e-3, "X": 1e-3, "Y": 1e-3, "Z": 1e-3}), {}, "--use position,orient"),
         (fitted(), {"samples": 0}, "at least 1"),
         (fitted(), {"values": {"K1": (2.0, 1.0)}}, "2.0 to 1.0"),
-        (fitted(), {"values": {"patella.mass": (0.1, 0.2)}}, "a range of what was not fitted"),
+        (fitted(), {"values": {"patella.mass": (0.1, 0.2)}}, "a range for a parameter that was not fitted"),
         (fitted(), {"values": {"K9": 1.0}}, "K9"),
         (fitted(), {"values": {"L2.strain": 0.1}}, "not as it was fitted; expected: the fit's name: L2"),
         (fitted(), {"values": {"K1": -3.0}}, "stiffness"),

@@ -144,7 +144,7 @@ def test_weights_and_covariances_reach_the_fit_and_its_file(tmp_path: Any) -> No
     )
     assert found.objective_value == pytest.approx(expected, rel=1e-6)
     for refusing in (fitting.train_posterior, fitting.QuickFit.of):
-        with pytest.raises(InputError, match="weights of frames"):
+        with pytest.raises(InputError, match="frames have weights"):
             refusing(scene(), data)
 
 

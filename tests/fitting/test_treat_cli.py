@@ -50,7 +50,7 @@ def test_table_says_from_where_on_nothing_dislocates(treated):
     assert "bands would be narrower by [%]" in outcome.stdout
     assert SYNTHETIC in outcome.stdout
     assert "estimated from synthetic measurements" in outcome.stdout
-    assert f"in brackets: 95 % of the draws that ran; {QUICK.bands}" in outcome.stdout
+    assert f"in brackets: 95 % interval over the draws, without those that failed; {QUICK.bands}" in outcome.stdout
 
 
 def test_the_table_is_whole_at_80_columns(treated, capsys, monkeypatch):

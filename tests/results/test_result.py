@@ -317,7 +317,7 @@ def test_saddles_and_failures_are_called_so():
     assert _report(scene, 1e-9, np.diag([1e-9, 1, 2, 3, 4, 5])).kind == "neutral"
     failed = _report(scene, 3.0, np.full((6, 6), np.nan))
     assert failed.kind == "unknown"
-    assert failed.description == "no equilibrium: 3 N are left after 80 iterations"
+    assert failed.description == "no equilibrium: the residual force is 3 N after 80 iterations"
 
 
 def test_distance_from_the_start_pose():

@@ -4,7 +4,7 @@
 
 Each plant (`coverage.py`) runs case 2, to which the twin is fitted, and case 1, whose tuberosity is elsewhere. The twin
 of case 1, with draws from the fit, predicts the outcomes below, and the plant's own motion tells them. Printed by
-outcome: how many 90 % bands hold the plant's, their mean half width and the mean error of their middles.
+outcome: how many 90 % bands contain the plant's, their mean half width and the mean error of their middles.
 """
 
 from __future__ import annotations
@@ -78,9 +78,10 @@ def main() -> None:
             texts.append(f"{name} {truth[name]:.4g} in {low:.4g} to {high:.4g} {unit} ({len(values)})")
         print(f"seed {seed}: {'; '.join(texts)}", flush=True)
     for name, unit in OUTCOMES.items():
-        held, half, off = (np.array(column, dtype=float) for column in zip(*rows[name], strict=True))
+        inside, half, off = (np.array(column, dtype=float) for column in zip(*rows[name], strict=True))
         print(
-            f"{name}: {held.sum():.0f} of {held.size} held; half width {half.mean():.3g}, off {off.mean():.3g} {unit}"
+            f"{name}: {inside.sum():.0f} of {inside.size} contain it; half width {half.mean():.3g}, "
+            f"off {off.mean():.3g} {unit}"
         )
 
 

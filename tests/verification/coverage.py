@@ -1,4 +1,4 @@
-"""How often do the intervals of a fit hold the truth, on plants of the rig that the twin does not know?
+"""How often do the intervals of a fit contain the truth, on plants of the rig that the twin does not know?
 
     python tests/verification/coverage.py PLANTS --seeds 1 3 5 7 --nuisance none rig --use position quadriceps
     python tests/verification/coverage.py PLANTS --seeds 13 15 --nuisance rig --method simulations
@@ -16,7 +16,7 @@ segments. PLANTS is a folder in which recordings are kept: a plant takes a minut
 numbers, is fitted; or a posterior answers that was trained once, on the recording that the package has of the case. The
 truth of K and L is the straight line nearest to the plant's spring over the forces that occurred, the mean of those of
 several cases. The nuisance "oracle" is the distribution of these plants' own. Printed by parameter: root mean square
-error, how many 95 % intervals hold the truth, and their mean half width, all in per cent; and estimates that are
+error, how many 95 % intervals contain the truth, and their mean half width, all in per cent; and estimates that are
 INVALID, which are counted too. Refused ones are told and left out.
 """
 
@@ -200,20 +200,27 @@ def main() -> None:
                 print(f"  {nuisance}: refused: {error}", flush=True)
                 continue
             off, ends = found.values[:4] / truth - 1, found.intervals[:4]
-            half, held = 0.5 * np.diff(ends)[:, 0] / truth, (ends[:, 0] < truth) & (truth < ends[:, 1])
-            rows[nuisance].append((off, half, held, found.rmse["position"], found.invalid))
+            half, inside = 0.5 * np.diff(ends)[:, 0] / truth, (ends[:, 0] < truth) & (truth < ends[:, 1])
+            rows[nuisance].append((off, half, inside, found.rmse["position"], found.invalid))
             texts = [f"{100 * o:+.2f} (+-{100 * h:.2f})" for o, h in zip(off, half, strict=True)]
-            besides = {n: float(f"{v:.3g}") for n, v in zip(found.names[4:], found.values[4:], strict=True)}
+            others = {n: float(f"{v:.3g}") for n, v in zip(found.names[4:], found.values[4:], strict=True)}
             left = f"{1e3 * found.rmse['position']:.3f} mm, {time.perf_counter() - began:.0f} s, {found.reason}"
-            print(f"  {nuisance}: {', '.join(texts)} %; {int(held.sum())} held; {left}; {besides}", flush=True)
+            print(
+                f"  {nuisance}: {', '.join(texts)} %; {int(inside.sum())} of {inside.size} contain the truth; "
+                f"{left}; {others}",
+                flush=True,
+            )
             if found.invalid:
                 print(f"  {found.sentence()}", flush=True)
     for nuisance, found in rows.items():
         if found:
             off, half, inside, left, invalid = (np.array(column) for column in zip(*found, strict=True))
-            held = 100 * inside.mean(axis=0)
+            share = 100 * inside.mean(axis=0)
             rms, width = 100 * np.sqrt((off**2).mean(axis=0)), 100 * half.mean(axis=0)
-            print(f"{nuisance}, {len(off)} plants: rms error {np.round(rms, 2)} %, held {held} %: {held.mean():.0f} %")
+            print(
+                f"{nuisance}, {len(off)} plants: rms error {np.round(rms, 2)} %, "
+                f"coverage {share} %: {share.mean():.0f} %"
+            )
             more = f"left of the position {1e3 * left.mean():.3f} mm; {invalid.sum()} INVALID"
             print(f"  half width {np.round(width, 2)} %; {more}")
 

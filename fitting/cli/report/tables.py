@@ -231,7 +231,7 @@ def reservations(data: Dataset) -> list[str]:
     lines = [f"Parameters: {data.attrs.get('parameters', 'not in the file')}."]
     if "sample" in data.dims:
         draws = data.sizes["sample"] - 1
-        lines.append(f"In brackets: 95 % of those of {draws} draws that ran. {coverage_in(data)}.")
+        lines.append(f"In brackets: 95 % interval over {draws} draws, without those that failed. {coverage_in(data)}.")
     if doubt := invalid_variants(data):
         lines.append(f"{doubt}: their rows are empty.")
     return lines

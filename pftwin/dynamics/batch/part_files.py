@@ -88,9 +88,9 @@ def check_seen(folder: Path, index: BatchIndex, wait: float) -> None:
     _await(folder / NAME, wait)
     if not (folder / NAME).is_file() or read_index(folder).key != index.key:
         raise InputError(
-            "holds nothing of what process 0 has just written",
+            "does not contain the batch that process 0 has just prepared",
             where=folder,
-            expected="a folder on a disk that all processes see",
+            expected="a folder on a disk shared by all processes",
         )
 
 

@@ -198,4 +198,4 @@ class Properties:
     def expect(self, met: bool, expected: str) -> None:
         """Raises InputError if a condition on the numbers is not met."""
         if not met:
-            raise InputError(f"{self.what} has a shape that cannot be", where=self.where, expected=expected)
+            raise InputError(f"{self.what} has impossible shape parameters", where=self.where, expected=expected)

@@ -99,7 +99,8 @@ def test_refusals_of_several_processes(tmp_path):
     assert words[1][4].startswith("process 0: ")
     assert words[0][5] == f"process 1: {words[1][5]}"
     assert words[1][5].endswith(
-        "own 1: holds nothing of what process 0 has just written; expected: a folder on a disk that all processes see"
+        "own 1: does not contain the batch that process 0 has just prepared; "
+        "expected: a folder on a disk shared by all processes"
     )
     assert words[0][6] == f"process 1: {words[1][6]}"
     assert words[1][7] == f"process 0: {words[0][7]}"

@@ -119,10 +119,10 @@ def test_the_fit_with_its_intervals_and_sentence(fit_seen):
     assert fit_seen.rows["seed"] == [["7"]]
 
 
-def test_what_was_fitted_besides_is_told_though_the_scene_lacks_it(tmp_path):
+def test_fitted_nuisance_is_reported_though_the_scene_lacks_it(tmp_path):
     name = "contact.friction.coefficient"
     values = {**VALUES, name: (0.031, 0.002)}
-    seen = words_of(fitted(tmp_path, values=values, besides=(name,), nuisance=Nuisance(friction=0.05)))
+    seen = words_of(fitted(tmp_path, values=values, auxiliary=(name,), nuisance=Nuisance(friction=0.05)))
     assert f"{name}: contact, friction.coefficient" in seen.text
     [row] = seen.rows[name]
     assert row[1] == "0.031"

@@ -47,7 +47,7 @@ def test_nothing_is_said_of_a_treatment_whose_untreated_knee_is_invalid(tmp_path
     material = fitted(tmp_path)
     material.treatment = prediction()
     finding = "Without dislocation from 10 mm"
-    table = "In brackets: 95 % of those of"
+    table = "In brackets: 95 % interval over"
     assert finding in words_of(material).text
     assert table in words_of(material).text
     result = small_result()

@@ -91,11 +91,11 @@ class DistanceGrid(eqx.Module):
         (x, y, z), (i, j, k) = (b - n for b, n in zip(inside, node, strict=True)), (n.astype(jnp.int32) for n in node)
         number = (i * jnp.int32(shape[1]) + j) * jnp.int32(shape[2]) + k
         terms = gathered(self.cells[number]).astype(x.dtype)
-        rows = _threes([terms[:, n] for n in range(27)])
+        rows = [terms[:, n] for n in range(27)]
         # The letters after `f` are the coordinates by which the depth is differentiated.
-        f, f_z, f_zz = (_summed(g, rows, z) for g in (_value, _slope, _bend))
-        f_y, f_yy, f_yz = (_summed(g, _threes(p), y) for g, p in ((_slope, f), (_bend, f), (_slope, f_z)))
-        f, f_z, f_zz = (_summed(_value, _threes(p), y) for p in (f, f_z, f_zz))
+        f, f_z, f_zz = (_along(g, rows, z) for g in (_value, _slope, _bend))
+        f_y, f_yy, f_yz = (_along(g, p, y) for g, p in ((_slope, f), (_bend, f), (_slope, f_z)))
+        f, f_z, f_zz = (_along(_value, p, y) for p in (f, f_z, f_zz))
         per = 1 / size
         slope = per * Vec3(_slope(f, x), _value(f_y, x), _value(f_z, x))
         second = (_bend(f, x), _value(f_yy, x), _value(f_zz, x), _slope(f_y, x), _slope(f_z, x), _value(f_yz, x))
@@ -117,12 +117,9 @@ class _Near(NamedTuple):
         return Vec3(xx * v.x + xy * v.y + xz * v.z, xy * v.x + yy * v.y + yz * v.z, xz * v.x + yz * v.y + zz * v.z)
 
 
-def _threes(terms: list[Scalar]) -> list[list[Scalar]]:
-    return [terms[n : n + 3] for n in range(0, len(terms), 3)]
-
-
-def _summed(power: Callable[[list[Scalar], Scalar], Scalar], rows: list[list[Scalar]], u: Scalar) -> list[Scalar]:
-    return [power(row, u) for row in rows]
+def _along(part: Callable[[list[Scalar], Scalar], Scalar], terms: list[Scalar], u: Scalar) -> list[Scalar]:
+    """The value, slope or second derivative at u of each polynomial in one coordinate; three terms make one."""
+    return [part(terms[n : n + 3], u) for n in range(0, len(terms), 3)]
 
 
 def _value(terms: list[Scalar], u: Scalar) -> Scalar:

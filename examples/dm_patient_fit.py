@@ -15,6 +15,7 @@ import fitting
 import pftwin
 from fitting.estimate import Estimate
 from fitting.evaluation import Evaluator
+from fitting.identifiability import ExperimentPlan
 from fitting.parameters import free_parameters
 from fitting.uncertainty import NORMAL_95
 from pftwin.model.measured import Measured
@@ -150,6 +151,6 @@ def tension_bands(case: Patient, estimate: Estimate) -> dict[str, tuple[Floats, 
     return {name: (seen.values[0, :, i], half[:, i]) for i, name in enumerate(TENDONS)}
 
 
-def ideal(case: Patient, estimate: Estimate) -> fitting.Plan:
+def ideal(case: Patient, estimate: Estimate) -> ExperimentPlan:
     """Plans the experiment for a correct model: the precision that positions with 0.2 mm error would give."""
     return fitting.plan_experiment(estimate.apply(case.scene), free=FREE, candidates=[QUADRICEPS])

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-    import fitting
+    from fitting.identifiability import ExperimentPlan
 
 Floats = NDArray[np.float64]
 Bands = dict[str, tuple[Floats, Floats]]
@@ -74,7 +74,7 @@ def print_comparison(case: Patient, found: dict[str, Outcome]) -> None:
     console.print(f"Recorded at the last frame: {last['PT']}; left out of the scene: {last['MPFL']}, {last['LPFL']}.")
 
 
-def print_ideal(plan: fitting.Plan) -> None:
+def print_ideal(plan: ExperimentPlan) -> None:
     """Prints what the same motion would determine if the model were correct."""
     console.print("\n[bold]Were the model right[/bold], and positions good to 0.2 mm with independent errors:")
     console.print(plan.sentence())

@@ -83,19 +83,21 @@ __all__ = [
 ]
 
 
-def __getattr__(name: str) -> Any:
-    if name in __all__:
-        from pftwin.base.runtime import use_defaults
+if not TYPE_CHECKING:  # so that type checkers report names that do not exist
 
-        use_defaults()
-    if name in _HOME:
-        value = getattr(import_module(f"fitting.{_HOME[name]}"), name)
-    elif name in _MODULES:
-        value = import_module(f"fitting.{_MODULES[name]}")
-    else:
-        raise AttributeError(f"module 'fitting' has no attribute {name!r}")
-    globals()[name] = value
-    return value
+    def __getattr__(name: str) -> Any:
+        if name in __all__:
+            from pftwin.base.runtime import use_defaults
+
+            use_defaults()
+        if name in _HOME:
+            value = getattr(import_module(f"fitting.{_HOME[name]}"), name)
+        elif name in _MODULES:
+            value = import_module(f"fitting.{_MODULES[name]}")
+        else:
+            raise AttributeError(f"module 'fitting' has no attribute {name!r}")
+        globals()[name] = value
+        return value
 
 
 def __dir__() -> list[str]:

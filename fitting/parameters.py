@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -20,9 +20,6 @@ from pftwin.base.spatial import Scalar
 from pftwin.model.number_place import NumberPlace
 from pftwin.model.scene import Scene
 from pftwin.model.scene_parameters import find
-
-if TYPE_CHECKING:
-    from pftwin.model.scene import Scene
 
 Bounds = float | Mapping[str, float | tuple[float, float]]
 DEFAULT_BOUNDS = 0.3

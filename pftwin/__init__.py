@@ -123,21 +123,23 @@ __all__ = [
 ]
 
 
-def __getattr__(name: str) -> Any:
-    if name in __all__ and name not in _NO_JAX and name != "__version__":
-        from pftwin.base.runtime import use_defaults
+if not TYPE_CHECKING:  # so that type checkers report names that do not exist
 
-        use_defaults()
-    if name == "__version__":
-        value = _version()
-    elif name in _HOME:
-        value = getattr(import_module(f"pftwin.{_HOME[name]}"), name)
-    elif name in _PACKAGES:
-        value = import_module(f"pftwin.{_PACKAGES[name]}")
-    else:
-        raise AttributeError(f"module 'pftwin' has no attribute {name!r}")
-    globals()[name] = value
-    return value
+    def __getattr__(name: str) -> Any:
+        if name in __all__ and name not in _NO_JAX and name != "__version__":
+            from pftwin.base.runtime import use_defaults
+
+            use_defaults()
+        if name == "__version__":
+            value = _version()
+        elif name in _HOME:
+            value = getattr(import_module(f"pftwin.{_HOME[name]}"), name)
+        elif name in _PACKAGES:
+            value = import_module(f"pftwin.{_PACKAGES[name]}")
+        else:
+            raise AttributeError(f"module 'pftwin' has no attribute {name!r}")
+        globals()[name] = value
+        return value
 
 
 def __dir__() -> list[str]:

@@ -17,7 +17,7 @@ from pftwin.cli.terminal import JsonOption, check_outputs, check_suffix, present
 if TYPE_CHECKING:
     from fitting.estimate import Estimate
     from fitting.fit import Progress
-    from fitting.posterior.sampling import Posterior
+    from fitting.posterior.result import Posterior
     from pftwin.model.scene import Scene
 
 

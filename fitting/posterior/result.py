@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from xarray import Dataset
 
     from fitting.posterior.plots import PosteriorPlots
-    from fitting.posterior.sampling import Posterior
-
 
 LEVELS = (0.025, 0.25, 0.5, 0.75, 0.975)
 AGREES = 0.15  # largest difference of an interval's ends that confirms it, as a share of its half width

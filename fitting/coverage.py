@@ -26,6 +26,9 @@ SEVERAL_TRIALS = NOT_KNOWN._replace(
     intervals="Of posteriors of several trials only those with nuisance 'rig', trained once on three trials with a "
     "force in each, were tested: their 95 % intervals contained the true value in 39 of 40 cases"
 )
+VARYING = NOT_KNOWN._replace(
+    intervals="How often intervals contain the true value was not measured for parameters that differ between trials"
+)
 QUICK = Coverage(
     "95 % intervals of such fits contained the true value in 55 to 87 % of repeated experiments on a knee like the "
     "twin, and in 28 to 76 % on one that differs from it",
@@ -58,8 +61,11 @@ SIMULATIONS_WITH_NUISANCE = Coverage(
 )
 
 
-def coverage_of(simulated: bool, nuisance: bool, trials: bool) -> Coverage:
-    """Coverage of a kind of fit: by simulations or a search, with nuisance or without, of several trials or one."""
+def coverage_of(simulated: bool, nuisance: bool, trials: bool, varies: bool) -> Coverage:
+    """Coverage of a kind of fit: by simulations or a search, with nuisance or without, of several trials or one, with
+    parameters that differ between trials or without."""
+    if varies:
+        return VARYING
     if simulated and trials:
         return SEVERAL_TRIALS
     alone, with_nuisance = (SIMULATIONS, SIMULATIONS_WITH_NUISANCE) if simulated else (QUICK, QUICK_WITH_NUISANCE)

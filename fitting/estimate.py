@@ -138,9 +138,8 @@ class Estimate:
     @property
     def coverage(self) -> Coverage:
         """Measured coverage of intervals, bands and plans of such fits, in words."""
-        return coverage_of(
-            self.draws is not None, len(self.auxiliary) > len(self.differences), len(self.trial_rmse) > 1
-        )
+        nuisance, trials = len(self.auxiliary) > len(self.differences), len(self.trial_rmse) > 1
+        return coverage_of(self.draws is not None, nuisance, trials, bool(self.varies))
 
     @property
     def at_bounds(self) -> tuple[str, ...]:

@@ -11,13 +11,14 @@ from typing import Any
 import numpy as np
 import pytest
 from lifted_trials import BOUNDS, COMPUTED, FREE, MOVED, POINT, STEPS, nominal, problem_of
+from made_estimates import made_estimate
 
 import fitting
 import pftwin
 from fitting.cli.fit_options import deviations
 from fitting.cli.report import tables
 from fitting.cli.report.material import Material
-from fitting.coverage import QUICK, SEVERAL_TRIALS
+from fitting.coverage import QUICK, SEVERAL_TRIALS, VARYING
 from fitting.estimate import Estimate
 from fitting.evaluation import Prediction
 from fitting.fit import likelihood_of
@@ -281,10 +282,17 @@ def test_a_report_tells_what_trials_share_and_each_trials_own():
     assert Material(Path("fit.json"), "two trials").changed_since(found()) == []
 
 
-@pytest.mark.slow
-def test_how_often_they_hold_is_not_known_of_simulations():
-    assert found().coverage == QUICK
-    assert replace(found(), draws=np.tile(found().values, (50, 1))).coverage == SEVERAL_TRIALS
+def test_how_often_they_hold_was_not_measured():
+    """docs/fitting.md, Limits: not by a search, not by simulations; of trials that share all, other words hold."""
+    trials = {"low": {"position": 1e-4}, "high": {"position": 1e-4}}
+    shared = made_estimate({"K1": (160.0, 4.0), "L2": (0.0715, 2e-4)}, trial_rmse=trials)
+    for own in (shared, replace(shared, draws=np.tile(shared.values, (50, 1)))):
+        told = replace(own, varies=VARIES).coverage
+        assert told == VARYING
+        assert "not measured" in told.intervals
+        assert "%" not in "".join(told)
+    assert shared.coverage == QUICK
+    assert replace(shared, draws=np.tile(shared.values, (50, 1))).coverage == SEVERAL_TRIALS, VARYING
 
 
 @pytest.mark.slow

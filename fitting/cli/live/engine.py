@@ -15,6 +15,7 @@ import numpy as np
 
 from fitting.cli.live.knobs import Knobs, neutral
 from fitting.cli.live.motion import Band, Floats, Shown, ShownMotion
+from fitting.prediction.predicting import untrusted_start
 from pftwin.base.errors import InputError
 from pftwin.base.spatial import Vec3
 from pftwin.dynamics.simulate import prepare_relaxation, simulate
@@ -43,12 +44,14 @@ class LiveModel:
     knobs: Knobs
     still: Still
     before: ShownMotion  # untreated
+    start: tuple[str, ...]  # reasons why the untreated scene's start makes all its motions INVALID
 
 
 class Engine:
     """Simulates a treated scene with one of several contacts, with the parameters of an estimate if there is one.
 
-    It is thread-safe. `run` computes the same motion as `pftwin.simulate` for the treated scene.
+    It is thread-safe. `run` computes the same motion as `pftwin.simulate` for the treated scene, and judges it as
+    `fitting.predict` does: if the untreated scene starts INVALID, all its motions are.
     """
 
     def __init__(
@@ -77,15 +80,17 @@ class Engine:
             if contact not in self.contacts:
                 expected = f"one of: {', '.join(self.contacts)}"
                 raise InputError(f"found {contact!r:.40}", where="contact", expected=expected)
-            knobs = Knobs.of(self._first if contact == self.contacts[0] else self._load(contact), self.estimate)
+            nominal = self._first if contact == self.contacts[0] else self._load(contact)
+            knobs = Knobs.of(nominal, self.estimate)
+            start = untrusted_start(nominal if self.estimate is None else self.estimate.apply(nominal))
             rest = knobs.scene_with(neutral())
             still = Still(rest)
-            _simulated(rest, UNTREATED, still)  # compiles the simulation, and small programs for the drawing
+            _simulated(rest, UNTREATED, still, start)  # compiles the simulation, and small programs for the drawing
             prepare_relaxation(rest)
-            before = _simulated(rest, UNTREATED, still.of(rest))
+            before = _simulated(rest, UNTREATED, still.of(rest), start)
             before.refuse_if_lost()
             before.continued(Shown(before.recorded, 1.0).touched)
-            return self._models.setdefault(contact, LiveModel(contact, knobs, still, before))
+            return self._models.setdefault(contact, LiveModel(contact, knobs, still, before, start))
 
     def run(self, contact: str, values: Mapping[str, float]) -> ShownMotion:
         """Simulates the whole motion for these slider values, with a contact that is ready.
@@ -94,7 +99,7 @@ class Engine:
         """
         model = self._models[contact]
         scene = model.knobs.scene_with(values)
-        answer = _simulated(scene, TREATED, model.still.of(scene))
+        answer = _simulated(scene, TREATED, model.still.of(scene), model.start)
         answer.refuse_if_lost(unlike=model.before)
         return answer
 
@@ -105,22 +110,23 @@ class Engine:
 
         Draws are simulated one by one with the compiled program, because a batch would take minutes to compile.
         """
+        model = self._models[contact]
         found: list[Result] = []
-        for theta in self._draws:
+        for theta in () if model.start else self._draws:
             if not wanted():
                 return None
             with contextlib.suppress(InputError):  # a draw with an impossible scene counts as lost
-                found.append(simulate(self._models[contact].knobs.scene_with(values, theta)))
+                found.append(simulate(model.knobs.scene_with(values, theta)))
         good = [result for result in found if result.verdict.valid]
         if not good:
             return Band({}, f"No bands: none of {len(self._draws)} draws from the estimate has a valid motion.")
         return Band.of(good, answer, len(self._draws))
 
 
-def _simulated(scene: Scene, name: str, still: Still) -> ShownMotion:
+def _simulated(scene: Scene, name: str, still: Still, start: tuple[str, ...]) -> ShownMotion:
     """Simulates with the default integrator and step, as all commands do."""
     began = time.perf_counter()
-    answer = ShownMotion.of(simulate(scene), name, still.geometry(scene), still.continued)
+    answer = ShownMotion.of(simulate(scene), name, still.geometry(scene), still.continued, start)
     return replace(answer, seconds=time.perf_counter() - began)
 
 

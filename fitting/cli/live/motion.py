@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from fitting.prediction.predicted_motion import LEVEL
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
+from pftwin.results.verdict import Verdict
 from pftwin.results.viewer.knee import REST, gaps_filled
 from pftwin.results.viewer.line_shapes import line_shape
 from pftwin.results.viewer.recorded import Recorded
@@ -45,13 +46,20 @@ class ShownMotion:
 
     @classmethod
     def of(
-        cls, result: Result, name: str, geometry: Dataset, continued: Callable[[Floats], Shape | None]
+        cls,
+        result: Result,
+        name: str,
+        geometry: Dataset,
+        continued: Callable[[Floats], Shape | None],
+        start: tuple[str, ...],
     ) -> ShownMotion:
-        """From a result, a name for the legend, the geometry of its scene, and a function for `continued`."""
+        """From a result, a name for the legend, the geometry of its scene, a function for `continued`, and reasons why
+        the untreated scene's start makes it INVALID."""
         from pftwin.dynamics.status import Status
 
-        outcome = result.dislocations()
-        recorded = Recorded.of(result, name, geometry=geometry)
+        verdict = Verdict(tuple(dict.fromkeys((*result.verdict.reasons, *start))))
+        outcome = result.dislocations() if verdict.valid else None
+        recorded = replace(Recorded.of(result, name, geometry=geometry), verdict=verdict)
         force = None if result.contact is None else recorded.series(f"{result.contact}_force")
         every = np.array([np.nan]) if force is None else np.asarray(result.effects[str(result.contact)]["force"])
         there = every[np.isfinite(every)]

@@ -36,9 +36,9 @@ def state(tone: str, head: str, more: str = "") -> str:
 
 def outcome(answer: ShownMotion) -> str:
     """Whether and when the patella dislocates, with reservations; for an INVALID motion, the reasons."""
-    tracking, status = answer.result.tracking, answer.result.status.describe()
-    if not answer.result.verdict.valid:
-        return state("bad", tracking, "Do not interpret this motion.")
+    tracking, status, verdict = answer.result.tracking, answer.result.status.describe(), answer.recorded.verdict
+    if not verdict.valid:
+        return state("bad", verdict.describe(), "Do not interpret this motion.")
     doubts = "" if status == "ok" else f"Reservations in some frames: {status}."
     if answer.dislocates is None:
         return state("doubt", f"Dislocation: {tracking}", doubts)

@@ -8,12 +8,14 @@ import equinox as eqx
 import numpy as np
 import pytest
 from live_engine import TRANSFER, live_engine, load, turned
+from made_estimates import made_estimate
 from small_scene import small_scene
 
 import pftwin
 from fitting.cli.live.engine import Engine
 from fitting.cli.live.knobs import neutral
 from fitting.cli.live.motion import Shown
+from fitting.cli.live.words import outcome
 from pftwin.base.errors import InputError
 from pftwin.results.viewer.shapes import of_poses
 
@@ -50,6 +52,37 @@ def test_turning_compiles_nothing(engine):
     assert pftwin.simulate(treated).timing["compile_s"] == 0
     assert pftwin.simulate(turned(small_scene())).timing["compile_s"] == 0
     assert engine.ready("groove")
+
+
+def test_a_knee_that_starts_invalid_is_shown_invalid_at_all_values():
+    """As `predict` judges it: the small knee's equilibrium is 17.1 deg from where its search begins."""
+    engine = Engine(lambda _: small_scene().with_limits(), ("groove",))
+    engine.prepare("groove")
+    turned_by = np.degrees(pftwin.equilibrium(small_scene()).turned)
+    why = f"the equilibrium is {turned_by:.1f} deg from the recorded start (at most 15: most_start_turn_deg)"
+    for answer in (engine.model("groove").before, engine.run("groove", MOVED)):
+        assert answer.recorded.verdict.reasons == (why,)
+        assert answer.dislocates is None
+        assert not answer.out.any()
+        assert f"INVALID: {why}" in outcome(answer)
+    near = Engine(lambda _: small_scene().with_limits(most_start_turn_deg=20.0), ("groove",))
+    near.prepare("groove")
+    assert near.run("groove", MOVED).recorded.verdict.valid
+
+
+def test_the_fitted_knee_is_judged_not_the_nominal_one():
+    """A quadriceps a third as stiff turns the small knee's equilibrium further; no draw of such a knee is in a band."""
+    fitted = made_estimate({"K1": (50.0, 0.5)})
+    turned_by = np.degrees([pftwin.equilibrium(s).turned for s in (small_scene(), fitted.apply(small_scene()))])
+    assert turned_by[1] > turned_by[0] + 2
+    between = small_scene().with_limits(most_start_turn_deg=float(turned_by.mean()))
+    engine = Engine(lambda _: between, ("groove",), fitted)
+    engine.prepare("groove")
+    answer = engine.run("groove", MOVED)
+    assert answer.recorded.verdict.describe().startswith(f"INVALID: the equilibrium is {turned_by[1]:.1f} deg from")
+    band = engine.band("groove", MOVED, answer, lambda: True)
+    assert band is not None
+    assert (band.ends, "No bands" in band.words) == ({}, True)
 
 
 def test_lines_of_the_treated_scene_are_drawn(engine):

@@ -50,7 +50,8 @@ def predict_motion(
         scene: nominal scene with the motion of the recording to predict.
         estimate: estimate of the same knee, from this recording or another.
         measured: measurements at the scene's frames; frames of weight 0 are not compared. By default the scene's own.
-        samples: draws from the estimate.
+        samples: draws from the estimate. Those whose motion or start is INVALID are left out of the bands; if they are
+            more than a tenth, the prediction is INVALID.
         seed: of the draws.
         values: parameters of the scene that differ in this recording, by name: a value, or a range (low, high).
         dt: as in `pftwin.simulate_batch`.
@@ -76,6 +77,9 @@ def predict_motion(
     frames = scene.motion.times.size
     counts = found["status_frames"].values
     good = ~(found["failed"].values | is_invalid(counts, frames))
+    if scene.limits is not None:
+        for k in 1 + np.flatnonzero(good[1:]):
+            good[k] = not untrusted_start(estimate.apply(scene, thetas[k]))
     paths = _coordinates(found["sphere_center"].values, found["patella_quaternion"].values)
     start = untrusted_start(estimate.apply(scene, thetas[0]))
     verdict = Verdict((*verdict_of_counts(counts[0], frames).reasons, *start)).describe()

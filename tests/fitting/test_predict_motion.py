@@ -11,7 +11,7 @@ from small_scene import small_scene
 
 from fitting.prediction.motion import predict_motion
 from fitting.prediction.predicted_motion import COORDINATES
-from pftwin import simulate
+from pftwin import equilibrium, simulate
 from pftwin.base.errors import InputError
 from pftwin.model.measured import Measured
 
@@ -80,6 +80,22 @@ def test_a_knee_that_starts_invalid_is_predicted_invalid(knee):
     found = predict_motion(knee.with_limits(least_upward_lines=2), fitted(), samples=2, dt=2e-3)
     assert found.verdict.startswith("INVALID: lines of force that pull the patella upward: 1 (at least 2")
     assert found.verdict.endswith("from the recorded start (at most 15: most_start_turn_deg)")
+
+
+def test_draws_that_start_invalid_are_in_no_band(knee):
+    """The bands are those of the other draws; beyond a tenth of such draws the prediction is INVALID."""
+    draws = np.random.default_rng(5).normal(*np.array(list(VALUES.values())).T * [[1], [5]], size=(24, 3))
+    turned = np.degrees([equilibrium(fitted().apply(knee, theta)).turned for theta in draws])
+    beyond = np.sort(turned)[::-1]
+    for lost, verdict in ((2, "valid"), (3, "INVALID: 3 of 24 draws have an INVALID motion")):
+        limit = 0.5 * (beyond[lost - 1] + beyond[lost])
+        near = knee.with_limits(most_start_turn_deg=float(limit), most_start_shift_mm=20.0)
+        found = predict_motion(near, fitted(draws=draws), samples=24, dt=2e-3)
+        assert found.verdict == verdict
+        assert f"{lost} draws without a valid motion omitted" in found.notes
+        others = predict_motion(knee, fitted(draws=draws[turned < limit]), samples=24 - lost, dt=2e-3)
+        np.testing.assert_allclose(found.low, others.low, atol=1e-6)
+        np.testing.assert_allclose(found.high, others.high, atol=1e-6)
 
 
 def test_synthetic_data_and_doubts_are_told(knee, truth):

@@ -6,7 +6,7 @@ the recorded poses by `examples/dm_patient.py`; `reference` computes them from t
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax.numpy as jnp
@@ -130,7 +130,7 @@ def patient(knee: Knee, found: dict[str, Course], *, bands: bool = True) -> Scen
         widths = array(c.insertion_half_width), array(c.origin_half_width)
         tendons.append(Band(*line, *widths, name=name) if bands else Tendon(*line, name=name))
     kept = (knee.scene.effect("gravity"), knee.scene.effect("contact"))
-    return Scene(knee.scene.patella, (*tendons, *kept), knee.scene.motion, knee.scene.start, name="DM patient")
+    return replace(knee.scene, effects=(*tendons, *kept), name="DM patient")
 
 
 def reference(knee: Knee, found: dict[str, Course]) -> dict[str, float]:

@@ -51,6 +51,7 @@ from pftwin.model.effects.gravity import Gravity
 from pftwin.model.effects.sphere_contact import SphereContact
 from pftwin.model.effects.tendon import StrandGroup
 from pftwin.model.effects.tension import PrescribedTension
+from pftwin.model.measured import SYNTHETIC
 from pftwin.model.motion import KneeMotion
 from pftwin.model.scene import PatellaBody, Scene
 from pftwin.results.button_cap import check_cap
@@ -241,7 +242,8 @@ def build(folder: Path, *, degree: int = 6, cap_tolerance: float = 0.02e-3, cont
     )
     body = PatellaBody(array(MASS), vec3(INERTIA), vec3(anatomical(MASS_CENTRE)))
     recorded = Pose(vec3(patella.positions[0]), Quaternion.from_array(array(patella.quaternions[0])))
-    scene = Scene(body, effects, KneeMotion.from_poses(None, tibia), recorded, name="DM knee")
+    motion = KneeMotion.from_poses(None, tibia)
+    scene = Scene(body, effects, motion, recorded, name="DM knee", synthetic=True)  # OpenSim JAM computed the motion
     tensions = read_csv(folder / "passive_flexion_tensions.csv").between(start, end)
     return Knee(scene, patch, sphere, patella, tibia, tensions)
 
@@ -347,7 +349,7 @@ def main(arguments: list[str] | None = None) -> int:
     pftwin.configure()
     try:
         knee, result, comparison = run(given.folder, degree=given.degree, dt=given.dt, contact=given.contact)
-        print(knee.patch, knee.sphere, result.summary(), comparison, sep="\n")
+        print(SYNTHETIC, knee.patch, knee.sphere, result.summary(), comparison, sep="\n")
         if given.contact == "patch":
             print(f"button: {check_cap(result, knee.sphere).describe()}")
         gait = gait_motion(given.folder)

@@ -12,10 +12,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from figure_parts import footers
 from scipy.spatial.transform import Rotation
 
 import pftwin
 from pftwin.base.errors import InputError, PftwinWarning
+from pftwin.model.measured import SYNTHETIC
 from pftwin.results.button_cap import cap_use, check_cap
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "dm_knee.py"
@@ -47,6 +49,14 @@ def test_the_patella_follows_the_recorded_one(outcome):
     assert np.all(comparison.angle_rms <= [0.5, 3.5, 5.0])
     assert knee.patch.rms < 0.15e-3
     assert knee.sphere.radius == pytest.approx(19.05e-3, abs=5e-6)
+
+
+def test_results_and_figures_say_that_no_knee_moved_so(outcome):
+    """Another code computed the motion: docs/bring_your_own_knee.md."""
+    result = outcome[1]
+    assert result.to_dataset().attrs["note"] == SYNTHETIC
+    figure = result.plot.against_flexion(show=("tilt",), strokes="bending")
+    assert SYNTHETIC in " ".join(text.get_text().replace("\n", " ") for text in footers(figure))
 
 
 @pytest.mark.slow

@@ -97,6 +97,11 @@ def test_effective_tendons_stand_for_the_recorded_ones(case):
     assert case.courses[QUADRICEPS].origin == pytest.approx([0.0548, 0.0066, 0.0346], abs=2e-4)
 
 
+def test_the_patients_motion_is_marked_synthetic_as_its_measurements_are(case):
+    assert case.scene.synthetic
+    assert case.measured.synthetic
+
+
 def test_effective_lines_run_as_the_recorded_pulls(case):
     muscles, course = case.knee.scene.effect(QUADRICEPS), case.courses[QUADRICEPS]
     poses = case.knee.patella

@@ -35,6 +35,7 @@ class Motion(NamedTuple):
     said: str  # description
     measured: bool = False  # whether the patella's poses are measurements
     values: dict[str, Floats] | None = None  # coordinates by name, (n,) [rad] or [m]; None for recorded poses
+    synthetic: bool = False  # whether it was generated here, not read from a file
 
 
 def motion_of(
@@ -55,7 +56,8 @@ def motion_of(
         raise InputError("a rate without a file of poses", where="rate", expected="times in seconds, and no rate")
     tree = knee.model.tree
     times, values, said = _flexed_through_range(tree, knee.tibia, bend) if path is None else _recorded(tree, path)
-    return Motion(times, poses(tree, [knee.femur, knee.tibia, knee.patella], times, values), said, values=values)
+    found = poses(tree, [knee.femur, knee.tibia, knee.patella], times, values)
+    return Motion(times, found, said, values=values, synthetic=path is None)
 
 
 def _flexed_through_range(tree: Tree, tibia: str, name: str | None) -> tuple[Floats, dict[str, Floats], str]:

@@ -82,6 +82,7 @@ def scene_text(
         axes=AXES[knee.side],
         patella=body,
         measured=moved is not None and moved.measured,
+        synthetic=moved is not None and moved.synthetic,
         seen=seen,
         patella_markers=None if seen is None else _marker_effects(seen.clusters["patella"], ligaments),
         limits={**(ANYWHERE if seen else {}), **limits},

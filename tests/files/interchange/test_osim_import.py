@@ -99,6 +99,7 @@ def test_the_knee_is_bent_through_its_range(knee):
     assert flexion[0] == pytest.approx(0.8, abs=1e-6)
     assert flexion[-1] == pytest.approx(-0.2, abs=1e-6)
     assert np.abs(np.diff(flexion)).max() * 100 <= np.radians(45) * 1.001
+    assert scene.synthetic  # nobody recorded it
 
 
 def test_what_is_left_out_is_listed_with_its_reason(knee):
@@ -201,7 +202,9 @@ def test_a_motion_of_coordinates_moves_the_bones(tmp_path):
     result = small_result()
     export(result, tmp_path / "walk.mot")
     told = bare(tmp_path, model(forces=ligaments(), meshes=False), motion=tmp_path / "walk.mot")
-    motion = load_scene_file(told.scene).scene.motion
+    scene = load_scene_file(told.scene).scene
+    assert not scene.synthetic  # as far as the import can know
+    motion = scene.motion
     assert motion.n_frames == result.times.size
     from pftwin.model.motion_on_host import tibia_position
 

@@ -11,7 +11,7 @@ import typer
 from typer import Option
 
 from pftwin.base.errors import InputError
-from pftwin.cli.scenes import CaseOption, ContactOption, NaturalOption, SceneArgument, chosen_scene
+from pftwin.cli.scenes import CaseOption, ContactOption, SceneArgument, chosen_scene
 from pftwin.cli.terminal import JsonOption, check_outputs, check_suffix, present, spinner
 
 if TYPE_CHECKING:
@@ -25,7 +25,6 @@ def twin(
     *,
     output: Annotated[Path, Option("-o", "--output", metavar="TWIN.html", help="File for the page.")],
     case: CaseOption = None,
-    knee: NaturalOption = None,
     contact: ContactOption = None,
     browser: Annotated[bool, Option("--open", help="Open the page in the browser.")] = False,
     json: JsonOption = None,
@@ -36,7 +35,7 @@ def twin(
     """
     check_suffix(output, [".html", ".htm"], "the page is HTML")
     check_outputs(output, json)
-    chosen = chosen_scene(scene, case, contact, natural=knee)
+    chosen = chosen_scene(scene, case, contact)
     from pftwin.base.text_files import write_text
 
     synthetic = chosen.scene.synthetic

@@ -61,7 +61,7 @@ def not_finite(slopes: Floats, until: NDArray[np.bool_]) -> str | None:
     if not bad.any():
         return None
     frame, column = (int(a[0]) for a in np.nonzero(bad))
-    return f"derivative by {PARAMETERS[column]} not finite at frame {frame}"
+    return f"derivative by {PARAMETERS[column]} not finite at frame {frame + 1}"
 
 
 def disagree(slopes: Floats, reference: Floats, dtype: str) -> str | None:

@@ -82,7 +82,7 @@ def finite(look: Look) -> str | None:
     arrays = [host_array(a) for a in (states.position, states.orientation, states.velocity, states.spin)]
     arrays += [ledger.work, ledger.heat, look.run.seen.kinetic_energy, look.report("force")]
     bad = ~np.logical_and.reduce([np.isfinite(np.asarray(a)).reshape(len(look.flags), -1).all(axis=1) for a in arrays])
-    return f"not finite from frame {np.argmax(bad)}" if bad.any() else None
+    return f"not finite from frame {np.argmax(bad) + 1}" if bad.any() else None
 
 
 def unit_quaternion(look: Look) -> str | None:
@@ -153,7 +153,7 @@ def place(look: Look) -> str | None:
     off = np.where(clean & ((depth > near) | (found > near)), np.abs(np.nan_to_num(found) - depth), 0.0)
     k = int(np.argmax(off))
     if off[k] > near + 0.02 * abs(depth[k]):
-        return f"frame {k}: {1e3 * found[k]:.3g} mm deep where it is {1e3 * depth[k]:.3g} mm"
+        return f"frame {k + 1}: {1e3 * found[k]:.3g} mm deep where it is {1e3 * depth[k]:.3g} mm"
     return None
 
 
@@ -174,7 +174,7 @@ def geometry_flags(look: Look) -> str | None:
     }
     if look.contact in MESHES:
         del wrong["says too deep, is not"], wrong["too deep, does not say so"]  # meshes use area or volume, not depth
-    said = [f"frame {np.argmax(w)}: {words}" for words, w in wrong.items() if w.any()]
+    said = [f"frame {np.argmax(w) + 1}: {words}" for words, w in wrong.items() if w.any()]
     return said[0] if said else None
 
 

@@ -97,7 +97,7 @@ def _refused(look: Look, every: Status, cell: Callable[[str, str], Cell]) -> Cel
     lost, said = (flags & int(Status.NOT_FINITE)) > 0, (flags & int(REFUSES)) > 0
     first = np.argmax(lost) if lost.any() else len(flags)
     if lost.any() and not said[: first + 1].any():
-        return cell("fail", f"not finite from frame {first}, and nothing said before")
+        return cell("fail", f"not finite from frame {first + 1}, and nothing said before")
     skipped = {invariants.finite, invariants.flags_allowed, invariants.at_end, invariants.stays_in_place}
     if every & Status.ENERGY_FROM_NOWHERE:
         skipped |= {invariants.energy, invariants.penetration}  # the run itself flags the created energy

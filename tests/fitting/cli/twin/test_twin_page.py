@@ -77,6 +77,7 @@ def test_the_page_says_what_python_says(file):
         (("--case", "2", "-o", "twin.txt"), "the page is HTML"),
         (("-o", "twin.html"), "neither a scene file nor --case given"),
         (("--case", "2", "-o", "absent/twin.html"), "absent"),
+        (("--knee", "normal", "-o", "twin.html"), "No such option: --knee"),  # its contacts are on meshes
     ],
 )
 def test_mistakes_are_named(arguments, words):

@@ -184,6 +184,8 @@ def optimise(
         tuple((lim.describe(), in_units(lim.outcome, v), "yes" if lim.room(v) >= 0 else "no") for lim, v in reached),
     )
     terminal.present(facts, sheet, plan.describe(), *notes, terminal.written_line(files), json=json)
+    if plan.interrupted:
+        raise Interrupted(output, json)
     if plan.invalid:
         exit_flagged(plan.invalid)
     if not plan.met:

@@ -119,6 +119,7 @@ class TreatmentPlan:
     confidence: float = 0.0  # required share of draws that meet all limits
     share: float | None = None  # share of draws that meet them; None without draws
     invalid: str = ""  # "INVALID" and why, if no amount has a valid motion
+    interrupted: bool = False  # whether Ctrl-C ended the search: this is the best so far
     coverage: str = NOT_KNOWN.plans  # measured share of such plans that are safe, in words
     trust: Mapping[str, Any] = field(default_factory=dict)  # "status" and "status_frames", for a single amount
 
@@ -132,12 +133,16 @@ class TreatmentPlan:
                 f"; all limits are met in {self.share:.0%} of {self.samples} draws from the estimate's uncertainty "
                 f"({self.confidence:.0%} required); {self.coverage}"
             )
+        smallest = "interrupted; the smallest so far" if self.interrupted else "smallest"
         if self.met:
             reached = {x.outcome: in_units(x.outcome, self.outcomes[x.outcome]) for x in self.limits}
             said = ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in reached.items())
-            return f"smallest that meets the limits: {self.treatment.describe()} ({said}){drawn}"
+            return f"{smallest} that meets the limits: {self.treatment.describe()} ({said}){drawn}"
         broken = [lim.describe() for lim in self.limits if not lim.room(self.outcomes[lim.outcome]) >= 0]
         fault = f"which breaks {'; '.join(broken)}" if broken else "which meets the limits in too few draws"
+        if self.interrupted:
+            fault = fault if broken or self.share is not None else "which meets the limits, but was not confirmed"
+            return f"interrupted; the best so far: {self.treatment.describe()}, {fault}{drawn}"
         return f"no amount within the range meets the limits; nearest: {self.treatment.describe()}, {fault}{drawn}"
 
     def to_dict(self) -> dict[str, Any]:
@@ -146,6 +151,7 @@ class TreatmentPlan:
         return {
             "met": self.met,
             "verdict": self.invalid or "valid",
+            "interrupted": self.interrupted,
             **self.trust,
             "treatment": self.treatment.describe(),
             "amounts": {name: {"value": float(value), "unit": way.unit} for name, value, way in amounts},

@@ -7,6 +7,7 @@ uncertainty the limits must be met for the estimate and, all of them together, f
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -17,8 +18,8 @@ from fitting.prediction.outcomes import MEASURES
 from fitting.prediction.plots import invalid_variants
 from fitting.prediction.predicting import Fitted, check_draws, estimate_and_draws, predict
 from fitting.treatments import Treatment
-from fitting.treatments.limits import Limit, TreatmentPlan, smallest_margin
-from fitting.treatments.refine import CHUNK, Search, refine
+from fitting.treatments.limits import Limit, TreatmentPlan, in_si, smallest_margin
+from fitting.treatments.refine import CHUNK, Search, effort, refine
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.model.scene import Scene
@@ -65,11 +66,12 @@ def optimise_treatment(
 
     Returns:
         A plan, with the share of draws that meet its limits. If no amount within the range meets the limits, it says so
-        and contains the nearest.
+        and contains the nearest. After an interrupt (Ctrl-C) it is the best so far, and says so.
 
     Raises:
         InputError: no limits, empty ranges, more than three amounts, a scene that lacks what is to be changed; samples
             without an estimate; a confidence that is no share.
+        KeyboardInterrupt: interrupted before the whole range was simulated.
     """
     wanted = (limits,) if isinstance(limits, Limit) else tuple(limits)
     ranges = dict(ranges or {"medialisation": (0.0, 0.020)})
@@ -113,28 +115,54 @@ def optimise_treatment(
             simulations=simulated + search.count,  # including those for the share and the outcomes
         )
 
-    if not fine.size:
-        return plan(False, amounts[int(np.argmax(room))])
-    surest, most = fine[-1], -1.0
-    for i in range(0, len(fine), _AT_ONCE):
-        part = fine[i : i + _AT_ONCE]
-        shares = np.ones(len(part))
-        if samples:
-            draws = 1 + samples
-            of_draws: dict[str, Any] = {"samples": samples, "seed": seed}
-            of_draws["progress"] = partial(told, "draws", i * draws, len(fine) * draws)
-            data = predict(scene, search.treated(amounts[part]), estimate, **options, **of_draws)
-            shares = (smallest_margin(data, wanted)[:, 1:] >= 0).mean(axis=1)
-            simulated += len(part) * (1 + samples)
-        if shares.max() > most:
-            surest, most = part[int(np.argmax(shares))], float(shares.max())
-        for k in part[shares >= (confidence if samples else 1.0) - 1e-9]:
-            if (search.room(amounts[k]) >= 0).all():  # confirmed by a separate simulation
-                best = amounts[k]
-                if not best.any():
+    share_of: dict[int, float] = {}  # of draws that meet the limits, by grid point; 1 without draws
+
+    def found() -> TreatmentPlan:
+        nonlocal simulated
+        if not fine.size:
+            return plan(False, amounts[int(np.argmax(room))])
+        for i in range(0, len(fine), _AT_ONCE):
+            part = fine[i : i + _AT_ONCE]
+            shares = np.ones(len(part))
+            if samples:
+                draws = 1 + samples
+                of_draws: dict[str, Any] = {"samples": samples, "seed": seed}
+                of_draws["progress"] = partial(told, "draws", i * draws, len(fine) * draws)
+                data = predict(scene, search.treated(amounts[part]), estimate, **options, **of_draws)
+                shares = (smallest_margin(data, wanted)[:, 1:] >= 0).mean(axis=1)
+                simulated += len(part) * (1 + samples)
+            share_of.update(zip(part.tolist(), shares.tolist(), strict=True))
+            for k in part[shares >= (confidence if samples else 1.0) - 1e-9]:
+                if (search.room(amounts[k]) >= 0).all():  # confirmed by a separate simulation
+                    best = amounts[k]
+                    if best.any():
+                        best = refine(search, best, _next_smaller(amounts, k, lower, upper), lower, upper, scale)
                     return plan(True, best)
-                return plan(True, refine(search, best, _next_smaller(amounts, k, lower, upper), lower, upper, scale))
-    return plan(False, amounts[surest])
+        return plan(False, amounts[max(share_of, key=share_of.__getitem__)])
+
+    def so_far() -> TreatmentPlan:
+        """The best plan that needs no further simulation."""
+        if met := search.met(lower, upper):
+            return plan(True, min(met, key=lambda a: effort(a, scale)))
+        k = int(fine[0] if fine.size else np.argmax(room))
+        if samples and share_of:
+            k = max(share_of, key=share_of.__getitem__)
+        reached = {name: float(in_si(coarse[name])[k]) for name in MEASURES}
+        return TreatmentPlan(
+            False,
+            search.treated(amounts[k]),
+            reached,
+            wanted,
+            samples=samples,
+            confidence=confidence,
+            share=share_of.get(k) if samples else None,
+            simulations=simulated + search.count,
+        )
+
+    try:
+        return found()
+    except KeyboardInterrupt:
+        return replace(so_far(), interrupted=True)
 
 
 def _next_smaller(amounts: Floats, k: int, lower: Floats, upper: Floats) -> Floats:

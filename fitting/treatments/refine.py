@@ -98,6 +98,11 @@ class Search:
         """The number of simulations so far."""
         return len(self._known) * (1 + self._draws)
 
+    def met(self, lower: Floats, upper: Floats) -> list[Floats]:
+        """The simulated amounts within a range that meet the limits, and do so in the required share of draws."""
+        tried = (np.frombuffer(key) for key in self._known)
+        return [a for a in tried if _within(a, lower, upper) and (self.room(a) >= 0).all()]
+
     def _at(self, amounts: Floats) -> Any:
         """Outcomes for the estimate and the draws (1 + draws,), and their derivatives (None for a single amount).
 
@@ -192,10 +197,17 @@ def refine(search: Search, start: Floats, below: Floats, lower: Floats, upper: F
         options={"maxiter": _ITERATIONS, "ftol": 1e-10},
     )
     for amounts in tried:  # every simulated point counts, wherever the search ended
-        within = (amounts >= lower - 1e-12).all() and (amounts <= upper + 1e-12).all()
-        if within and (search.room(amounts) >= 0).all() and effort(amounts, scale) < effort(best, scale):
+        if (
+            _within(amounts, lower, upper)
+            and (search.room(amounts) >= 0).all()
+            and effort(amounts, scale) < effort(best, scale)
+        ):
             best = amounts
     return _bisect_toward(search, best, np.clip(0.0 * best, lower, upper), scale)
+
+
+def _within(amounts: Floats, lower: Floats, upper: Floats) -> bool:
+    return bool((amounts >= lower - 1e-12).all() and (amounts <= upper + 1e-12).all())
 
 
 def _just_met(search: Search, best: Floats, below: Floats) -> Floats:

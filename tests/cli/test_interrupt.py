@@ -4,21 +4,26 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 from plate_and_ball import write_plate_and_ball
 from toy_scene_files import SCENE, write_toy
 from typer.testing import CliRunner
 
+from fitting.prediction.outcomes import MEASURES
 from fitting.prediction.variants import amounts_of
 from pftwin.cli import app
+from pftwin.dynamics.status import FLAGS
 from pftwin.files.result_files import load_dataset
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -149,6 +154,47 @@ def test_treat_keeps_the_blocks_that_are_done(toy, tmp_path, monkeypatch):
     assert data["variant"].values.tolist() == [0, 1, 2, 3]
     assert data.attrs["title"] == "outcomes (interrupted: 4 of 6 variants)"
     assert [p.name for p in tmp_path.iterdir()] == ["v.nc"]
+
+
+@pytest.mark.parametrize(
+    ("call", "met", "amounts", "words"),
+    [
+        (1, False, (7.5, 7.5), "interrupted; the best so far: .* which meets the limits, but was not confirmed"),
+        (2, True, (7.5, 7.5), "interrupted; the smallest so far that meets the limits"),
+        (4, True, (7.3, 7.4999), "interrupted; the smallest so far that meets the limits"),
+    ],
+)
+def test_optimise_keeps_the_best_so_far(call, met, amounts, words, toy, tmp_path, monkeypatch):
+    """With outcomes that are made up: every outcome is the amount, so 7.3 mm are needed; the grid has steps of 0.5."""
+    from xarray import Dataset
+
+    def predict(scene: Any, rows: Any, estimate: Any, **options: Any) -> Dataset:
+        values = ("variant", amounts_of(rows)[:, 0], {"units": "m"})
+        return Dataset({**dict.fromkeys(MEASURES, values), "failed": ("variant", np.zeros(len(values[1]), bool))})
+
+    def run(recipe: Any, values: Any, thetas: Any, *more: Any, **options: Any) -> Any:
+        return SimpleNamespace(outcomes=dict.fromkeys(MEASURES, values[:, 0]), flags=np.zeros((1, len(FLAGS)), int))
+
+    monkeypatch.setattr("fitting.treatments.optimise.predict", predict)
+    monkeypatch.setattr("fitting.treatments.refine.run", stopping_at(call, run))
+    output, asked = tmp_path / "plan.json", ["--limit", "dislocation_margin>=7.3 mm", "--tto-medial", "0:20"]
+    assert f"saved so far: {output}" in interrupted("optimise", toy, *asked, "-o", output)
+    plan = json.loads(output.read_text())
+    assert plan["interrupted"]
+    assert plan["met"] is met
+    low, high = amounts
+    found = 1e3 * plan["amounts"]["tibial_tuberosity_transfer.medialisation"]["value"]
+    assert low - 1e-9 <= found <= high + 1e-9
+    assert plan["outcomes"]["dislocation_margin"] == pytest.approx(1e-3 * found)
+    assert re.match(words, plan["sentence"])
+    assert [p.name for p in tmp_path.iterdir()] == ["plan.json"]
+
+
+def test_optimise_saves_nothing_before_the_whole_range_is_simulated(toy, tmp_path, monkeypatch):
+    monkeypatch.setattr("fitting.treatments.optimise.predict", stopping_at(1, lambda *_: None))
+    asked = ["--limit", "dislocation_margin>=7.3 mm", "--tto-medial", "0:20"]
+    assert "nothing was saved" in interrupted("optimise", toy, *asked, "-o", tmp_path / "plan.json")
+    assert not list(tmp_path.iterdir())
 
 
 def test_hard_cases_keeps_the_contacts_that_are_done(tmp_path, monkeypatch):
@@ -284,8 +330,6 @@ def test_where_nothing_is_saved_it_says_so(toy, tmp_path):
 
 @pytest.mark.slow
 def test_blocks_change_no_outcome(toy, tmp_path, monkeypatch):
-    import numpy as np
-
     for name, block in (("whole.nc", 4096), ("blocks.nc", 2)):
         monkeypatch.setattr("fitting.cli.treat._BLOCK", block)
         options = [

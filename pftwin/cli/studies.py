@@ -206,8 +206,10 @@ def _run_missing(folder: Path, chosen: Selected, processes: int) -> None:
     """Runs the pieces that the folder lacks, with progress on stderr."""
     from pftwin.studies.hard_cases.whole import run_missing
 
+    options = {"processes": processes or cores(), "cache_dir": default_cache_dir()}
     try:
-        run_missing(folder, chosen, processes=processes or cores(), cache_dir=default_cache_dir(), say=_tell)
+        with terminal.progress("contacts and integrators") as shown:
+            run_missing(folder, chosen, **options, say=_tell, progress=shown)
     except KeyboardInterrupt:
         raise Interrupted(folder) from None
 
@@ -218,12 +220,19 @@ def _run(cases: tuple[HardCase, ...], chosen: Selected, json: str | None) -> Kep
     from pftwin.studies.hard_cases.table import KeptPiece
     from pftwin.studies.runs import run_each
 
-    began = time.perf_counter()
+    began, done, of = time.perf_counter(), 0, chosen.cells_of(cases)
+    with terminal.progress("cells") as shown:
 
-    def one(contact: str) -> list[Cell]:
-        return run_matrix(cases, chosen._replace(contacts=(contact,)), _tell)
+        def count(cells: int) -> None:
+            nonlocal done
+            done += cells
+            shown(done, of)
 
-    found = run_each(chosen.contacts, one)
+        def one(contact: str) -> list[Cell]:
+            return run_matrix(cases, chosen._replace(contacts=(contact,)), _tell, count)
+
+        count(0)
+        found = run_each(chosen.contacts, one)
     cells = tuple(cell for of_contact in found for cell in of_contact)
     piece = KeptPiece(cells, time.perf_counter() - began, describe(), not chosen.derivatives, chosen.truths)
     terminal.write_json(piece.as_dict(), json)

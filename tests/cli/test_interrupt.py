@@ -201,7 +201,7 @@ def test_hard_cases_keeps_the_contacts_that_are_done(tmp_path, monkeypatch):
     from pftwin.studies.hard_cases.table import read_piece
     from pftwin.studies.hard_cases.verdict import Cell
 
-    def run_matrix(cases: Any, chosen: Any, say: Any) -> list[Cell]:
+    def run_matrix(cases: Any, chosen: Any, say: Any, count: Any) -> list[Cell]:
         return [Cell("hanging", chosen.contacts[0], "newmark", "float64", "pass", "")]
 
     monkeypatch.setattr("pftwin.studies.hard_cases.run_matrix", stopping_at(2, run_matrix))

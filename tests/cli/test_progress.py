@@ -74,3 +74,28 @@ def test_long_commands_show_how_far_they_are(command, work, screen, monkeypatch)
     done = CliRunner().invoke(app, [*command, "--case", "1"])
     assert done.exit_code == 130, done.output
     assert any(line.startswith("without gravity") and "3 of 6" in line for line in lines(screen))
+
+
+def test_hard_cases_shows_how_many_cells_are_done(screen, monkeypatch):
+    """Half of the 4 cells of one case: by two integrators in two float types."""
+
+    def half(cases: Any, chosen: Any, say: Any, count: Any) -> None:
+        count(2)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("pftwin.studies.hard_cases.run_matrix", half)
+    asked = ["--case", "plain_knee", "--contact", "P5", "--integrator", "newmark", "--integrator", "linear_implicit"]
+    done = CliRunner().invoke(app, ["hard-cases", *asked])
+    assert done.exit_code == 130, done.output
+    assert any(line.startswith("cells") and "2 of 4" in line for line in lines(screen))
+
+
+def test_hard_cases_into_a_folder_shows_how_many_files_are_done(screen, monkeypatch, tmp_path):
+    def half(*_: Any, progress: Any, **options: Any) -> None:
+        progress(3, 6)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("pftwin.studies.hard_cases.whole.run_missing", half)
+    done = CliRunner().invoke(app, ["hard-cases", "--into", str(tmp_path)])
+    assert done.exit_code == 130, done.output
+    assert any(line.startswith("contacts and integrators") and "3 of 6" in line for line in lines(screen))

@@ -36,6 +36,7 @@ from pftwin.studies.hard_cases.verdict import Cell, Evidence, verdict
 DTYPES = ("float64", "float32")
 MOST_LOOKS = 200  # approximate number of frames of a run at which the depth is searched
 Say = Callable[[str], None]
+Count = Callable[[int], None]  # receives the number of cells that were judged or omitted since the last call
 Forward = Callable[[Any, list[int]], CaseRun]  # runs some cases with changed parameters
 
 
@@ -49,20 +50,42 @@ class Selection(NamedTuple):
     mates: bool = True
     truths: bool = True
 
+    def able(self, contact: str) -> tuple[CaseIntegrator, ...]:
+        """The integrators that run with a kind of contact."""
+        return tuple(m for m in self.integrators if m.only is None or contact in m.only)
+
+    def dtypes_of(self, method: CaseIntegrator) -> list[str]:
+        """The float types that an integrator runs in, float64 first."""
+        return sorted((d for d in self.dtypes if d == "float64" or method.float32), key=DTYPES.index)
+
+    def cells_of(self, cases: Sequence[HardCase]) -> int:
+        """The number of cells, with those that are omitted because they would take too many steps."""
+        return sum(
+            len(self.dtypes_of(method)) * sum(contact in case.contacts for case in cases)
+            for contact in self.contacts
+            for method in self.able(contact)
+        )
+
 
 EVERYTHING = Selection()
 
 
-def run_matrix(cases: Sequence[HardCase], selection: Selection = EVERYTHING, say: Say = lambda _: None) -> list[Cell]:
+def run_matrix(
+    cases: Sequence[HardCase],
+    selection: Selection = EVERYTHING,
+    say: Say = lambda _: None,
+    count: Count = lambda _: None,
+) -> list[Cell]:
     """Runs and judges cases; returns a cell for each combination of case, contact, integrator and float type.
 
-    `say` receives progress messages.
+    `say` receives progress messages, `count` the number of cells done since its last call; in all it is told of as many
+    as `Selection.cells_of` states.
     """
     cells: list[Cell] = []
     for contact in selection.contacts:
         prepared = Prepared(cases, contact, selection)
-        for method in selection.integrators:
-            cells += cells_of(prepared, method, say)
+        for method in selection.able(contact):
+            cells += cells_of(prepared, method, say, count)
     return cells
 
 
@@ -98,23 +121,20 @@ class Prepared:
         return {name: truth for part in found for name, truth in part.items()}
 
 
-def cells_of(prepared: Prepared, method: CaseIntegrator, say: Say = lambda _: None) -> list[Cell]:
+def cells_of(
+    prepared: Prepared, method: CaseIntegrator, say: Say = lambda _: None, count: Count = lambda _: None
+) -> list[Cell]:
     """Runs all cases with one kind of contact and one integrator, in the selected float types."""
-    contact, selection = prepared.contact, prepared.selection
-    if method.only is not None and contact not in method.only:
-        return []
     cells: list[Cell] = []
     references: dict[str, Reference] = {}
-    for dtype in sorted(selection.dtypes, key=DTYPES.index):
-        if dtype != "float64" and not method.float32:
-            continue
+    for dtype in prepared.selection.dtypes_of(method):
         with jax.enable_x64(dtype == "float64"):
-            cells += _of_float_type(prepared, method, dtype, references, say)
+            cells += _of_float_type(prepared, method, dtype, references, say, count)
     return cells
 
 
 def _of_float_type(
-    prepared: Prepared, method: CaseIntegrator, dtype: str, references: dict[str, Reference], say: Say
+    prepared: Prepared, method: CaseIntegrator, dtype: str, references: dict[str, Reference], say: Say, count: Count
 ) -> list[Cell]:
     """Runs all cases in one float type; stores finite differences in `references` for the other."""
     contact, (made, refused) = prepared.contact, prepared.batches(dtype)
@@ -123,14 +143,17 @@ def _of_float_type(
     if unfit:
         said |= {c.name: _without_inertia(batch, contact, method) for batch in made for c in batch.cases}
     cells = [Cell(name, contact, method.name, dtype, *outcome) for name, outcome in said.items()]
+    count(len(cells))
     for batch, starts in [] if unfit else prepared.stacks(dtype):
         began = time.perf_counter()
         which = short_enough(batch, method)
+        count(len(batch.cases) - len(which))
         if not which:
             continue
         own = CaseBatch(tuple(batch.cases[k] for k in which), members(batch.scenes, which))
         chosen = starts._replace(chosen=members(starts.chosen, which))
         cells += _run_batch(prepared, own, chosen, method, dtype, references)
+        count(len(which))
         say(f"{contact}, {method.name}, {dtype}: {len(which)} cases in {time.perf_counter() - began:.1f} s")
     return cells
 

@@ -10,7 +10,7 @@ import json
 import multiprocessing
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from functools import partial
 from pathlib import Path
 
@@ -24,6 +24,7 @@ from pftwin.studies.hard_cases.matrix import Prepared, Selection, cells_of
 from pftwin.studies.hard_cases.table import KeptPiece
 
 Say = Callable[[str], None]
+_LOOK = 2.0  # time between two looks at what other processes have written [s]
 LONGEST_FIRST = ("contours", "volume", "spline", "P5", "P8", "P5 cylinder", "P4", "P2")  # balances the processes
 
 
@@ -36,45 +37,65 @@ def missing(folder: Path, selection: Selection) -> dict[str, tuple[CaseIntegrato
     """Returns the integrators without a file by kind of contact, with the slowest contacts first."""
     found = {}
     for contact in sorted(selection.contacts, key=LONGEST_FIRST.index):
-        able = [m for m in selection.integrators if m.only is None or contact in m.only]
-        if left := tuple(m for m in able if not piece_path(folder, contact, m).exists()):
+        if left := tuple(m for m in selection.able(contact) if not piece_path(folder, contact, m).exists()):
             found[contact] = left
     return found
 
 
 def run_missing(
-    folder: Path, selection: Selection, *, processes: int, cache_dir: str, say: Say = lambda _: None
+    folder: Path,
+    selection: Selection,
+    *,
+    processes: int,
+    cache_dir: str,
+    say: Say = lambda _: None,
+    progress: Callable[[int, int], None] = lambda done, of: None,
 ) -> list[Path]:
     """Runs all combinations that are `missing`, and writes a file for each contact and integrator when it is done.
 
     Runs up to `processes` contacts in parallel, with a shared cache of compiled programs. Returns the written files.
+    `progress` is called with the number of files written and of all.
     """
     folder.mkdir(parents=True, exist_ok=True)
     work = missing(folder, selection)
+    files = [piece_path(folder, contact, method) for contact, methods in work.items() for method in methods]
+
+    def tell() -> None:
+        progress(sum(path.exists() for path in files), len(files))
+
+    def say_and_tell(words: str) -> None:
+        say(words)
+        tell()
+
+    tell()
     if processes == 1:
-        return [path for c, methods in work.items() for path in run_contact(folder, c, methods, selection, say)]
-    written = []
+        for contact, methods in work.items():
+            run_contact(folder, contact, methods, selection, say_and_tell)
+            tell()
+        return files
     context = multiprocessing.get_context("spawn")  # JAX hangs after a fork
     as_the_command = partial(configure, cache_dir=cache_dir)
     with ProcessPoolExecutor(processes, context, as_the_command, max_tasks_per_child=1) as pool:
         running = {pool.submit(run_contact, folder, c, m, selection): c for c, m in work.items()}
-        for done in as_completed(running):
-            written += done.result()
-            say(f"{running[done]}: done")
-    return written
+        left: set[Future[None]] = set(running)
+        while left:
+            ended, left = wait(left, timeout=_LOOK, return_when=FIRST_COMPLETED)
+            tell()
+            for one in ended:
+                one.result()
+                say(f"{running[one]}: done")
+    return files
 
 
 def run_contact(
     folder: Path, contact: str, methods: Sequence[CaseIntegrator], selection: Selection, say: Say = lambda _: None
-) -> list[Path]:
-    """Runs all cases with one kind of contact, one integrator after the other."""
-    prepared, written = Prepared(catalogue(), contact, selection), []
+) -> None:
+    """Runs all cases with one kind of contact, one integrator after the other, and writes a file for each."""
+    prepared = Prepared(catalogue(), contact, selection)
     for method in methods:
         began = time.perf_counter()
         cells = cells_of(prepared, method, say)
         seconds = time.perf_counter() - began
         piece = KeptPiece(tuple(cells), seconds, describe(), not selection.derivatives, selection.truths)
-        written.append(piece_path(folder, contact, method))
-        write_text(written[-1], json.dumps(piece.as_dict(), indent=1))
+        write_text(piece_path(folder, contact, method), json.dumps(piece.as_dict(), indent=1))
     jax.clear_caches()
-    return written

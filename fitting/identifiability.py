@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -95,6 +95,7 @@ def plan_experiment(
     bounds: Bounds = 0.3,
     nuisance: str | Nuisance | None = None,
     varies: Mapping[str, float] | None = None,
+    progress: Callable[[int, int, str], None] = lambda done, of, what: None,
 ) -> ExperimentPlan:
     """Computes the Cramer-Rao bound at the scene's parameters, before anything is measured or fitted.
 
@@ -112,6 +113,7 @@ def plan_experiment(
         nuisance: as in `fit_tendons`: what the scene omits or knows only roughly, estimated too.
         varies: as in `fit_tendons`: standard deviation by which a parameter differs between trials; its mean is
             estimated.
+        progress: called with the number of trials done, of all, and what comes next, before each.
 
     Raises:
         InputError: unknown parameters or channels; a scene that cannot be simulated; a noise that is not positive;
@@ -131,6 +133,8 @@ def plan_experiment(
     sigma = _noise(channels, units, noise or {})
     measured = tuple(c for c in channels if c in use)
     check_channels(others, measured)
+    every = trial_names([scene, *others])
+    progress(0, len(every), f"linearising {every[0]}")
     information, unfelt = _information(scene, parameters, channels, sigma, measured)
     here = sum(information[c] for c in measured)
     prior = np.diag(parameters.prior_terms(parameters.nominal)[2])
@@ -147,8 +151,9 @@ def plan_experiment(
     scale = np.abs(sizes(names, span, nominal, parameters.coordinates))
     values = np.linalg.eigvalsh(bound * np.outer(scale, scale))
     with_more = {c: known(here + information[c]) for c in more}
-    names_of_trials = [f"trial {name}" for name in trial_names([scene, *others])[1:]]
-    for name, other, own in zip(names_of_trials, others, theirs, strict=True):
+    trials = tuple(f"trial {name}" for name in every[1:])
+    for done, (name, other, own) in enumerate(zip(trials, others, theirs, strict=True), start=1):
+        progress(done, len(every), f"linearising {every[done]}")
         with_more[name] = known(here, sum(_information(other, own, measured, sigma, measured)[0].values()))
     additions = {c: np.sqrt(np.diagonal(inverse_information(found))) / scale for c, found in with_more.items()}
     return ExperimentPlan(
@@ -162,7 +167,7 @@ def plan_experiment(
         dict(sorted(additions.items(), key=lambda item: float(item[1].max()))),
         in_words(names, span, nominal, covariance, measured, parameters.coordinates, units),
         scale,
-        tuple(names_of_trials),
+        trials,
     )
 
 

@@ -15,10 +15,10 @@ from pftwin.cli.terminal import (
     JsonOption,
     check_folder,
     check_outputs,
-    err,
     present,
     progress,
     show,
+    spinner,
     start_computing,
     write_json,
 )
@@ -73,9 +73,9 @@ def _paper_study(folder: Path, json: str | None) -> dict[str, Any]:
     from fitting.demo.paper_study import CASES, FITS, STEP, paper_study
     from fitting.demo.paper_study_tables import facts, notes, save
 
-    with err().status("fitting ...") as spinner:
-        study = paper_study(dt=STEP, progress=lambda what: spinner.update(f"{what} ..."))
-        spinner.update("drawing ...")
+    with progress("fitting") as shown:
+        study = paper_study(dt=STEP, progress=lambda done, of, what: shown(done, of, f"{int(done)} of {of}", what))
+    with spinner("drawing"):
         files = save(study, folder)
     where = f"written to {folder}: {', '.join(p.name for p in files)}"
     sheets = (*(_table_2(study, n) for n in CASES), *(_springs(study, fit) for fit in FITS), _outcomes(study))

@@ -12,7 +12,16 @@ from pftwin.base.errors import InputError
 from pftwin.base.sheet import Sheet
 from pftwin.cli.exit_codes import Interrupted, exit_flagged, report_written_on_interrupt
 from pftwin.cli.scenes import on_scene
-from pftwin.cli.terminal import JsonOption, check_outputs, check_suffix, present, progress, spinner, written_line
+from pftwin.cli.terminal import (
+    JsonOption,
+    check_outputs,
+    check_suffix,
+    present,
+    progress,
+    spinner,
+    told_by,
+    written_line,
+)
 
 if TYPE_CHECKING:
     from fitting.estimate import Estimate
@@ -107,8 +116,8 @@ def plan_experiment(
 
     if asked["use"] == "all":
         asked["use"] = channels_of(chosen.scene)
-    with spinner("linearising the motion"):
-        found = plan(chosen.scene, **asked, further=[each.scene for each in further])
+    with progress("linearising the motion") as shown:
+        found = plan(chosen.scene, **asked, further=[each.scene for each in further], progress=told_by(shown))
     deviations = {", ".join(found.channels): found.relative, **{f"and {c}": v for c, v in found.additions.items()}}
     sheet = Sheet(
         f"{chosen.scene.name}: smallest possible standard deviations [%]",

@@ -121,28 +121,44 @@ def values_of(lines: dict[str, StraightSpring]) -> np.ndarray:
 
 
 def paper_study(
-    *, dt: float = STEP, simulations: int = SIMULATIONS, progress: Callable[[str], None] | None = None, **options: Any
+    *,
+    dt: float = STEP,
+    simulations: int = SIMULATIONS,
+    progress: Callable[[float, int, str], None] = lambda done, of, what: None,
+    **options: Any,
 ) -> PaperStudy:
     """Fits case 2 by the paper's objective and by simulations, and simulates cases 2 and 1 with the results.
 
-    `dt` is the time step [s], and options are those of `fit_tendons`, such as `starts` and `seed`. Raises PftwinError
-    for an INVALID motion.
+    `dt` is the time step [s], `progress` is called with the number of steps of this work done, of all, and what comes
+    next, and options are those of `fit_tendons`, such as `starts` and `seed`. Raises PftwinError for an INVALID motion.
     """
     from pftwin import rig
 
-    say = progress or (lambda what: None)
-    say("compiling the fit")
+    of = 3 + 2 * len(LEARNED)
+
+    def learned(k: int, fit: str) -> Estimate:
+        """The k-th fit by simulations, which are a step of the work, and so is learning from them."""
+        letter, before = "BC"[k], 2 + 2 * k
+
+        def tell(done: int, whole: int) -> None:
+            words = f"simulating {whole:,} knees" if done < whole else f"learning from {whole:,} knees"
+            progress(before + done / whole, of, f"fit {letter}: {words}")
+
+        tell(0, simulations)
+        return learned_fit(fit, simulations, tell)
+
+    progress(0, of, "fit A: compiling")
     compiling = compile_fit()
     scene, measured = rig.case(PATHOLOGY), rig.measured(PATHOLOGY)
-    say(f"fitting {', '.join(SPRING_PARAMETERS)} to case {PATHOLOGY} by the paper's objective")
+    progress(1, of, "fit A: by the paper's objective")
     found = fit_tendons(scene, measured, objective="paper", free=SPRING_PARAMETERS, **options)
     if found.reason.startswith("interrupted"):
         raise KeyboardInterrupt
-    fits = {PAPERS: found} | {fit: learned_fit(fit, simulations, say) for fit in LEARNED}
+    fits = {PAPERS: found} | {fit: learned(k, fit) for k, fit in enumerate(LEARNED)}
     pulls = recorded_pulls(PATHOLOGY)
     nearest = {name: nearest_line(pull) for name, pull in pulls.items()}
     recorded = {name: recorded_line(pull) for name, pull in pulls.items()}
-    say(f"simulating cases {PATHOLOGY} and {TREATMENT}")
+    progress(of - 1, of, f"simulating cases {PATHOLOGY} and {TREATMENT}")
     alone = {PAPERS: found.values, NOMINAL: found.nominal, LINES: values_of(nearest)}
     runs = {s: {n: simulated(n, s, with_springs(rig.case(n), theta), dt) for n in CASES} for s, theta in alone.items()}
     for fit in LEARNED:
@@ -151,22 +167,14 @@ def paper_study(
     return PaperStudy(compiling, fits, nearest, recorded, runs)
 
 
-def learned_fit(fit: str, simulations: int, say: Callable[[str], None]) -> Estimate:
+def learned_fit(fit: str, simulations: int, progress: Callable[[int, int], None]) -> Estimate:
     """Posterior of case 2's springs and nuisance parameters, from simulated knees; its time includes training and
-    compiling."""
+    compiling. `progress`: see `train_posterior`."""
     from pftwin import rig
 
     used, began = LEARNED[fit], time.perf_counter()
     scene, measured = rig.case(PATHOLOGY, contact=SURFACE), rig.measured(PATHOLOGY)
-    what = f"simulating {simulations:,} knees to fit {' and '.join(used)}"
-    trained = train_posterior(
-        scene,
-        measured,
-        use=used,
-        nuisance="rig",
-        simulations=simulations,
-        progress=lambda done, of: say(what if done < of else f"learning from {of:,} knees, {' and '.join(used)}"),
-    )
+    trained = train_posterior(scene, measured, use=used, nuisance="rig", simulations=simulations, progress=progress)
     found = trained.estimate(scene, measured)
     return replace(found, seconds=time.perf_counter() - began)
 

@@ -150,9 +150,11 @@ def import_model(
     }
     bodies = {"femur": femur, "tibia": tibia, "patella": patella}
     terminal.start_computing()
-    with terminal.spinner(f"reading {model}"):
+    with terminal.progress(f"reading {model}") as shown:
+        shown(0, 2)
         found = import_osim(model, folder, motion=motion, rate=rate, bend=bend, side=side, **bodies, **more)
-    trouble = _import_problem(found)
+        shown(1, 2, what="loading the scene")
+        trouble = _import_problem(found)
     facts = {
         "files": [str(p) for p in found.files],
         "notes": found.notes,
@@ -177,11 +179,10 @@ def _import_problem(found: Imported) -> str | None:
     from pftwin.files.scene_file import load_scene_file
     from pftwin.model.limits import upward_lines
 
-    with terminal.spinner("loading the scene"):
-        try:
-            scene = load_scene_file(found.scene).scene
-        except InputError as error:
-            return str(error)
+    try:
+        scene = load_scene_file(found.scene).scene
+    except InputError as error:
+        return str(error)
     if scene.contact is None:
         return f"{found.scene}: a scene without contact"
     if not found.muscles or found.tensions:

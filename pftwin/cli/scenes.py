@@ -15,7 +15,7 @@ from typer import Argument, Option
 from pftwin.base.errors import InputError
 from pftwin.base.written_amounts import amount
 from pftwin.cli.plugins import with_options
-from pftwin.cli.terminal import spinner, start_computing, tell
+from pftwin.cli.terminal import progress, spinner, start_computing, tell
 
 if TYPE_CHECKING:
     from pftwin.dynamics.integrator import Integrator
@@ -284,12 +284,14 @@ def simulated(chosen: Chosen, knee: RunOptions, tolerance: str | None = None) ->
 
     from pftwin.dynamics.simulate import simulate
 
-    scene, began, method = chosen.scene, time.perf_counter(), knee.method
-    with spinner(f"compiling and simulating {scene.name}"):
-        result = simulate(scene, integrator=method, dt=knee.dt, tolerance=tolerance)
-        first = time.perf_counter() - began
-        if tolerance is None:  # with a tolerance, the returned run is not the first one, which compiles
-            result = simulate(scene, integrator=method, dt=knee.dt)
+    scene, began = chosen.scene, time.perf_counter()
+    options: dict[str, Any] = {"integrator": knee.method, "dt": knee.dt, "tolerance": tolerance}
+    with progress(f"compiling and simulating {scene.name}") as shown:
+        result = simulate(scene, **options, progress=shown)
+    first = time.perf_counter() - began
+    if tolerance is None:  # with a tolerance, the returned run is not the first one, which compiles
+        with progress(f"timing {scene.name}") as shown:
+            result = simulate(scene, **options, progress=shown)
     if chosen.button is not None:
         from pftwin.results.button_cap import check_cap
 

@@ -28,6 +28,8 @@ JsonOption = Annotated[
     str | None, Option("--json", metavar="FILE|-", help="Write the result as JSON to a file, or to stdout with -.")
 ]
 FIGURES = (".png", ".svg", ".pdf")
+_COUNTS = 42  # characters of a line of progress that long labels leave for bar, counts and time left
+_PERIOD = 1800.0  # the time left follows from the pace of so many seconds; a step of the work may take minutes
 
 
 def err() -> Console:
@@ -88,11 +90,14 @@ def progress(what: str) -> Iterator[Callable[..., None]]:
     Yields `show(done, of, now=None, what=None)`; `now` replaces "n of N".
     """
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.table import Column
 
     console = err()
     left = TimeRemainingColumn(compact=True), TextColumn("left")
-    columns = (TextColumn("{task.description}"), BarColumn(bar_width=20), TextColumn("{task.fields[now]}"), *left)
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+    label = TextColumn("{task.description}", table_column=Column(no_wrap=True, max_width=console.width - _COUNTS))
+    columns = (label, BarColumn(bar_width=20), TextColumn("{task.fields[now]}"), *left)
+    options: dict[str, Any] = {"transient": True, "disable": not console.is_terminal}
+    with Progress(*columns, console=console, speed_estimate_period=_PERIOD, **options) as bar:
         task = bar.add_task(what, total=None, now="")
 
         def show(done: float, of: float, now: str | None = None, what: str | None = None) -> None:

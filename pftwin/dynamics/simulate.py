@@ -39,6 +39,7 @@ from pftwin.dynamics.tolerance import (
     Tried,
     accurate_enough,
     coarsest,
+    most_runs,
     parse_tolerance,
     with_estimate,
 )
@@ -106,6 +107,7 @@ def simulate(
     dt: float | None = None,
     tolerance: str | float | None = None,
     energy_budget: bool = True,
+    progress: Callable[[int, int, str], None] = lambda done, of, what: None,
 ) -> Result:
     """Simulates the patella's motion and forces over the recorded frames, starting from static equilibrium.
 
@@ -123,6 +125,8 @@ def simulate(
         tolerance: instead of `dt`, the accepted error of the path or the contact force, such as "0.05 mm" or "0.5 N":
             see `pftwin.dynamics.tolerance`. The result's settings contain the step and its estimated error.
         energy_budget: compute work and heat at every step.
+        progress: called before each run with the number of steps done, the most that all runs may need, and which run
+            it is: "run 2 of at most 4".
 
     Returns:
         The result at the recorded frames.
@@ -143,13 +147,16 @@ def simulate(
     chosen = checked_integrator(integrator or BDF2(), "simulate")
     chosen.refuse_unfit(scene.effects)
     substeps = substeps_for(scene.motion.frame_interval, DEFAULT_STEP if dt is None else dt)
-    runs = _Runs(scene, chosen, bool(energy_budget))
+    if dt is None:
+        substeps += substeps % 2
+    most = most_runs(substeps, fixed=dt is not None, tolerance=asked is not None)
+    runs = _Runs(scene, chosen, bool(energy_budget), most, progress)
     if asked is not None:
         choice = coarsest(runs, chosen.order, asked)
     elif dt is not None:
         choice = with_estimate(runs, substeps, chosen.order)
     else:
-        choice = accurate_enough(runs, substeps + substeps % 2, chosen.order)
+        choice = accurate_enough(runs, substeps, chosen.order)
     return runs.result(choice)
 
 
@@ -167,8 +174,16 @@ def _refuse_traced(scene: Scene, verb: str) -> None:
 class _Runs:
     """Runs of one scene with different numbers of steps, with the same program and initial equilibrium."""
 
-    def __init__(self, scene: Scene, integrator: Integrator, energy: bool) -> None:
-        """Compiles the programs if needed, and solves for the equilibrium."""
+    def __init__(
+        self,
+        scene: Scene,
+        integrator: Integrator,
+        energy: bool,
+        most: list[int],
+        progress: Callable[[int, int, str], None],
+    ) -> None:
+        """Compiles the programs if needed, and solves for the equilibrium. `most`: see `most_runs`."""
+        self._most, self._progress, self._count = most, progress, 0
         self._scene, self._plain, self._integrator, self._energy = scene, scene.unnamed(), integrator, energy
         contact = scene.contact
         self._contact = None if contact is None else contact.name
@@ -182,6 +197,10 @@ class _Runs:
 
     def __call__(self, substeps: int) -> Tried[Timed]:
         """The run with `substeps` steps between two frames."""
+        steps = [n * (self._scene.motion.n_frames - 1) for n in self._most]
+        which = f"run {self._count + 1} of at most {len(steps)}"
+        self._progress(sum(steps[: self._count]), sum(steps), which)
+        self._count += 1
         ran = _run.timed(self._plain, self._start.answer, self._integrator, jnp.asarray(substeps), self._energy)
         self._preparation += ran.preparation
         self._time += ran.run

@@ -80,6 +80,18 @@ def parse_tolerance(given: str | float) -> Tolerance:
     return Tolerance(value, kind)
 
 
+def most_runs(n: int, *, fixed: bool, tolerance: bool) -> list[int]:
+    """Numbers of steps between two frames of the runs that a choice may need, in their order.
+
+    `fixed`: for `with_estimate`; `tolerance`: for `coarsest`; neither: for `accurate_enough`.
+    """
+    if tolerance:
+        return [2**k for k in range(MOST_SUBSTEPS.bit_length())]
+    if fixed:
+        return [n, *([n // 2] if n > 1 else []), 2 * n]
+    return [n // 2, *(n * 2**k for k in range(1 + HALVINGS))]
+
+
 def with_estimate(run: Callable[[int], Tried[Run]], n: int, order: float) -> Choice[Run]:
     """A run with n steps between two frames, and its error estimate from a run with half as many.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import re
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -46,6 +47,23 @@ def test_a_bar_tells_n_of_n_and_the_time_left(screen, clock):
     assert len(last) <= 80
 
 
+def test_the_time_left_is_told_where_a_step_takes_minutes(screen, clock):
+    """Four of ten in 16 min leave 24 min."""
+    with terminal.progress("counting") as shown:
+        for done in range(5):
+            clock[0] = 240.0 * done
+            shown(done, 10)
+    assert lines(screen)[-1].endswith("4 of 10 24:00 left")
+
+
+def test_a_long_label_is_cut_and_not_the_time_left(screen, clock):
+    with terminal.progress("simulating " + 5 * "a knee of a long name ") as shown:
+        for done in range(5):
+            clock[0] = 5.0 * done
+            shown(done, 10, f"run {done} of at most 10")
+    assert lines(screen)[-1].endswith("run 4 of at most 10 00:30 left")
+
+
 def test_a_file_in_the_place_of_a_terminal_gets_no_bar(monkeypatch):
     plain = io.StringIO()
     monkeypatch.setattr(terminal, "err", lambda: Console(file=plain, width=80))
@@ -63,6 +81,7 @@ def test_a_file_in_the_place_of_a_terminal_gets_no_bar(monkeypatch):
             ["optimise", "--limit", "mean_tilt<=3 deg", "--tto-medial", "0:20"],
             "fitting.treatments.optimise.optimise_treatment",
         ),
+        (["plan-experiment"], "fitting.identifiability.plan_experiment"),
     ],
 )
 def test_long_commands_show_how_far_they_are(command, work, screen, monkeypatch):
@@ -99,3 +118,42 @@ def test_hard_cases_into_a_folder_shows_how_many_files_are_done(screen, monkeypa
     done = CliRunner().invoke(app, ["hard-cases", "--into", str(tmp_path)])
     assert done.exit_code == 130, done.output
     assert any(line.startswith("contacts and integrators") and "3 of 6" in line for line in lines(screen))
+
+
+def test_simulate_shows_which_run_it_is(screen, monkeypatch, tmp_path):
+    def second(*_: Any, progress: Any, **options: Any) -> None:
+        progress(8, 28, "run 2 of at most 3")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("pftwin.dynamics.simulate.simulate", second)
+    done = CliRunner().invoke(app, ["simulate", "--case", "1", "-o", str(tmp_path / "out.nc")])
+    assert done.exit_code == 130, done.output
+    assert any("run 2 of at most 3" in line for line in lines(screen))
+
+
+def test_import_shows_its_stages(screen, monkeypatch, tmp_path):
+    def interrupted(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("pftwin.files.interchange.osim_scene.import_osim", lambda *_, **options: None)
+    monkeypatch.setattr("pftwin.cli.exchange._import_problem", interrupted)
+    done = CliRunner().invoke(app, ["import", "knee.osim", "-o", str(tmp_path / "knee")])
+    assert done.exit_code == 130, done.output
+    assert any(line.startswith("loading the scene") and "1 of 2" in line for line in lines(screen))
+
+
+def test_the_fits_of_the_demo_show_how_far_they_are(screen, monkeypatch, tmp_path):
+    """Three fits in seven steps; each by simulations has two, of which half of the first is done."""
+    from fitting.demo import paper_study
+
+    def half(*_: Any, progress: Any, **options: Any) -> None:
+        progress(1024, 2048)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("fitting.demo.cases.run_demo", lambda folder, shown, full: ({"figures": []}, []))
+    monkeypatch.setattr(paper_study, "compile_fit", lambda: 1.0)
+    monkeypatch.setattr(paper_study, "fit_tendons", lambda *_, **options: SimpleNamespace(reason="converged"))
+    monkeypatch.setattr(paper_study, "train_posterior", half)
+    done = CliRunner().invoke(app, ["demo", "--out", str(tmp_path / "demo")])
+    assert done.exit_code == 130, done.output
+    assert any(line.startswith("fit B: simulating 2,048 knees") and "2 of 7" in line for line in lines(screen))

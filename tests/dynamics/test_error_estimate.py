@@ -11,11 +11,12 @@ from small_scene import small_scene
 from typer.testing import CliRunner
 
 import pftwin
+from pftwin.base.errors import PftwinWarning
 from pftwin.cli import app
 from pftwin.dynamics.error_estimate import Course, error_of
 from pftwin.dynamics.integrators import BDF2, LinearImplicit
 from pftwin.dynamics.status import Status
-from pftwin.dynamics.tolerance import Tried, accurate_enough, with_estimate
+from pftwin.dynamics.tolerance import Tolerance, Tried, accurate_enough, coarsest, most_runs, with_estimate
 from pftwin.files.result_files import load_dataset
 
 N_FRAMES = 5
@@ -227,3 +228,36 @@ def test_a_tolerance_of_force_is_held():
     assert found.settings["tolerance_held"]
     assert found.settings["estimated_error_N"] <= found.settings["tolerance_N"] == 0.02
     assert off(found, pftwin.simulate(scene, dt=1e-2 / 640))[1] < 0.02
+
+
+@pytest.mark.parametrize("n", [1, 2, 5, 10])
+def test_the_most_runs_that_a_choice_may_need_are_those_of_a_scene_that_is_never_accurate(n):
+    """So the time left is that of the worst case."""
+
+    def never(made: list[int]):
+        def run(k: int) -> Tried[int]:
+            made.append(k)
+            return Tried(k, course(place=1.0 / k), True)
+
+        return run
+
+    of_step: list[int] = []
+    with_estimate(never(of_step), n, BDF2().order)
+    assert most_runs(n, fixed=True, tolerance=False) == of_step
+    by_itself: list[int] = []
+    accurate_enough(never(by_itself), 2 * n, BDF2().order)
+    assert most_runs(2 * n, fixed=False, tolerance=False) == by_itself
+    by_tolerance: list[int] = []
+    with pytest.warns(PftwinWarning, match="is not met"):
+        coarsest(never(by_tolerance), BDF2().order, Tolerance(1e-9, "m"))
+    assert most_runs(n, fixed=False, tolerance=True) == by_tolerance
+
+
+def test_simulate_tells_which_run_it_is_and_the_steps_done():
+    """Two steps between the five frames: 8, then 4 for the estimate of their error, and 16 where it is large."""
+    told: list[tuple[int, int, str]] = []
+    result = pftwin.simulate(small_scene(5), dt=5e-3, progress=lambda *counts: told.append(counts))
+    assert result.settings["substeps"] == 2
+    runs = [(0, 28, "run 1 of at most 3"), (8, 28, "run 2 of at most 3"), (12, 28, "run 3 of at most 3")]
+    assert told == runs[: len(told)]
+    assert len(told) >= 2

@@ -71,6 +71,12 @@ def test_the_bound_is_the_inverse_of_all_channels_information(plan):
     assert found.unfelt == ()
 
 
+def test_a_plan_tells_which_trial_it_is_at(plan):
+    told = []
+    plan(further=[small_scene()], progress=lambda *counts: told.append(counts))
+    assert told == [(0, 2, "linearising small knee"), (1, 2, "linearising small knee (2)")]
+
+
 def test_twice_the_noise_is_twice_the_deviation(plan):
     """Of all channels at once; each channel has its own, those not given the defaults 0.2 mm, 5 mrad, 0.15 N."""
     twice = plan(noise={c: 2 * s for c, s in NOISE.items()})

@@ -52,6 +52,7 @@ def export(
             "-o", "--output", metavar="OUT.(mot|sto|glb|csv)", help="The suffix chooses the format; may be repeated."
         ),
     ],
+    axes: terminal.AxesOption = "pftwin",
     json: terminal.JsonOption = None,
 ) -> None:
     """Convert a result for other programs.
@@ -59,7 +60,8 @@ def export(
     .mot: joint coordinates for OpenSim, in degrees. .sto: all variables, for OpenSim. .glb: the moving knee, glTF 2.0.
     .csv: all variables, as a table.
 
-    Example: `pftwin export case2.nc -o case2.mot -o case2.glb`
+    Example: `pftwin export case2.nc -o case2.mot -o case2.glb`, or
+    `pftwin export case2.nc --axes isb -o case2.csv`
     """
     from pftwin.files.interchange.exporting import check_format
     from pftwin.files.interchange.exporting import export as write
@@ -67,11 +69,11 @@ def export(
     from pftwin.results.verdict import verdict_of_file
 
     for path in output:
-        check_format(path)
+        check_format(path, axes)
     terminal.check_outputs(*output, json)
     for path in output:
         with terminal.spinner(f"writing {path}"):
-            write(result, path)
+            write(result, path, axes)
     sizes = {str(p): p.stat().st_size for p in output}
     lines = (f"written: {path} ({size / 1e6:.2f} MB)" for path, size in sizes.items())
     terminal.present({"result": str(result), "files": sizes}, *lines, json=json)

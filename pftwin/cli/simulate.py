@@ -15,7 +15,7 @@ from pftwin.base.sheet import Sheet
 from pftwin.cli.exit_codes import check_trust, exit_flagged, report_written_on_interrupt
 from pftwin.cli.plugins import with_scene_changes
 from pftwin.cli.scenes import RunOptions, SceneOptions, ToleranceOption, on_scene, simulated
-from pftwin.cli.terminal import JsonOption, check_outputs, check_suffix, present, spinner, written_line
+from pftwin.cli.terminal import AxesOption, JsonOption, check_outputs, check_suffix, present, spinner, written_line
 
 if TYPE_CHECKING:
     from pftwin.cli.scenes import Chosen
@@ -33,6 +33,7 @@ def simulate(
     change: Callable[[Any], Any] | None = None,
     csv: Annotated[bool, Option("--csv", help="Also write a table, OUT.csv.")] = False,
     sto: Annotated[bool, Option("--sto", help="Also write an OpenSim file, OUT.sto.")] = False,
+    axes: AxesOption = "pftwin",
     json: JsonOption = None,
 ) -> None:
     """Simulate the patella in the recorded motion, with or without a treatment.
@@ -42,14 +43,19 @@ def simulate(
     Example: `pftwin simulate --case 2 --tto-medial 16 -o after.nc`
     """
     check_suffix(output, [".nc"], "results are NetCDF")
+    from pftwin.files.isb_axes import check_axes
+
     files = [output, *(output.with_suffix(s) for s, wanted in ((".csv", csv), (".sto", sto)) if wanted)]
+    if check_axes(axes) != "pftwin" and not (csv or sto):
+        raise InputError(f"found {axes!r}, and no table", where="--axes", expected="--csv or --sto")
     check_outputs(*files, json)
     chosen = knee.load()
     chosen = chosen if change is None else replace(chosen, scene=change(chosen.scene))
     result, first = simulated(chosen, knee, tolerance)
     with report_written_on_interrupt(*files), spinner("writing"):
-        for path in files:
-            {".nc": result.save, ".csv": result.to_csv, ".sto": result.to_sto}[path.suffix.lower()](path)
+        result.save(output)
+        for path in files[1:]:
+            {".csv": result.to_csv, ".sto": result.to_sto}[path.suffix](path, axes)
     present(_facts(result, chosen, first, files), result.summary(), written_line(files), json=json)
     check_trust(result)
 

@@ -27,6 +27,14 @@ if TYPE_CHECKING:
 JsonOption = Annotated[
     str | None, Option("--json", metavar="FILE|-", help="Write the result as JSON to a file, or to stdout with -.")
 ]
+AxesOption = Annotated[
+    str,
+    Option(
+        "--axes",
+        metavar="pftwin|isb",
+        help="Axes of the tables (.csv, .sto); isb: x anterior, y proximal, z to the right.",
+    ),
+]
 FIGURES = (".png", ".svg", ".pdf")
 _COUNTS = 42  # characters of a line of progress that long labels leave for bar, counts and time left
 _PERIOD = 1800.0  # the time left follows from the pace of so many seconds; a step of the work may take minutes

@@ -12,6 +12,7 @@ import numpy as np
 from pftwin.base.errors import InputError
 from pftwin.base.output import check_place, written_whole
 from pftwin.base.text_files import write_text
+from pftwin.files.isb_axes import PFTWIN, check_axes, describe, in_isb_axes
 from pftwin.files.mocap.csv_files import write_csv
 from pftwin.files.mocap.tables import Table
 
@@ -112,25 +113,47 @@ def finite_frames(data: Dataset) -> np.ndarray:
     return np.flatnonzero(np.isfinite(np.concatenate([data[n].values for n in names], axis=1)).all(axis=1))
 
 
-def save_csv(data: Dataset, path: str | os.PathLike[str]) -> None:
+def save_csv(data: Dataset, path: str | os.PathLike[str], axes: str = PFTWIN) -> None:
     """Writes a CSV file with one column per variable and component, units in the header.
 
+    Args:
+        data: dataset of a result.
+        path: target file.
+        axes: "pftwin" or "isb" (`pftwin.files.isb_axes`); a comment (#) at the top names the latter.
+
     Raises:
+        InputError: unknown axes, or ISB axes for a dataset without the side of the knee.
         OutputError: as `save_dataset`.
     """
     columns, units = flat_columns(data)
+    columns, notes = _in_axes(columns, data, axes)
     table = Table(data["time"].values, tuple(columns), np.stack([*columns.values()], axis=1), units)
-    write_csv(check_place(path), table)
+    write_csv(check_place(path), table, notes)
 
 
-def save_sto(data: Dataset, path: str | os.PathLike[str]) -> None:
+def save_sto(data: Dataset, path: str | os.PathLike[str], axes: str = PFTWIN) -> None:
     """Writes an OpenSim storage file (.sto): angles in degrees, as its header states, all else in SI units.
 
-    Raises:
-        OutputError: as `save_dataset`.
+    `axes` and errors: as in `save_csv`; the header names ISB axes.
     """
     title = str(data.attrs.get("title", "pftwin result")).replace("\n", " ")
-    write_storage(path, title, data["time"].values, flat_columns(data)[0], reservations(data))
+    columns, notes = _in_axes(flat_columns(data)[0], data, axes)
+    write_storage(path, title, data["time"].values, columns, [*reservations(data), *notes])
+
+
+def _in_axes(columns: dict[str, np.ndarray], data: Dataset, axes: str) -> tuple[dict[str, np.ndarray], list[str]]:
+    """Columns in the requested axes, and lines about them for the header of a file."""
+    if check_axes(axes) == PFTWIN:
+        return columns, []
+    side = data.attrs.get("side")
+    if side is None:
+        raise InputError(
+            "does not tell a left knee from a right one",
+            where=data.attrs.get("scene"),
+            expected="a result saved by this version of pftwin",
+            remedy="simulate again, or the axes of pftwin",
+        )
+    return in_isb_axes(columns, side == "left"), [describe(side == "left")]
 
 
 def reservations(data: Dataset) -> list[str]:

@@ -48,6 +48,7 @@ class Scene(eqx.Module):
     measured: Measured | None = eqx.field(static=True, default=None)
     limits: Limits | None = eqx.field(static=True, default=None)  # plausible ranges for a knee; None: no limits
     bones: DrawnBones | None = eqx.field(static=True, default=None)  # for drawings only; None: schematic bones
+    left: bool = eqx.field(static=True, default=False)  # whether it is the mirror image of a left knee
 
     def effect(self, name: str) -> Effect:
         """The effect named `name`.
@@ -89,8 +90,8 @@ class Scene(eqx.Module):
         return dataclasses.replace(self, effects=tuple(e for e in self.effects if e is not gone))
 
     def unnamed(self) -> Scene:
-        """The scene without metadata (name, measurements, limits, bones), so that equal models share one program."""
-        return dataclasses.replace(self, name="", synthetic=False, measured=None, limits=None, bones=None)
+        """The scene without metadata (name, side, measurements, limits, bones): equal models share one program."""
+        return dataclasses.replace(self, name="", synthetic=False, measured=None, limits=None, bones=None, left=False)
 
     def with_limits(self, **limits: float) -> Scene:
         """The scene with limits for a knee, which `check` enforces. Keywords override the default limits.

@@ -329,17 +329,20 @@ class Result:
 
         return view(self, html)
 
-    def to_csv(self, path: str | os.PathLike[str]) -> None:
-        """Writes a CSV table with units in its header. Raises OutputError if the path is not writable."""
+    def to_csv(self, path: str | os.PathLike[str], axes: str = "pftwin") -> None:
+        """Writes a CSV table with units in its header, in the axes of pftwin or the ISB ("isb").
+
+        Raises InputError for other axes, OutputError if the path is not writable.
+        """
         from pftwin.files.result_files import save_csv
 
-        save_csv(self.to_dataset(), path)
+        save_csv(self.to_dataset(), path, axes)
 
-    def to_sto(self, path: str | os.PathLike[str]) -> None:
-        """Writes an OpenSim storage file, angles in degrees. Raises OutputError if the path is not writable."""
+    def to_sto(self, path: str | os.PathLike[str], axes: str = "pftwin") -> None:
+        """Writes an OpenSim storage file, angles in degrees; `axes` and errors as in `to_csv`."""
         from pftwin.files.result_files import save_sto
 
-        save_sto(self.to_dataset(), path)
+        save_sto(self.to_dataset(), path, axes)
 
 
 def _double(values: Any) -> NDArray[np.float64]:

@@ -56,6 +56,7 @@ def attributes_of(result: Result) -> dict[str, Any]:
     attributes = {
         "title": f"patellofemoral tracking: {result.scene_name}",
         "scene": result.scene_name,
+        "side": "left" if result.scene.left else "right",
         "source": f"pftwin {__version__}",
         "pftwin_version": __version__,
         "jax_version": jax.__version__,

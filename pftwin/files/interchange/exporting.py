@@ -17,6 +17,7 @@ import numpy as np
 
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError, OutputError, PftwinWarning
+from pftwin.files.isb_axes import AXES, PFTWIN, check_axes
 from pftwin.files.result_files import finite_frames, motion_dataset, reservations, save_csv, save_sto, write_storage
 
 if TYPE_CHECKING:
@@ -25,8 +26,6 @@ if TYPE_CHECKING:
     from pftwin.results.result import Result
 
 
-# Rows: OpenSim's axes x, y, z in the axes of results.
-AXES = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 SEQUENCE = "ZXY"
 SIGNS = np.array([-1.0, 1.0, 1.0])
 JOINTS = {"tibia": ("knee", ("flex", "add", "rot")), "patella": ("pf", ("flex", "rot", "tilt"))}
@@ -73,32 +72,48 @@ def coordinates(data: Dataset) -> dict[str, Floats]:
 
 
 FORMATS = (".mot", ".sto", ".glb", ".csv")
+TABLES = (".sto", ".csv")  # formats that can be in the axes of pftwin or of the ISB; the others have their own
 
 
-def export(result: Result | str | os.PathLike[str], path: str | os.PathLike[str]) -> None:
+def export(result: Result | str | os.PathLike[str], path: str | os.PathLike[str], axes: str = PFTWIN) -> None:
     """Writes a result in the format of the suffix: .mot, .sto, .glb or .csv.
 
     Args:
         result: a result, or the path of a result's file.
         path: target file.
+        axes: of a table (.sto, .csv): "pftwin", or "isb" for positions, forces and rotations in the axes of the
+            International Society of Biomechanics, of a left knee as it is and not as its mirror image.
 
     Raises:
-        InputError: no such file, or not a result.
+        InputError: no such file, or not a result; unknown axes, or axes of a format that has its own; ISB axes, and a
+            file that does not tell the side of the knee.
         OutputError: an unknown suffix, or the file cannot be written.
     """
-    target = check_format(path)
+    target = check_format(path, axes)
     if target.suffix.lower() == ".glb":
         from pftwin.files.interchange.glb import save_glb
 
         save_glb(result, target)
     else:
-        save = {".mot": save_mot, ".sto": save_sto, ".csv": save_csv}[target.suffix.lower()]
-        save(motion_dataset(result), target)
+        data = motion_dataset(result)
+        if target.suffix.lower() == ".mot":
+            save_mot(data, target)
+        else:
+            save = {".sto": save_sto, ".csv": save_csv}[target.suffix.lower()]
+            save(data, target, axes)
 
 
-def check_format(path: str | os.PathLike[str]) -> Path:
-    """Returns the path; raises OutputError for an unknown suffix."""
+def check_format(path: str | os.PathLike[str], axes: str = PFTWIN) -> Path:
+    """Returns the path; raises OutputError for an unknown suffix, InputError for axes that it does not take."""
     target = Path(path)
-    if target.suffix.lower() not in FORMATS:
+    suffix = target.suffix.lower()
+    if suffix not in FORMATS:
         raise OutputError(f"{target}: unknown format {target.suffix!r}; expected: {', '.join(FORMATS)}")
+    if check_axes(axes) != PFTWIN and suffix not in TABLES:
+        raise InputError(
+            f"found {axes!r} for {target}",
+            where="axes",
+            expected=f"{' or '.join(TABLES)}, which are tables",
+            remedy=".mot files have OpenSim's axes in any case, which are the ISB's of a right knee",
+        )
     return target

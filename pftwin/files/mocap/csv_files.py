@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 import numpy as np
 
@@ -110,8 +110,10 @@ def read_marker_csv(
     return from_file(values[:, at] * time_factor, tuple(found), positions, path=path, told=units is not None)
 
 
-def write_csv(path: str | os.PathLike[str], data: Table | MarkerTrajectories) -> None:
+def write_csv(path: str | os.PathLike[str], data: Table | MarkerTrajectories, notes: Iterable[str] = ()) -> None:
     """Writes a table or markers as CSV with units in the header; missing values are empty cells.
+
+    `notes` are lines at the top, as comments (#).
 
     Raises:
         OutputError: the file cannot be written.
@@ -122,7 +124,7 @@ def write_csv(path: str | os.PathLike[str], data: Table | MarkerTrajectories) ->
     else:
         labels = [f"{name} [{data.units[name]}]" if data.units[name] else name for name in data.names]
         values = data.values
-    lines = [",".join(_quote(label) for label in ["time_s", *labels])]
+    lines = [*(f"# {note}" for note in notes), ",".join(_quote(label) for label in ["time_s", *labels])]
     for t, row in zip(data.times, values, strict=True):
         lines.append(f"{t:.9f}," + ",".join("" if v != v else f"{v:.12g}" for v in row))
     write_text(path, "\n".join(lines) + "\n")

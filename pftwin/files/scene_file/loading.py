@@ -168,7 +168,7 @@ def _loaded(
     name = file.name or document.path.stem
     scene = Scene(file.patella.body(side), effects, bones.motion, start.pose(), name, file.motion.synthetic)
     drawn = None if file.bones is None else file.bones.build(setting.at("bones"))
-    scene = replace(scene, limits=limits, bones=drawn)
+    scene = replace(scene, limits=limits, bones=drawn, left=side.left)
     with document.naming():
         check(scene)
     measured = None if file.measured is None else file.measured.build(scene, bones)

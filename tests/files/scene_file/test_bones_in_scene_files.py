@@ -42,6 +42,7 @@ def middle(mesh: SurfaceMesh) -> np.ndarray:
 def test_a_bone_is_in_the_frame_of_its_body(toy, before, after, place):
     mirrored = np.array([1.0, -1.0 if before else 1.0, 1.0])
     scene = load(toy, before + LIGHT + BONE + after)
+    assert scene.left == bool(before)
     assert list(scene.bones.surfaces) == ["tibia"]
     bone = scene.bones.surfaces["tibia"]
     np.testing.assert_allclose(middle(bone), mirrored * place, atol=1e-6)

@@ -38,7 +38,8 @@ from pftwin.files.mocap import (
     read_trc,
     segment_poses,
 )
-from pftwin.geometry.contact.depth_sides import pressed_surface, pressing_surface
+from pftwin.geometry.contact.depth_sides import pressing_surface
+from pftwin.geometry.contact.distance_grid import distance_grid
 from pftwin.geometry.mesh.mesh import SurfaceMesh, load_mesh
 from pftwin.geometry.patch.fit import PatchFit, fit_patch
 from pftwin.geometry.patch.region import trochlear_region
@@ -67,6 +68,7 @@ GRAVITY = np.array([0.0, -9.81, 0.0])  # in the recording's world [m/s^2]
 MASS, INERTIA = 0.449, (7.594e-5, 7.594e-5, 1.642e-5)  # [kg], [kg m^2] about the anatomical axes
 MASS_CENTRE = (-0.0019, 0.0279, 0.0)  # data's axes [m]; an odd value, from the model that made the recording
 LAYER = {"modulus": 46.3e6, "poisson": 0.46, "thickness": 0.005}  # elastic layer on each side [Pa, -, m]
+TABLE, TOGETHER = 1e-3, 4  # cube of the table of the femur's depths [m]; triangles of the button that act as one
 
 
 @dataclass(frozen=True)
@@ -206,9 +208,9 @@ def foundation_law(radius: float) -> Hertz:
 
 
 def layers(femur: SurfaceMesh, button: SurfaceMesh) -> ElasticFoundation:
-    """Returns the contact law of the recording: an elastic layer on each side, with pressure on every triangle."""
+    """Returns the contact law of the recording, an elastic layer on each side, with depths from a table for speed."""
     layer = checked_layer(LAYER["modulus"], LAYER["poisson"], LAYER["thickness"])
-    sides = pressed_surface(femur), pressing_surface(button)
+    sides = distance_grid(femur, TABLE), pressing_surface(button, TOGETHER)
     return ElasticFoundation(*sides, LinearFoundation(layer, layer), vec3(np.zeros(3)))
 
 

@@ -17,9 +17,9 @@ from fitting.treatments import Treatment
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.dynamics.batch.devices import Devices, chosen_devices
-from pftwin.dynamics.equilibrium_report import invalid_start
+from pftwin.dynamics.equilibrium_report import EquilibriumReport, invalid_start
 from pftwin.dynamics.frame_states import substeps_for
-from pftwin.dynamics.simulate import equilibrium
+from pftwin.dynamics.simulate import settle_first_frame
 from pftwin.dynamics.status import FLAGS
 from pftwin.model.measured import SYNTHETIC
 from pftwin.model.scene import Scene, check
@@ -165,8 +165,14 @@ def predict(
 
 
 def untrusted_start(scene: Scene) -> tuple[str, ...]:
-    """Reasons not to trust any motion of a scene, from its equilibrium: see `invalid_start`. Empty without limits."""
-    return () if scene.limits is None else invalid_start(scene, equilibrium(scene))
+    """Reasons not to trust any motion of a scene, from its equilibrium: see `invalid_start`. Empty without limits.
+
+    Its parameters are not checked: draws from an estimate may exceed the limits of parameters.
+    """
+    if scene.limits is None:
+        return ()
+    found, relaxed = settle_first_frame(scene.unnamed())
+    return invalid_start(scene, EquilibriumReport.build(scene, found.answer, relaxed))
 
 
 def estimate_and_draws(estimate: Fitted | None, samples: int, seed: int) -> Floats:

@@ -139,9 +139,10 @@ class TreatmentPlan:
             said = ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in reached.items())
             return f"{smallest} that meets the limits: {self.treatment.describe()} ({said}){drawn}"
         broken = [lim.describe() for lim in self.limits if not lim.room(self.outcomes[lim.outcome]) >= 0]
-        fault = f"which breaks {'; '.join(broken)}" if broken else "which meets the limits in too few draws"
+        few = self.share is not None and self.share < self.confidence - 1e-9
+        fault = "which meets the limits in too few draws" if few else "which meets the limits, but was not confirmed"
+        fault = f"which breaks {'; '.join(broken)}" if broken else fault
         if self.interrupted:
-            fault = fault if broken or self.share is not None else "which meets the limits, but was not confirmed"
             return f"interrupted; the best so far: {self.treatment.describe()}, {fault}{drawn}"
         return f"no amount within the range meets the limits; nearest: {self.treatment.describe()}, {fault}{drawn}"
 

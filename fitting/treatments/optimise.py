@@ -98,22 +98,26 @@ def optimise_treatment(
     fine = np.flatnonzero(room >= 0)
     simulated = len(amounts)
 
-    def plan(met: bool, at: Floats) -> TreatmentPlan:
-        invalid = invalid_variants(coarse) if coarse["failed"].all() else ""
-        share = None if not samples else 0.0 if invalid else search.share(at)
+    def written(met: bool, at: Floats, outcomes: dict[str, float], share: float | None, **more: Any) -> TreatmentPlan:
         return TreatmentPlan(
             met,
             search.treated(at),
-            dict.fromkeys(MEASURES, np.nan) if invalid else search.outcomes(at),
+            outcomes,
             wanted,
             samples=samples,
             confidence=confidence,
             share=share,
-            invalid=invalid,
             coverage=(NOT_KNOWN if estimate is None else estimate.coverage).plans,
-            trust={} if invalid else search.trust(at),
             simulations=simulated + search.count,  # including those for the share and the outcomes
+            **more,
         )
+
+    def plan(met: bool, at: Floats) -> TreatmentPlan:
+        if coarse["failed"].all():
+            none = dict.fromkeys(MEASURES, np.nan)
+            return written(met, at, none, 0.0 if samples else None, invalid=invalid_variants(coarse))
+        share = search.share(at) if samples else None
+        return written(met, at, search.outcomes(at), share, trust=search.trust(at))
 
     share_of: dict[int, float] = {}  # of draws that meet the limits, by grid point; 1 without draws
 
@@ -146,18 +150,10 @@ def optimise_treatment(
             return plan(True, min(met, key=lambda a: effort(a, scale)))
         k = int(fine[0] if fine.size else np.argmax(room))
         if samples and share_of:
-            k = max(share_of, key=share_of.__getitem__)
+            enough = [i for i, share in share_of.items() if share >= confidence - 1e-9]  # the smallest first
+            k = enough[0] if enough else max(share_of, key=share_of.__getitem__)
         reached = {name: float(in_si(coarse[name])[k]) for name in MEASURES}
-        return TreatmentPlan(
-            False,
-            search.treated(amounts[k]),
-            reached,
-            wanted,
-            samples=samples,
-            confidence=confidence,
-            share=share_of.get(k) if samples else None,
-            simulations=simulated + search.count,
-        )
+        return written(False, amounts[k], reached, share_of.get(k) if samples else None)
 
     try:
         return found()

@@ -14,6 +14,7 @@ from fitting.prediction.predicted_motion import COORDINATES
 from pftwin import equilibrium, simulate
 from pftwin.base.errors import InputError
 from pftwin.model.measured import Measured
+from pftwin.model.scene import check
 
 LEFT = {"X": 0.4e-3, "Y": 0.9e-3, "Z": 1.7e-3, "tilt": 0.02, "flexion": 0.03, "rotation": 0.05}
 PLACE = "quadriceps.origin.y"
@@ -96,6 +97,18 @@ def test_draws_that_start_invalid_are_in_no_band(knee):
         others = predict_motion(knee, fitted(draws=draws[turned < limit]), samples=24 - lost, dt=2e-3)
         np.testing.assert_allclose(found.low, others.low, atol=1e-6)
         np.testing.assert_allclose(found.high, others.high, atol=1e-6)
+
+
+def test_draws_beyond_a_limit_of_parameters_are_draws(knee):
+    """Only the estimate itself is checked against these limits."""
+    draws = np.random.default_rng(6).normal(*np.array(list(VALUES.values())).T, size=(12, 3))
+    # Slack length over distance at the start: 0.871 is between the estimate's and the largest draw's.
+    bounded = knee.with_limits(most_start_turn_deg=90.0, most_start_shift_mm=50.0, most_slack_share=0.871)
+    with pytest.raises(InputError, match=r"patellar_tendon.*at most 0\.871"):
+        check(fitted().apply(bounded, draws[np.argmax(draws[:, 1])]))
+    found = predict_motion(bounded, fitted(draws=draws), samples=12, dt=2e-3)
+    assert found.verdict == "valid"
+    assert not any("omitted" in note for note in found.notes)
 
 
 def test_synthetic_data_and_doubts_are_told(knee, truth):

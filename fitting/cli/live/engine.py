@@ -15,9 +15,9 @@ import numpy as np
 
 from fitting.cli.live.knobs import Knobs, neutral
 from fitting.cli.live.motion import Band, Floats, Shown, ShownMotion
-from fitting.prediction.predicting import untrusted_start
 from pftwin.base.errors import InputError
 from pftwin.base.spatial import Vec3
+from pftwin.dynamics.equilibrium_report import invalid_start
 from pftwin.dynamics.simulate import prepare_relaxation, simulate
 from pftwin.model.scene import Scene
 from pftwin.results.scene_geometry import MARGIN, continuation, geometry, has_rectangle
@@ -82,10 +82,10 @@ class Engine:
                 raise InputError(f"found {contact!r:.40}", where="contact", expected=expected)
             nominal = self._first if contact == self.contacts[0] else self._load(contact)
             knobs = Knobs.of(nominal, self.estimate)
-            start = untrusted_start(nominal if self.estimate is None else self.estimate.apply(nominal))
-            rest = knobs.scene_with(neutral())
+            own, rest = nominal if self.estimate is None else self.estimate.apply(nominal), knobs.scene_with(neutral())
             still = Still(rest)
-            _simulated(rest, UNTREATED, still, start)  # compiles the simulation, and small programs for the drawing
+            # Compiles the simulation, and small programs for the drawing.
+            start = invalid_start(own, _simulated(rest, UNTREATED, still, ()).result.equilibrium)
             prepare_relaxation(rest)
             before = _simulated(rest, UNTREATED, still.of(rest), start)
             before.refuse_if_lost()
@@ -111,8 +111,10 @@ class Engine:
         Draws are simulated one by one with the compiled program, because a batch would take minutes to compile.
         """
         model = self._models[contact]
+        if model.start:
+            return Band({}, "No bands: the untreated knee starts INVALID.")
         found: list[Result] = []
-        for theta in () if model.start else self._draws:
+        for theta in self._draws:
             if not wanted():
                 return None
             with contextlib.suppress(InputError):  # a draw with an impossible scene counts as lost

@@ -21,6 +21,7 @@ import numpy as np
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.base.leaves import number, vector
+from pftwin.geometry.wrapping.obstacle import Obstacle
 from pftwin.model.effects.tendon import StrandGroup
 from pftwin.model.scene import Scene
 
@@ -79,11 +80,19 @@ def ligament(name: str, *, reference_strain: float = 0.0) -> StrandGroup:
 
 
 def strand_group(
-    name: str, body: str, stiffness: Floats, slack: Floats, toe_strain: float, patella: Floats, origin: Floats
+    name: str,
+    body: str,
+    stiffness: Floats,
+    slack: Floats,
+    toe_strain: float,
+    patella: Floats,
+    origin: Floats,
+    wrap: Obstacle | None = None,
 ) -> StrandGroup:
     """Makes n strands with this module's damping; stiffness [N per unit strain], slack lengths and end points [m]."""
     toe, damping = (number(np.full_like(slack, x)) for x in (toe_strain, DAMPING_TIME))
-    return StrandGroup(number(stiffness), number(slack), toe, damping, vector(patella), vector(origin), body, name=name)
+    ends = vector(patella), vector(origin)
+    return StrandGroup(number(stiffness), number(slack), toe, damping, *ends, body, wrap=wrap, name=name)
 
 
 def with_retinacula(

@@ -13,13 +13,14 @@ from scipy.spatial.transform import Rotation
 
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
-from pftwin.geometry.bones.anatomy import EPICONDYLE, Anatomy
+from pftwin.geometry.bones.anatomy import Anatomy
 from pftwin.geometry.bones.femur import FLEXION_AXIS, FemurShape
-from pftwin.geometry.bones.patella import PatellaShape
+from pftwin.geometry.bones.patella import EDGE, PatellaShape
 from pftwin.geometry.bones.tibia import TibiaShape
 from pftwin.rig.natural.motion import tibia_turn
 
 STRANDS = {"patellar_tendon": 5, "mpfl": 3, "lpfl": 3}
+SIDES = {"mpfl": -1, "lpfl": 1}  # of the knee: medial, lateral
 TENDON_WIDTH = 24.0  # width of the patellar tendon at the patella [mm]; two thirds of it at the tuberosity
 REACH = 200.0  # length of a muscle's line from its insertion to its end on the femur [mm]
 # Quadriceps: share of the force by cross-section, and angle to the femoral shaft, lateral positive [deg], from
@@ -69,15 +70,14 @@ def patellar_tendon(anatomy: Anatomy) -> Ends:
 
 
 def retinaculum(anatomy: Anatomy, name: str) -> Ends:
-    """Returns the end points of the "mpfl" or "lpfl": a fan from the patella's border to beside the epicondyle."""
-    shape = PatellaShape(anatomy)
-    side, border = (-1, shape.medial) if name == "mpfl" else (1, shape.lateral)
+    """Returns the end points of the "mpfl" or "lpfl": a fan from the patella's border to the epicondyle."""
+    shape, side = PatellaShape(anatomy), SIDES[name]
+    border = (shape.medial if side < 0 else shape.lateral) - 2
     up = np.linspace(0.0, 0.7, STRANDS[name])
     flat = np.ones_like(up)
-    height = 0.35 * anatomy.patella_thickness_mm
-    patella = np.stack([shape.top * up, side * (border - 2) * flat, height * flat], axis=1)
-    aside = side * (0.5 * anatomy.epicondylar_width_mm - EPICONDYLE)
-    femur = np.stack([6 * up, aside * flat, -6 * flat], axis=1)
+    height = float(shape.articular(np.asarray(border))) + 0.5 * EDGE
+    patella = np.stack([shape.top * up, side * border * flat, height * flat], axis=1)
+    femur = np.stack([6 * up, side * 0.5 * anatomy.epicondylar_width_mm * flat, -6 * flat], axis=1)
     return Ends(patella, femur)
 
 

@@ -5,9 +5,11 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 
+import equinox as eqx
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.base.leaves import number, vector
 from pftwin.base.spatial import Pose, Quaternion, Vec3
@@ -29,6 +31,7 @@ from pftwin.model.effects.tension import PrescribedTension
 from pftwin.model.scene import PatellaBody, Scene
 from pftwin.rig.natural import placing
 from pftwin.rig.natural.motion import ACTIVITIES, GRAVITY, RATE, Activity
+from pftwin.rig.natural.obstacles import beside_condyle, over_trochlea
 from pftwin.rig.retinacula import LIGAMENTS, TOE_STRAIN, strand_group
 
 MODULUS, POISSON = 5e6, 0.45  # of cartilage [Pa], [-], from the model of Lenhart et al. 2015, Ann Biomed Eng 43:2675
@@ -85,9 +88,9 @@ def knee(
     body = _patella_body(made.patella)
     effects = (
         Gravity(body.mass, vector(GRAVITY)),
-        _quadriceps(anatomy, quadriceps, done),
-        _strands(anatomy, "patellar_tendon"),
-        *(_strands(anatomy, name) for name in LIGAMENTS),
+        _quadriceps(anatomy, operated, quadriceps, done),
+        _patellar_tendon(anatomy),
+        *(_retinaculum(anatomy, operated, name) for name in LIGAMENTS),
         _cartilage(operated, *articular(made)),
         LinearDamping(*(number(c) for c in DRAG), body="femur"),
     )
@@ -140,7 +143,7 @@ def _groove(anatomy: Anatomy, femur: SurfaceMesh) -> Surface:
     return fit_spline(femur, chart=chart, region=region, tolerance=GROOVE_TOLERANCE).patch
 
 
-def _quadriceps(anatomy: Anatomy, largest: float, done: Activity) -> Effect:
+def _quadriceps(anatomy: Anatomy, operated: Anatomy, largest: float, done: Activity) -> Effect:
     ends = placing.muscles(anatomy)
     shares = np.array([share for share, _ in placing.QUADRICEPS.values()])
     frames = len(done.pull)
@@ -151,18 +154,31 @@ def _quadriceps(anatomy: Anatomy, largest: float, done: Activity) -> Effect:
         start_time=0.0,
         interval=1 / RATE,
         body="femur",
+        wrap=over_trochlea(operated),
         name="quadriceps",
     )
 
 
-def _strands(anatomy: Anatomy, name: str) -> Effect:
-    """The patellar tendon or a retinaculum; each strand is at its slack length in `rest_pose` in full extension."""
-    tendon = name == "patellar_tendon"
-    ends = placing.patellar_tendon(anatomy) if tendon else placing.retinaculum(anatomy, name)
-    place, turn = placing.rest_pose(anatomy, 0.0)
-    slack = 1e-3 * np.linalg.norm(place + turn.apply(ends.patella) - ends.body, axis=1)
+def _patellar_tendon(anatomy: Anatomy) -> Effect:
+    """Each strand is at its slack length in `rest_pose` in full extension."""
+    ends = placing.patellar_tendon(anatomy)
+    slack = 1e-3 * np.linalg.norm(_in_extension(anatomy, ends) - ends.body, axis=1)
+    stiffness = np.full_like(slack, TENDON_STIFFNESS) / len(slack)
     patella, body = 1e-3 * ends.patella, 1e-3 * ends.body
-    if tendon:
-        stiffness = np.full_like(slack, TENDON_STIFFNESS) / len(slack)
-        return strand_group(name, "tibia", stiffness, slack, TENDON_TOE_STRAIN, patella, body)
-    return strand_group(name, "femur", LIGAMENTS[name].stiffness * slack / len(slack), slack, TOE_STRAIN, patella, body)
+    return strand_group("patellar_tendon", "tibia", stiffness, slack, TENDON_TOE_STRAIN, patella, body)
+
+
+def _retinaculum(anatomy: Anatomy, operated: Anatomy, name: str) -> Effect:
+    """As the tendon, along the way around the condyle; `operated` has the trochlea that it wraps over in motion."""
+    ends = placing.retinaculum(anatomy, name)
+    condyle, other = (beside_condyle(a, placing.SIDES[name]) for a in (anatomy, operated))
+    taut = eqx.filter_jit(condyle.around)(*(vector(1e-3 * p) for p in (_in_extension(anatomy, ends), ends.body)))
+    slack = np.asarray(taut.length, dtype=float)
+    stiffness = LIGAMENTS[name].stiffness * slack / len(slack)
+    return strand_group(name, "femur", stiffness, slack, TOE_STRAIN, 1e-3 * ends.patella, 1e-3 * ends.body, other)
+
+
+def _in_extension(anatomy: Anatomy, ends: placing.Ends) -> Floats:
+    """Ends of lines on the patella in full extension (n, 3), femur frame [mm]."""
+    place, turn = placing.rest_pose(anatomy, 0.0)
+    return place + turn.apply(ends.patella)

@@ -1,0 +1,78 @@
+"""Ligaments and vasti of the natural knee (synthetic) wrap over its femur as strings pulled taut over it do."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from pftwin import rig
+from pftwin.base.leaves import vector
+from pftwin.geometry.bones.anatomy import Anatomy
+from pftwin.geometry.bones.femur import FemurShape
+from pftwin.geometry.bones.implicit import gradient
+from pftwin.rig.natural import placing
+from pftwin.rig.natural.obstacles import beside_condyle, over_trochlea
+
+KNEES = {"normal": Anatomy(), **{kind: Anatomy.dejour(kind) for kind in "ABCD"}}
+
+
+def strings(body: FemurShape, start: np.ndarray, end: np.ndarray, parts: int, rounds: int) -> np.ndarray:
+    """Lengths (n,) of chains between points (n, 3) that contract outside a body [mm]."""
+    at = start[:, None] + np.linspace(0, 1, parts + 1)[:, None] * (end - start)[:, None]
+    for _ in range(rounds):
+        inner = 0.5 * (at[:, :-2] + at[:, 2:]).reshape(-1, 3)
+        value, slope = body(inner), gradient(body, inner)
+        out = (np.maximum(value, 0) / np.maximum((slope**2).sum(axis=1), 1e-9))[:, None] * -slope
+        size = np.linalg.norm(out, axis=1, keepdims=True)
+        inner = inner + out * np.minimum(1, 1 / np.maximum(size, 1e-9))
+        at[:, 1:-1] = inner.reshape(len(start), -1, 3)
+    return np.linalg.norm(np.diff(at, axis=1), axis=2).sum(axis=1)
+
+
+def lengths(obstacle, start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """Of taut lines around an obstacle [mm]; their ends are outside it."""
+    first, last = (vector(1e-3 * points) for points in (start, end))
+    assert np.all(np.asarray(obstacle.depth(first)) < 0)
+    assert np.all(np.asarray(obstacle.depth(last)) < 0)
+    return 1e3 * np.asarray(obstacle.around(first, last).length)
+
+
+@pytest.mark.parametrize("name", ["mpfl", "lpfl"])
+@pytest.mark.parametrize("anatomy", KNEES.values(), ids=KNEES)
+def test_ligaments_are_as_long_as_strings_over_the_bone(anatomy, name):
+    """Straight ones are shorter by up to 2.5 mm."""
+    ends = placing.retinaculum(anatomy, name)
+    poses = [placing.rest_pose(anatomy, flexion) for flexion in (0.0, 30.0, 60.0, 90.0)]
+    start = np.concatenate([place + turn.apply(ends.patella) for place, turn in poses])
+    end = np.tile(ends.body, (len(poses), 1))
+    length = lengths(beside_condyle(anatomy, placing.SIDES[name]), start, end)
+    np.testing.assert_allclose(length, strings(FemurShape(anatomy), start, end, 24, 1000), atol=0.6)
+
+
+@pytest.mark.parametrize("name", KNEES)
+def test_the_vasti_of_a_bent_knee_are_as_long_as_strings_over_the_trochlea(name):
+    """With the patella 75 deg down the groove, to points before the shaft; straight ones lack up to 0.7 mm."""
+    anatomy = KNEES[name]
+    angle, radius = np.radians(-75.0), anatomy.trochlear_radius_mm
+    place, turn = radius * np.array([np.sin(angle), 0.0, np.cos(angle)]), Rotation.from_euler("Y", angle)
+    start = place + turn.apply(placing.muscles(anatomy).patella)
+    end = start * [0, 1, 0] + [40.0, 0.0, 27.0]
+    length = lengths(over_trochlea(anatomy), start, end)
+    assert np.all((length - np.linalg.norm(end - start, axis=1))[:2] > 0)  # medialis and lateralis wrap
+    np.testing.assert_allclose(length, strings(FemurShape(anatomy), start, end, 30, 1500), atol=0.05)
+
+
+@pytest.mark.slow
+def test_ligaments_are_just_slack_on_their_way_over_the_bone_in_full_extension():
+    normal = KNEES["normal"]
+    scene = rig.knee(normal, duration=0.5, resolution_mm=2.0)
+    place, turn = placing.rest_pose(normal, 0.0)
+    for name in ("mpfl", "lpfl"):
+        ends = placing.retinaculum(normal, name)
+        taut = strings(FemurShape(normal), place + turn.apply(ends.patella), ends.body, 24, 1000)
+        np.testing.assert_allclose(1e3 * np.asarray(scene.get(f"{name}.slack_length")), taut, atol=0.4)
+    for name in ("mpfl", "lpfl", "quadriceps"):
+        line = scene.effect(name).line_element()
+        assert line is not None
+        assert line.wrap is not None

@@ -29,7 +29,7 @@ LOW, HIGH = (-15.0, 0.05, -15.0, 15.0, 15.0), (15.0, 0.8, 10.0, 50.0, 60.0)
 
 
 def beside_condyle(anatomy: Anatomy, side: int) -> Ellipsoid:
-    """The ellipsoid nearest to the medial (`side` -1) or the lateral (1) condyle between trochlea and epicondyle.
+    """Fits an ellipsoid to the medial (`side` -1) or lateral (1) condyle between trochlea and epicondyle.
 
     Its axes are the femur's. Sideways it ends `GAP` within the epicondyle, so that a point on that is outside.
     """
@@ -41,7 +41,7 @@ def beside_condyle(anatomy: Anatomy, side: int) -> Ellipsoid:
         return np.array([x, side * share * half, z]), np.array([along_x, (1 - share) * half - GAP, along_z])
 
     def distance(numbers: Floats) -> Floats:
-        """Of the points from the ellipsoid, to first order [mm]."""
+        """Distances of the points from the ellipsoid, to first order [mm]."""
         center, radii = ellipsoid(numbers)
         scaled = (points - center) / radii
         size = np.linalg.norm(scaled, axis=1)
@@ -52,14 +52,17 @@ def beside_condyle(anatomy: Anatomy, side: int) -> Ellipsoid:
 
 
 def over_trochlea(anatomy: Anatomy) -> Cylinder:
-    """Of the four parts of the quadriceps: the vasti's as high as their ridges, the others' as the groove."""
+    """Returns cylinders for the four quadriceps muscles, in the order of `placing.QUADRICEPS`.
+
+    Those of vastus medialis and lateralis reach to their ridge of the trochlea, the others to the groove.
+    """
     above = np.array([anatomy.medial_height_mm, anatomy.lateral_height_mm, 0.0, 0.0])
     radius = number(1e-3 * (anatomy.trochlear_radius_mm + above))
     return Cylinder(vector((0.0, 0.0, 0.0)), "femur", radius, vector((0.0, 1.0, 0.0)))
 
 
 def _surface(anatomy: Anatomy, side: int) -> Floats:
-    """Points (n, 3) where the rays leave the femur [mm]."""
+    """Returns the points (n, 3) where the rays leave the femur [mm]."""
     body = FemurShape(anatomy)
     around, aside = np.meshgrid(*(np.radians(np.linspace(*grid)) for grid in (AROUND, ASIDE)), indexing="ij")
     across = np.cos(aside)

@@ -169,7 +169,10 @@ def _patellar_tendon(anatomy: Anatomy) -> Effect:
 
 
 def _retinaculum(anatomy: Anatomy, operated: Anatomy, name: str) -> Effect:
-    """As the tendon, along the way around the condyle; `operated` has the trochlea that it wraps over in motion."""
+    """MPFL or LPFL: each strand is at its slack length along its wrapped path in full extension.
+
+    Lengths are those over the femur of `anatomy`; in motion it wraps over that of `operated`.
+    """
     ends = placing.retinaculum(anatomy, name)
     condyle, other = (beside_condyle(a, placing.SIDES[name]) for a in (anatomy, operated))
     taut = eqx.filter_jit(condyle.around)(*(vector(1e-3 * p) for p in (_in_extension(anatomy, ends), ends.body)))
@@ -179,6 +182,6 @@ def _retinaculum(anatomy: Anatomy, operated: Anatomy, name: str) -> Effect:
 
 
 def _in_extension(anatomy: Anatomy, ends: placing.Ends) -> Floats:
-    """Ends of lines on the patella in full extension (n, 3), femur frame [mm]."""
+    """Returns the ends of lines on the patella in full extension (n, 3), femur frame [mm]."""
     place, turn = placing.rest_pose(anatomy, 0.0)
     return place + turn.apply(ends.patella)

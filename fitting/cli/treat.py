@@ -180,7 +180,7 @@ def optimise(
     reached = [(lim, plan.outcomes[lim.outcome]) for lim in plan.limits]
     sheet = Sheet(
         f"{chosen.scene.name}: {plan.treatment.describe()}",
-        ("limit", "value", "holds"),
+        ("limit", "value", "met"),
         tuple((lim.describe(), in_units(lim.outcome, v), "yes" if lim.room(v) >= 0 else "no") for lim, v in reached),
     )
     terminal.present(facts, sheet, plan.describe(), *notes, terminal.written_line(files), json=json)

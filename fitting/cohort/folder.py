@@ -15,7 +15,13 @@ from fitting.cohort.manifest import NAME, PATIENTS, SUMMARY, Manifest, file_dige
 from pftwin.base.errors import InputError, OutputError
 from pftwin.base.output import make_folder, remove_unfinished
 
-SOUND, DAMAGED, OUTDATED, ABSENT, LEFT_OVER = "sound", "damaged", "out of date", "not there yet", "no longer asked for"
+SOUND, DAMAGED, OUTDATED, ABSENT, LEFT_OVER = (
+    "sound",
+    "damaged",
+    "out of date",
+    "not there yet",
+    "no longer in the list",
+)
 LOCK = ".lock"
 _ANOTHER = "another folder, with --out"
 _PROBE = bytes(1 << 16)

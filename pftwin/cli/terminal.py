@@ -102,7 +102,9 @@ def progress(what: str) -> Iterator[Callable[..., None]]:
 
     console = err()
     left = TimeRemainingColumn(compact=True), TextColumn("left")
-    label = TextColumn("{task.description}", table_column=Column(no_wrap=True, max_width=max(console.width - _COUNTS, 12)))
+    label = TextColumn(
+        "{task.description}", table_column=Column(no_wrap=True, max_width=max(console.width - _COUNTS, 12))
+    )
     columns = (label, BarColumn(bar_width=20), TextColumn("{task.fields[now]}"), *left)
     options: dict[str, Any] = {"transient": True, "disable": not console.is_terminal}
     with Progress(*columns, console=console, speed_estimate_period=_PERIOD, **options) as bar:

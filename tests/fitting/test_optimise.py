@@ -238,3 +238,24 @@ def test_limits_as_people_write_them(text, limit):
 def test_limits_that_are_none(text, message):
     with pytest.raises(InputError, match=message):
         Limit.parsed(text)
+
+
+def test_interrupted_after_the_draws_it_is_the_smallest_amount_that_enough_of_them_meet(monkeypatch):
+    """And says that no separate simulation confirmed it. The estimate's coverage is the plan's."""
+    knee, reach, grid_step = small_scene(5), {"medialisation": (0.0, 0.02)}, 0.02 / 40
+    told = predict(knee, grid(TRANSFER, medialisation=grid_step * np.arange(41)), Uncertain(), samples=11, dt=DT)
+    tilt = np.radians(told["mean_tilt"].values)
+    limit = Limit("mean_tilt", at_least=float(tilt[14, 0]))
+    enough = (tilt[:, 1:] >= limit.at_least).mean(axis=1) >= 0.9
+    expected = grid_step * np.flatnonzero(enough & (tilt[:, 0] >= limit.at_least))[0]
+    monkeypatch.setattr("fitting.treatments.refine.Search.room", interrupt)
+    plan = optimise_treatment(knee, limit, reach, estimate=Uncertain(), samples=11, confidence=0.9, dt=DT)
+    assert plan.interrupted
+    assert float(plan.treatment.values[0]) == pytest.approx(expected)
+    assert plan.share >= 0.9
+    assert "which meets the limits, but was not confirmed; all limits are met in" in plan.describe()
+    assert "too few" not in plan.describe()
+
+
+def interrupt(*_):
+    raise KeyboardInterrupt

@@ -40,7 +40,7 @@ class Below(NamedTuple):
 
     depth: Scalar  # [m], positive inside
     normal: Vec3  # unit, outward: minus the depth's gradient
-    bend: Vec3  # gradient by the point of the normal's component along a given vector [of its unit, per m]
+    bend: Vec3  # gradient by the point of the normal's component along a given vector; within a table only
     rim: Array  # bool: whether the nearest point is on the rim of an open surface
     facet: Array | None  # int32 label of the nearest triangle; None if the mesh has no labels
 

@@ -235,7 +235,7 @@ def test_a_patient_who_has_gone_keeps_the_files(tmp_path):
     run_cohort(cheap(tmp_path, 2), work=CheapWork())
     smaller = cheap(tmp_path, 1)
     assert run_cohort(smaller, resume=True, work=CheapWork()).sound
-    assert verdicts(smaller)["patients/B.nc"] == "no longer asked for"
+    assert verdicts(smaller)["patients/B.nc"] == "no longer in the list"
 
 
 def test_ctrl_c_keeps_the_units_that_are_done(tmp_path):

@@ -240,6 +240,7 @@ def test_limits_that_are_none(text, message):
         Limit.parsed(text)
 
 
+@pytest.mark.slow
 def test_interrupted_after_the_draws_it_is_the_smallest_amount_that_enough_of_them_meet(monkeypatch):
     """And says that no separate simulation confirmed it. The estimate's coverage is the plan's."""
     knee, reach, grid_step = small_scene(5), {"medialisation": (0.0, 0.02)}, 0.02 / 40

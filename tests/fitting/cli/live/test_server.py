@@ -276,7 +276,7 @@ def test_reset_time_play_and_comparison(client, server):
 def test_another_contact_is_prepared_while_the_page_goes_on(client, server):
     (session,) = server.sessions
     client.move("contact", "cubic")
-    client.wait_for("Preparing contact cubic", "turned is with groove")
+    client.wait_for("Preparing contact cubic", "the page and its sliders use groove")
     client.move(MEDIALISE, 5.0)
     client.wait_for("of the last 1: median")
     client.wait(lambda c: "Preparing" not in c.text(), 300.0)

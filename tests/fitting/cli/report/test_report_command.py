@@ -104,7 +104,7 @@ def test_the_demos_folder(folder, tmp_path):
     seen = Seen((tmp_path / "report.html").read_text(encoding="utf-8"))
     assert seen.rows["tilt RMSE"] == [["deg", "7.18", "3.63", "2.08", "–"]]
     assert seen.rows["case 1, treatment"] == [[small_result().dislocations().describe()]]
-    assert "Synthetic data: the recorded motion is synthetic" in seen.text
+    assert "Synthetic data: the motion is synthetic" in seen.text
     assert "By the paper's objective" in seen.text
     (demo / "treatment_predicted.png").write_bytes(b"<svg onload=alert(1)>")
     refused = run(demo, "-o", tmp_path / "again.html")

@@ -98,23 +98,26 @@ def progress(what: str) -> Iterator[Callable[..., None]]:
     Yields `show(done, of, now=None, what=None)`; `now` replaces "n of N".
     """
     from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
-    from rich.table import Column
 
     console = err()
+    room = max(console.width - _COUNTS, 12)
     left = TimeRemainingColumn(compact=True), TextColumn("left")
-    label = TextColumn(
-        "{task.description}", table_column=Column(no_wrap=True, max_width=max(console.width - _COUNTS, 12))
-    )
-    columns = (label, BarColumn(bar_width=20), TextColumn("{task.fields[now]}"), *left)
+    columns = (TextColumn("{task.description}"), BarColumn(bar_width=20), TextColumn("{task.fields[now]}"), *left)
     options: dict[str, Any] = {"transient": True, "disable": not console.is_terminal}
     with Progress(*columns, console=console, speed_estimate_period=_PERIOD, **options) as bar:
-        task = bar.add_task(what, total=None, now="")
+        task = bar.add_task(_cut(what, room), total=None, now="")
 
         def show(done: float, of: float, now: str | None = None, what: str | None = None) -> None:
             words = f"{done:.0f} of {of:.0f}" if now is None else now
-            bar.update(task, completed=done, total=of, now=words, description=what)
+            bar.update(
+                task, completed=done, total=of, now=words, description=None if what is None else _cut(what, room)
+            )
 
         yield show
+
+
+def _cut(text: str, room: int) -> str:
+    return text if len(text) <= room else f"{text[: room - 1]}…"
 
 
 def told_by(show: Callable[..., None]) -> Callable[[int, int, str], None]:

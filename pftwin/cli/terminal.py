@@ -109,9 +109,8 @@ def progress(what: str) -> Iterator[Callable[..., None]]:
 
         def show(done: float, of: float, now: str | None = None, what: str | None = None) -> None:
             words = f"{done:.0f} of {of:.0f}" if now is None else now
-            bar.update(
-                task, completed=done, total=of, now=words, description=None if what is None else _cut(what, room)
-            )
+            label = None if what is None else _cut(what, room)
+            bar.update(task, completed=done, total=of, now=words, description=label)
 
         yield show
 

@@ -66,6 +66,9 @@ class Pressures(NamedTuple):
     deepest: Array  # () maximum depth [m]
 
 
+Sums = tuple[Forces, Pressures]
+
+
 class Lanes(NamedTuple):
     """Sums and maxima over every n-th triangle, arrays (n,), so that a loop adds several with one instruction."""
 
@@ -86,35 +89,34 @@ class Lanes(NamedTuple):
         most, deepest = (jnp.maximum(a, b) for a, b in ((self.most, other.most), (self.deepest, other.deepest)))
         return jax.tree.map(jnp.add, self, other)._replace(most=most, deepest=deepest)
 
-    def total(self) -> tuple[Forces, Pressures]:
+    def total(self) -> Sums:
         """Over all triangles."""
         largest = jnp.max(self.most), jnp.max(self.deepest)
         t = jax.tree.map(jnp.sum, self)
-        triangle = jnp.stack(t.stiffness)
-        stiffness = triangle[_PLACE.ravel()].reshape(6, 6)
-        forces = Forces(jnp.stack(t.force), jnp.stack(t.elastic), stiffness, t.size, t.energy)
+        force, elastic, triangle = (jnp.stack(x) for x in (t.force, t.elastic, t.stiffness))
+        forces = Forces(force, elastic, triangle[_PLACE], t.size, t.energy)
         moment, facets = (jnp.stack([jnp.stack(v) for v in per_facet]) for per_facet in (t.moment, t.facets))
         return forces, Pressures(t.area, jnp.stack(t.borne), moment, facets, *largest)
 
 
-def triangle_sums(at: Bedded) -> tuple[Forces, Pressures]:
+def triangle_sums(at: Bedded) -> Sums:
     """Sums over all triangles in contact. Supports jit, vmap, and forward and reverse differentiation."""
     found = at.femur.touching(at.button, at.position, at.rotation, width=at.button.leaves, band=0.0, reach=REACH)
-    return _sum_contacts(at, found).total()
+    return _sum_contacts(at, found)
 
 
 @eqx.filter_custom_jvp
-def _sum_contacts(at: Bedded, found: TouchingLeaves) -> Lanes:
+def _sum_contacts(at: Bedded, found: TouchingLeaves) -> Sums:
     return member_by_member(_sum_of_all)(at, found)
 
 
 @_sum_contacts.def_jvp
-def _summed_jvp(primals: Any, tangents: Any) -> tuple[Lanes, Lanes]:
+def _summed_jvp(primals: Any, tangents: Any) -> tuple[Sums, Sums]:
     at, found = primals
     moving, still = what_changes(at, tangents[0])
     most = most_in_batch(found.total)
 
-    def total(moving: Any) -> Lanes:
+    def total(moving: Any) -> Sums:
         at = eqx.combine(moving, still)
         zero = _zero_lanes(at)
 
@@ -123,17 +125,18 @@ def _summed_jvp(primals: Any, tangents: Any) -> tuple[Lanes, Lanes]:
             return so_far.plus(more), None
 
         starts = jnp.arange(0, at.button.leaves, PIECE, dtype=jnp.int32)
-        return jax.lax.scan(piece, zero, starts)[0]
+        return jax.lax.scan(piece, zero, starts)[0].total()
 
     return jax.jvp(total, (moving,), (tangents[0],))
 
 
-def _sum_of_all(at: Bedded, found: TouchingLeaves) -> Lanes:
+def _sum_of_all(at: Bedded, found: TouchingLeaves) -> Sums:
     def piece(state: tuple[Array, Lanes]) -> tuple[Array, Lanes]:
         start, so_far = state
         return start + PIECE, so_far.plus(_lanes_of_leaves(at, found, start))
 
-    return jax.lax.while_loop(lambda s: s[0] < found.total, piece, (jnp.zeros((), jnp.int32), _zero_lanes(at)))[1]
+    start = jnp.zeros((), jnp.int32), _zero_lanes(at)
+    return jax.lax.while_loop(lambda s: s[0] < found.total, piece, start)[1].total()
 
 
 def _zero_lanes(at: Bedded) -> Lanes:

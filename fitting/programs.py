@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -20,6 +19,7 @@ from numpy.typing import NDArray
 
 from fitting.parameters import applied
 from pftwin.base.errors import InputError
+from pftwin.base.program_cache import Program
 from pftwin.base.spatial import Pose, Scalar
 from pftwin.dynamics.batch.batched import batched
 from pftwin.dynamics.batch.sharding import AXIS, SPLIT, shard_over
@@ -139,7 +139,7 @@ class FitProgram(NamedTuple):
         return _predicted(applied(self.places, scene, theta), guess, substeps, self.channels)
 
 
-@eqx.filter_jit
+@Program
 def predictions(program: FitProgram, scene: Scene, substeps: Array, theta: Array, guesses: Pose) -> Any:
     """Values (N, n, c), start poses, and whether those are equilibria (N,), for parameters (N, p)."""
 
@@ -149,7 +149,7 @@ def predictions(program: FitProgram, scene: Scene, substeps: Array, theta: Array
     return _sharded(program.mesh, batch, (scene, substeps), (theta, guesses))
 
 
-@eqx.filter_jit
+@Program
 def with_slopes(program: FitProgram, scene: Scene, substeps: Array, theta: Array, guesses: Pose) -> Any:
     """As `predictions`, and derivatives (p, N, n, c). Parameters outside, variants inside: the fastest memory order."""
 
@@ -168,7 +168,7 @@ def with_slopes(program: FitProgram, scene: Scene, substeps: Array, theta: Array
     return _sharded(program.mesh, pushed, (scene, substeps), (theta, guesses), (SPLIT, _COLUMNS))
 
 
-@eqx.filter_jit
+@Program
 def loss_gradients(
     program: FitProgram, scene: Scene, substeps: int, theta: Array, guesses: Pose, pulls: Array
 ) -> Array:

@@ -1,8 +1,9 @@
 """Cache of compiled programs and of values derived from files for later processes (`configure(cache_dir=...)`).
 
 A program is stored in the format of `jax.export`, so that another process need not trace it; its machine code is in
-JAX's compilation cache. The key consists of pftwin's source files, the versions of the libraries, and the arguments.
-The source files do not reflect monkey-patching of pftwin's modules at run time: do not use a cache folder with it.
+JAX's compilation cache. The key consists of the source files of pftwin and of the function's package, the versions of
+the libraries, and the arguments. The source files do not reflect monkey-patching of these modules at run time: do not
+use a cache folder with it.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import hashlib
+import sys
 import time
 import warnings
 from collections.abc import Callable, Hashable, Sequence
@@ -27,7 +29,7 @@ from jax.core import Tracer
 import pftwin
 from pftwin.base import cache_folder
 from pftwin.base.leaves import Fixed, split_arguments
-from pftwin.base.serialization import NotPlainError, fingerprint, from_bytes, to_bytes
+from pftwin.base.serialization import PACKAGES, NotPlainError, fingerprint, from_bytes, to_bytes
 from pftwin.base.text_files import MESH_BYTES
 
 T = TypeVar("T")
@@ -187,31 +189,34 @@ def versions() -> str:
 def _key(function: Callable[..., Any], args: Any, files: Sequence[Path] = ()) -> str | None:
     """Key of a result in the cache; None without a cache folder, or if its dependencies cannot be determined."""
     name = f"{function.__module__}.{function.__qualname__}"
-    if cache_folder.chosen() is None or not name.startswith("pftwin.") or "<locals>" in name:
+    package = name.partition(".")[0]
+    if cache_folder.chosen() is None or package not in PACKAGES or "<locals>" in name:
         return None
     try:
         if any(file.is_file() and file.stat().st_size > MESH_BYTES for file in files):
             return None
         contents = [hashlib.sha256(file.read_bytes()).hexdigest() for file in files]
-        return fingerprint([_source(), versions(), name, contents, args])
+        sources = [_source(p) for p in sorted({"pftwin", package})]
+        return fingerprint([sources, versions(), name, contents, args])
     except (NotPlainError, OSError):
         return None
 
 
-def _source() -> str:
-    """Hash of pftwin's source files; raises `NotPlainError` if one changed after pftwin was imported."""
-    files = sorted(Path(pftwin.__path__[0]).rglob("*.py"))
+def _source(package: str) -> str:
+    """Hash of a package's source files; raises `NotPlainError` if one changed after pftwin was imported."""
+    folder = Path(sys.modules[package].__path__[0])
+    files = sorted(folder.rglob("*.py"))
     if max(file.stat().st_mtime for file in files) > pftwin.imported_at:
         raise NotPlainError("the source changed after this process began")
-    return _hash_of(tuple(files))
+    return _hash_of(folder, tuple(files))
 
 
 @functools.cache
-def _hash_of(files: tuple[Path, ...]) -> str:
+def _hash_of(folder: Path, files: tuple[Path, ...]) -> str:
     total = hashlib.sha256()
     for file in files:
         content = file.read_bytes()
-        total.update(f"{file.relative_to(pftwin.__path__[0])} {len(content)} ".encode() + content)
+        total.update(f"{file.relative_to(folder)} {len(content)} ".encode() + content)
     return total.hexdigest()
 
 

@@ -1,7 +1,7 @@
 """Serialization of values as data: NumPy's npz format for arrays, and JSON for everything else.
 
-Unlike unpickling, reading executes no code from the data: the JSON names types of pftwin, and only dataclasses and
-named tuples among them are created, by setting their fields without calling their methods.
+Unlike unpickling, reading executes no code from the data: the JSON names types of pftwin and fitting, and only
+dataclasses and named tuples among them are created, by setting their fields without calling their methods.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+PACKAGES = ("pftwin", "fitting")  # whose types and functions are stored and identified by name
 _ARRAYS = {"device": jax.Array, "array": np.ndarray, "number": np.generic}
 
 
@@ -26,7 +27,7 @@ class NotPlainError(Exception):
 
 
 def to_bytes(value: Any) -> bytes:
-    """Serializes a value of plain types, arrays, and pftwin's dataclasses and named tuples of these.
+    """Serializes a value of plain types, arrays, and dataclasses and named tuples of `PACKAGES` of these.
 
     Raises:
         NotPlainError: the value contains something else.
@@ -123,15 +124,15 @@ def _name_of(kind: type) -> str:
     try:
         _type(name, kind)
     except (TypeError, KeyError):
-        raise NotPlainError(f"{name} is not pftwin's own") from None
+        raise NotPlainError(f"{name} belongs to another package") from None
     return name
 
 
 def _type(name: str, base: type) -> Any:
-    """The type named "MODULE:NAME" in pftwin; imports only modules of pftwin."""
+    """The type named "MODULE:NAME" in one of `PACKAGES`; imports only modules of these."""
     module, _, own = name.partition(":")
-    if module.partition(".")[0] != "pftwin":
-        raise TypeError(f"{module} is not pftwin's own")
+    if module.partition(".")[0] not in PACKAGES:
+        raise TypeError(f"{module} belongs to another package")
     found = vars(importlib.import_module(module))[own]
     if not (isinstance(found, type) and issubclass(found, base) and found.__module__ == module):
         raise TypeError(f"{name} is no such type")

@@ -32,7 +32,7 @@ def place(tmp_path, monkeypatch):
     # Functions of a test are code from elsewhere; here they stand for pftwin's own.
     for function in (size, worried):
         monkeypatch.setattr(function, "__module__", "pftwin.tested")
-    monkeypatch.setattr(values, "_source", lambda: "source")
+    monkeypatch.setattr(values, "_source", lambda _: "source")
     CALLS.clear()
     yield tmp_path
     folder.use_cache_folder(before)
@@ -58,7 +58,7 @@ def test_other_code_is_another_value(place, monkeypatch):
     file = place / "a.txt"
     file.write_text("four")
     for source in ("old", "new"):
-        monkeypatch.setattr(values, "_source", lambda source=source: source)
+        monkeypatch.setattr(values, "_source", lambda _, source=source: source)
         cached(size, str(file), files=[file])
     assert len(CALLS) == 2
 

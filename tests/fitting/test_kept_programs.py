@@ -1,0 +1,56 @@
+"""Programs of fits are kept for the next process, so that it need not trace them."""
+
+from __future__ import annotations
+
+import inspect
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from lifted_fits import SPRINGS
+from small_scene import small_scene
+
+import fitting
+from fitting import programs
+from pftwin.base import cache_folder
+from pftwin.base.program_cache import Program
+
+
+@pytest.fixture
+def kept(tmp_path):
+    before = cache_folder.chosen()
+    cache_folder.use_cache_folder(tmp_path / "kept")
+    yield tmp_path / "kept" / "programs"
+    cache_folder.use_cache_folder(before)
+
+
+def test_another_process_does_not_trace_what_one_has_kept(kept, monkeypatch):
+    scene = small_scene(6)
+    free = fitting.free_parameters(scene, SPRINGS)
+    theta = jnp.asarray(free.nominal * np.linspace(0.95, 1.05, 3)[:, None])
+    guesses = jax.tree.map(lambda a: jnp.broadcast_to(a, (3,)), scene.start)
+    traced = []
+
+    def predicted(*args):
+        traced.append(args)
+        return original(*args)
+
+    original = programs._predicted  # what the programs trace
+    monkeypatch.setattr(programs, "_predicted", predicted)
+
+    def run(channel: str) -> list:
+        """As a new process: an instance of `Program` starts with nothing compiled."""
+        program = Program(inspect.unwrap(programs.predictions))
+        args = programs.FitProgram(free.places, (channel,), None), scene.unnamed(), jnp.asarray(2), theta, guesses
+        return jax.tree.leaves(program(*args))
+
+    first, count = run("position"), len(traced)
+    again = run("position")
+    assert count > 0
+    assert len(traced) == count
+    for a, b in zip(first, again, strict=True):
+        np.testing.assert_array_equal(a, b)
+    assert run("quadriceps")[0].shape == (3, 6, 1)  # another program, which is traced
+    assert len(traced) > count
+    assert len(list(kept.iterdir())) == 2

@@ -15,6 +15,7 @@ import sys
 import time
 import warnings
 from collections.abc import Callable, Hashable, Sequence
+from concurrent.futures import Executor
 from importlib.metadata import version
 from pathlib import Path
 from threading import Lock, RLock
@@ -178,6 +179,15 @@ def cached(function: Callable[..., T], *args: Any, files: Sequence[Path]) -> T:
 def settings() -> tuple[Any, ...]:
     """JAX settings that may change locally, e.g. in `with jax.enable_x64(True): ...`."""
     return tuple(getattr(jax.config, name) for name in _SETTINGS)
+
+
+def shares_settings(threads: Executor) -> bool:
+    """Whether JAX's settings are the same in these threads; a local change applies to one thread only."""
+
+    def all_settings() -> tuple[Any, ...]:
+        return settings(), *(getattr(jax.config, name) for name in _DEBUGGING)
+
+    return threads.submit(all_settings).result() == all_settings()
 
 
 @functools.cache

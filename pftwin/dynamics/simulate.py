@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import TYPE_CHECKING, Any
 
@@ -15,8 +15,7 @@ from jax.core import Tracer
 from jaxtyping import Array
 
 from pftwin.base.errors import InputError
-from pftwin.base.program_cache import Program, Timed
-from pftwin.base.program_cache import settings as jax_settings
+from pftwin.base.program_cache import Program, Timed, shares_settings
 from pftwin.base.runtime import warn_of_accelerator
 from pftwin.dynamics.equilibrium import Solution, converged_on_host, place_unknown
 from pftwin.dynamics.error_estimate import Course
@@ -91,8 +90,8 @@ def compiled_aside(scene: Scene, integrator: Integrator | None = None, energy: b
     start = eqx.filter_eval_shape(start_before_search, scene)
     threads = ThreadPoolExecutor(2)
     try:
-        if threads.submit(jax_settings).result() != jax_settings():
-            return lambda: None  # settings of a `with jax.enable_x64(...)` apply to this thread only
+        if not shares_settings(threads):
+            return lambda: None
         longer = threads.submit(_run.begin(scene, start, integrator or BDF2(), jnp.asarray(1), energy))
         other = threads.submit(_solve.begin(scene))
         return lambda: (longer.result(), other.result())
@@ -125,8 +124,8 @@ def simulate(
         tolerance: instead of `dt`, the accepted error of the path or the contact force, such as "0.05 mm" or "0.5 N":
             see `pftwin.dynamics.tolerance`. The result's settings contain the step and its estimated error.
         energy_budget: compute work and heat at every step.
-        progress: called before each run with the number of steps done, the most that all runs may need, and which run
-            it is: "run 2 of at most 4".
+        progress: called before the first two runs, which are simultaneous, and before each other one, with the number
+            of steps done, the most that all runs may need, and which run it is: "run 3 of at most 4".
 
     Returns:
         The result at the recorded frames.
@@ -183,7 +182,7 @@ class _Runs:
         progress: Callable[[int, int, str], None],
     ) -> None:
         """Compiles the programs if needed, and solves for the equilibrium. `most`: see `most_runs`."""
-        self._most, self._progress, self._count = most, progress, 0
+        self._most, self._progress = most, progress
         self._scene, self._plain, self._integrator, self._energy = scene, scene.unnamed(), integrator, energy
         contact = scene.contact
         self._contact = None if contact is None else contact.name
@@ -194,19 +193,27 @@ class _Runs:
             self._ahead = time.perf_counter() - began
         self._start, self._relaxed = settle_first_frame(self._plain)
         self._preparation = self._time = 0.0
+        self._ran: dict[int, Timed] = {}  # by number of steps between two frames
 
     def __call__(self, substeps: int) -> Tried[Timed]:
-        """The run with `substeps` steps between two frames."""
-        steps = [n * (self._scene.motion.n_frames - 1) for n in self._most]
-        which = f"run {self._count + 1} of at most {len(steps)}"
-        self._progress(sum(steps[: self._count]), sum(steps), which)
-        self._count += 1
-        ran = _run.timed(self._plain, self._start.answer, self._integrator, jnp.asarray(substeps), self._energy)
-        self._preparation += ran.preparation
-        self._time += ran.run
+        """The run with `substeps` steps between two frames. The first two of `most` are always needed: run together."""
+        if substeps not in self._ran:
+            count, began = len(self._ran), time.perf_counter()
+            steps = [n * (self._scene.motion.n_frames - 1) for n in self._most]
+            which = f"run {count + 1}" if self._ran else "runs 1 and 2"
+            self._progress(sum(steps[:count]), sum(steps), f"{which} of at most {len(steps)}")
+            numbers = [substeps] if self._ran else self._most[:2]
+            self._ran |= dict(zip(numbers, _in_threads(self._timed, numbers), strict=True))
+            preparation = max(self._ran[n].preparation for n in numbers)
+            self._preparation += preparation
+            self._time += time.perf_counter() - began - preparation
+        ran = self._ran[substeps]
         seen: Observation = ran.answer[0]
         leapt = (np.asarray(seen.status) & int(Status.STEP_TOO_LONG)).any()
         return Tried(ran, Course.of(seen, self._contact), not leapt)
+
+    def _timed(self, substeps: int) -> Timed:
+        return _run.timed(self._plain, self._start.answer, self._integrator, jnp.asarray(substeps), self._energy)
 
     def result(self, choice: Choice[Timed]) -> Result:
         """The result of the chosen run."""
@@ -222,7 +229,7 @@ class _Runs:
         timing = {
             "equilibrium_s": self._start.run,
             "run_s": choice.run.run,
-            "estimate_s": self._time - choice.run.run,  # of the runs with other steps
+            "estimate_s": max(0.0, self._time - choice.run.run),  # of runs with other steps, as far as not simultaneous
             "compile_s": self._ahead + self._start.preparation + self._preparation,
         }
         start, impact = self._start.answer, None
@@ -239,6 +246,14 @@ class _Runs:
             error=choice.error.with_start(place_unknown(start)),
             impact=impact,
         )
+
+
+def _in_threads(run: Callable[[int], Timed], numbers: Sequence[int]) -> list[Timed]:
+    """Runs with these numbers of steps, at the same time if JAX's settings allow."""
+    with ThreadPoolExecutor(len(numbers)) as threads:
+        if len(numbers) > 1 and shares_settings(threads):
+            return list(threads.map(run, numbers))
+    return list(map(run, numbers))
 
 
 def equilibrium(scene: Scene) -> EquilibriumReport:

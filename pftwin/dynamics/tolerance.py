@@ -81,7 +81,7 @@ def parse_tolerance(given: str | float) -> Tolerance:
 
 
 def most_runs(n: int, *, fixed: bool, tolerance: bool) -> list[int]:
-    """Numbers of steps between two frames of the runs that a choice may need, in their order.
+    """Numbers of steps between two frames of the runs that a choice may need, in their order; it needs the first two.
 
     `fixed`: for `with_estimate`; `tolerance`: for `coarsest`; neither: for `accurate_enough`.
     """

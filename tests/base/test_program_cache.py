@@ -20,7 +20,7 @@ from small_scene import small_scene
 
 import pftwin
 from pftwin.base import cache_folder as folder
-from pftwin.base.program_cache import Program
+from pftwin.base.program_cache import Program, shares_settings
 from pftwin.base.spatial import Vec3, safe_sqrt
 from pftwin.dynamics.simulate import simulate
 
@@ -259,3 +259,12 @@ def test_what_is_being_compiled_is_not_traced_and_compiled_again():
     assert program.timed(jnp.ones(3)).preparation == 0
     assert program(jnp.ones(4)).shape == (4,)
     assert traced == [(3,), (4,)]
+
+
+def test_threads_do_not_share_what_a_with_statement_sets():
+    with ThreadPoolExecutor(1) as threads:
+        assert shares_settings(threads)
+        with jax.default_matmul_precision("highest"):
+            assert not shares_settings(threads)
+        with jax.disable_jit():
+            assert not shares_settings(threads)

@@ -11,7 +11,6 @@ from small_scene import small_scene
 from typer.testing import CliRunner
 
 import pftwin
-from pftwin.base.errors import PftwinWarning
 from pftwin.cli import app
 from pftwin.dynamics.error_estimate import Course, error_of
 from pftwin.dynamics.integrators import BDF2, LinearImplicit
@@ -231,33 +230,31 @@ def test_a_tolerance_of_force_is_held():
 
 
 @pytest.mark.parametrize("n", [1, 2, 5, 10])
-def test_the_most_runs_that_a_choice_may_need_are_those_of_a_scene_that_is_never_accurate(n):
-    """So the time left is that of the worst case."""
+@pytest.mark.filterwarnings("ignore:a tolerance")
+def test_a_scene_that_is_never_accurate_needs_the_most_runs_and_one_that_always_is_the_first_two(n):
+    """So the time left is that of the worst case, and the first two can run at the same time."""
+    for error in (1.0, 0.0):  # [m], of a step as long as the interval between frames
+        made: list[list[int]] = [[], [], []]
 
-    def never(made: list[int]):
-        def run(k: int) -> Tried[int]:
-            made.append(k)
-            return Tried(k, course(place=1.0 / k), True)
+        def run(k: int, which: int, error: float = error, made: list[list[int]] = made) -> Tried[int]:
+            made[which].append(k)
+            return Tried(k, course(place=error / k), True)
 
-        return run
-
-    of_step: list[int] = []
-    with_estimate(never(of_step), n, BDF2().order)
-    assert most_runs(n, fixed=True, tolerance=False) == of_step
-    by_itself: list[int] = []
-    accurate_enough(never(by_itself), 2 * n, BDF2().order)
-    assert most_runs(2 * n, fixed=False, tolerance=False) == by_itself
-    by_tolerance: list[int] = []
-    with pytest.warns(PftwinWarning, match="is not met"):
-        coarsest(never(by_tolerance), BDF2().order, Tolerance(1e-9, "m"))
-    assert most_runs(n, fixed=False, tolerance=True) == by_tolerance
+        with_estimate(lambda k: run(k, 0), n, BDF2().order)
+        accurate_enough(lambda k: run(k, 1), 2 * n, BDF2().order)
+        coarsest(lambda k: run(k, 2), BDF2().order, Tolerance(1e-9, "m"))
+        most = [
+            most_runs(n, fixed=True, tolerance=False),
+            most_runs(2 * n, fixed=False, tolerance=False),
+            most_runs(n, fixed=False, tolerance=True),
+        ]
+        assert made == (most if error else [numbers[:2] for numbers in most])
 
 
 def test_simulate_tells_which_run_it_is_and_the_steps_done():
-    """Two steps between the five frames: 8, then 4 for the estimate of their error, and 16 where it is large."""
+    """Four intervals between frames, in 1, 2, 4, ..., 256 steps each until the tolerance is met."""
     told: list[tuple[int, int, str]] = []
-    result = pftwin.simulate(small_scene(5), dt=5e-3, progress=lambda *counts: told.append(counts))
-    assert result.settings["substeps"] == 2
-    runs = [(0, 28, "run 1 of at most 3"), (8, 28, "run 2 of at most 3"), (12, 28, "run 3 of at most 3")]
-    assert told == runs[: len(told)]
-    assert len(told) >= 2
+    result = pftwin.simulate(small_scene(5), tolerance="0.1 um", progress=lambda *counts: told.append(counts))
+    assert told[:2] == [(0, 2044, "runs 1 and 2 of at most 9"), (12, 2044, "run 3 of at most 9")]
+    assert [done for done, _, _ in told[1:]] == [4 * (2**k - 1) for k in range(2, 1 + len(told))]
+    assert result.settings["substeps"] == 2 ** (len(told) - 1)

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 
 from pftwin.base.quantities import quantity
 from pftwin.base.spatial import Scalar, Vec3
-from pftwin.geometry.wrapping.obstacle import Obstacle, TautLine, straight, where
+from pftwin.geometry.wrapping.obstacle import Obstacle, TautLine, evenly, straight, where
 
 
 class Cylinder(Obstacle):
@@ -26,13 +26,7 @@ class Cylinder(Obstacle):
 
     def around(self, start: Vec3, end: Vec3) -> TautLine:
         """See `Obstacle`."""
-        axis = self.axis * (1 / self.axis.norm())
-        one, two = (self._end(p - self.center, axis) for p in (start, end))
-        outside = one.outside & two.outside
-        angle = self._angle(one.across, two.across, axis, outside)
-        turn = jnp.where(angle < 0, -1.0, 1.0)
-        arc = turn * angle - one.reach - two.reach
-        touches = outside & (arc > 0)
+        axis, one, two, turn, arc, touches = self._wrapped(start, end)
         level = jnp.where(touches, one.tangent + self.radius * arc + two.tangent, 1.0)
         rise = two.height - one.height
         length = jnp.sqrt(jnp.square(level) + jnp.square(rise))
@@ -45,9 +39,32 @@ class Cylinder(Obstacle):
         wrapped = TautLine(length, way(one, turn, rise), way(two, -turn, -rise))
         return where(touches, wrapped, straight(start, end))
 
+    def arc(self, start: Vec3, end: Vec3, count: int) -> Vec3:
+        """See `Obstacle`: a helix, evenly divided."""
+        axis, one, two, turn, arc, touches = self._wrapped(start, end)
+        rise = (two.height - one.height) / (one.tangent + self.radius * arc + two.tangent)
+        out = one.across * (1 / jnp.sqrt(one.squared))
+
+        def at(share: Scalar) -> Vec3:
+            angle, gone = one.reach + share * arc, one.tangent + self.radius * (share * arc)
+            across = out * jnp.cos(angle) + axis.cross(out) * (turn * jnp.sin(angle))
+            return self.center + across * self.radius + axis * (one.height + rise * gone)
+
+        return evenly(at, count, touches)
+
     def depth(self, point: Vec3) -> Scalar:
         """See `Obstacle`."""
         return self.radius - (point - self.center).cross(self.axis).norm() / self.axis.norm()
+
+    def _wrapped(self, start: Vec3, end: Vec3) -> tuple[Vec3, _End, _End, Scalar, Scalar, Scalar]:
+        """Unit axis, both ends, sense of rotation (1: right-handed), angle of the arc [rad], whether the line wraps."""
+        axis = self.axis * (1 / self.axis.norm())
+        one, two = (self._end(p - self.center, axis) for p in (start, end))
+        outside = one.outside & two.outside
+        angle = self._angle(one.across, two.across, axis, outside)
+        turn = jnp.where(angle < 0, -1.0, 1.0)
+        arc = turn * angle - one.reach - two.reach
+        return axis, one, two, turn, arc, outside & (arc > 0)
 
     def _end(self, point: Vec3, axis: Vec3) -> _End:
         height = point.dot(axis)

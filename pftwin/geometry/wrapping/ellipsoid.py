@@ -15,7 +15,7 @@ import numpy as np
 
 from pftwin.base.quantities import quantity
 from pftwin.base.spatial import Quaternion, Scalar, Vec3
-from pftwin.geometry.wrapping.obstacle import Obstacle, TautLine, straight, where
+from pftwin.geometry.wrapping.obstacle import Obstacle, TautLine, evenly, straight, where
 
 NODES = 5  # Gauss-Legendre nodes along each half of the arc
 LEAST_STEP, LONGEST_STEP, MOST_STEPS = 1e-5, 0.4, 12  # Newton's method for the plane's angle [rad], [rad], [-]
@@ -41,6 +41,24 @@ class Ellipsoid(Obstacle):
         at_start, at_end = backwards(jnp.ones_like(length))
         return where(touches, TautLine(length, -at_start, -at_end), straight(start, end))
 
+    def arc(self, start: Vec3, end: Vec3, count: int) -> Vec3:
+        """See `Obstacle`: evenly divided where the ellipsoid is the unit sphere."""
+        touches, p, q = self._ends(start, end)
+        chord = _Chord.of(p, q, self.radii)
+        turn = _shortest(chord)
+        level, off, radius = chord.section(turn)
+        first, last = (jnp.arctan2(along, up) for up, along in chord.touched(level, radius))
+        x, y, z = _axes(p, q)
+        c, s, r = jnp.cos(turn), jnp.sin(turn), self.radii
+
+        def at(share: Scalar) -> Vec3:
+            angle = first + share * (last - first)
+            circle = (y * c + z * s) * jnp.cos(angle) + x * jnp.sin(angle)
+            point = (z * c - y * s) * off + circle * radius
+            return self.center + self.orientation.rotation().apply(Vec3(r.x * point.x, r.y * point.y, r.z * point.z))
+
+        return evenly(at, count, touches)
+
     def depth(self, point: Vec3) -> Scalar:
         """See `Obstacle`."""
         r = self.radii
@@ -52,7 +70,12 @@ class Ellipsoid(Obstacle):
         return Vec3(p.x / r.x, p.y / r.y, p.z / r.z)
 
     def _chord(self, start: Vec3, end: Vec3) -> tuple[Scalar, _Chord]:
-        """Whether the straight line passes through, and its chord; a substitute chord that does if it does not."""
+        """Whether the straight line passes through, and its chord, as of `_ends`."""
+        touches, p, q = self._ends(start, end)
+        return touches, _Chord.of(p, q, self.radii)
+
+    def _ends(self, start: Vec3, end: Vec3) -> tuple[Scalar, Vec3, Vec3]:
+        """Whether the straight line passes through, and its stretched ends; substitutes for which it does if not."""
         p, q = self._stretched(start), self._stretched(end)
         line = q - p
         squared, ahead = line.squared_norm(), -p.dot(line)
@@ -64,7 +87,17 @@ class Ellipsoid(Obstacle):
             pairs = zip((point.x, point.y, point.z), (x, 0.3, 0.1), strict=True)
             return Vec3(*(jnp.where(touches, own, other) for own, other in pairs))
 
-        return touches, _Chord.of(instead(p, -2.0), instead(q, 2.0), self.radii)
+        return touches, instead(p, -2.0), instead(q, 2.0)
+
+
+def _axes(p: Vec3, q: Vec3) -> tuple[Vec3, Vec3, Vec3]:
+    """Unit vectors: x from p to q, and y and z perpendicular to it, after Duff et al. 2017, J Comput Graph Tech 6:1."""
+    line = q - p
+    x = line * (1 / line.norm())
+    sign = jnp.where(x.z < 0, -1.0, 1.0)
+    a = -1 / (sign + x.z)
+    b = x.x * x.y * a
+    return x, Vec3(1 + sign * x.x * x.x * a, sign * b, -sign * x.x), Vec3(b, sign + x.y * x.y * a, -x.y)
 
 
 class _Chord(NamedTuple):
@@ -85,14 +118,7 @@ class _Chord(NamedTuple):
     @staticmethod
     def of(p: Vec3, q: Vec3, radii: Vec3) -> _Chord:
         """The chord between two points."""
-        line = q - p
-        x = line * (1 / line.norm())
-        # Two perpendicular directions, after Duff et al. 2017, J Comput Graph Tech 6:1.
-        sign = jnp.where(x.z < 0, -1.0, 1.0)
-        a = -1 / (sign + x.z)
-        b = x.x * x.y * a
-        y = Vec3(1 + sign * x.x * x.x * a, sign * b, -sign * x.x)
-        z = Vec3(b, sign + x.y * x.y * a, -x.y)
+        x, y, z = _axes(p, q)
         dx, dy, dz = (Vec3(radii.x * v.x, radii.y * v.y, radii.z * v.z) for v in (x, y, z))
         ny, nz = (Vec3(v.x / radii.x, v.y / radii.y, v.z / radii.z) for v in (y, z))
         return _Chord(
@@ -112,6 +138,15 @@ class _Chord(NamedTuple):
         off = self.aside[1] * c - self.aside[0] * s
         return self.aside[0] * c + self.aside[1] * s, off, jnp.sqrt(1 - jnp.square(off))
 
+    def touched(self, level: Scalar, radius: Scalar) -> tuple[tuple[Scalar, Scalar], tuple[Scalar, Scalar]]:
+        """Tangent points of start and end on a plane's circle: along t and x, from the circle's centre, in radii."""
+
+        def touch(end: Scalar, tangent: Scalar) -> tuple[Scalar, Scalar]:
+            squared = jnp.square(level) + jnp.square(end)
+            return (level * radius - end * tangent) / squared, (end * radius + level * tangent) / squared
+
+        return touch(self.start, self.tangents[0]), touch(self.end, -self.tangents[1])
+
     def length(self, turn: Scalar) -> Scalar:
         """Length of the taut line in the plane of an angle [m]."""
         level, _, radius = self.section(turn)
@@ -123,12 +158,7 @@ class _Chord(NamedTuple):
             """Length of x c - t s, scaled back: the tangent of the circle at t c + x s."""
             return jnp.sqrt(self.along * c * c - 2 * mixed * s * c + across * s * s)
 
-        def touch(end: Scalar, tangent: Scalar) -> tuple[Scalar, Scalar]:
-            """Tangent point of an end on the circle: along t and x, from the circle's centre, in radii."""
-            squared = jnp.square(level) + jnp.square(end)
-            return (level * radius - end * tangent) / squared, (end * radius + level * tangent) / squared
-
-        first, last = touch(self.start, self.tangents[0]), touch(self.end, -self.tangents[1])
+        first, last = self.touched(level, radius)
         middle = first[0] + last[0], first[1] + last[1]
         size = jnp.sqrt(jnp.square(middle[0]) + jnp.square(middle[1]))
         middle = middle[0] / size, middle[1] / size

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Callable
 from typing import NamedTuple
 
 import equinox as eqx
@@ -35,8 +36,19 @@ class Obstacle(eqx.Module):
         """The taut line between points of the body's frame [m], or arrays of them; straight if a point is inside."""
 
     @abstractmethod
+    def arc(self, start: Vec3, end: Vec3, count: int) -> Vec3:
+        """`count` points of the taut line on the obstacle, for drawings: along a new first axis, from the first point
+        at which the line touches to the last; NaN where the line is straight."""
+
+    @abstractmethod
     def depth(self, point: Vec3) -> Scalar:
         """Lower bound on the depth of a point of the body's frame inside [m]; not positive for a point outside."""
+
+
+def evenly(at: Callable[[Scalar], Vec3], count: int, touches: Scalar) -> Vec3:
+    """Points `at` numbers from 0 to 1, `count` of them, along a new first axis; NaN where a condition is false."""
+    points = jax.vmap(at)(jnp.linspace(0.0, 1.0, count))
+    return jax.tree.map(lambda c: jnp.where(touches[None], c, jnp.nan), points)
 
 
 def straight(start: Vec3, end: Vec3) -> TautLine:

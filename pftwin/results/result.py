@@ -166,6 +166,11 @@ class Result:
         return tibia_position(self.motion), continuous_signs(host_array(tibia_orientation(self.motion)))
 
     @property
+    def poses(self) -> dict[str, tuple[Floats, Floats]]:
+        """Positions (n, 3) [m] and quaternions (n, 4) of "patella" and "tibia" in the femur frame."""
+        return {"patella": (self.position, self.quaternion), "tibia": self.tibia}
+
+    @property
     def shift(self) -> Floats:
         """Medial-lateral position of the button's centre in the femur frame, lateral positive, (n,) [m]."""
         return self.center[:, 1]
@@ -303,7 +308,7 @@ class Result:
         """Returns the scene's drawable geometry: surfaces, lines of force, button (`pftwin.results.scene_geometry`)."""
         from pftwin.results.scene_geometry import geometry
 
-        return geometry(self.scene, self.effects)
+        return geometry(self.scene, self.effects, self.poses)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Writes a NetCDF file with a group `geometry`, atomically. Raises OutputError if the path is not writable."""

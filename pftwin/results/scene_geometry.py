@@ -11,12 +11,14 @@
 | BODY_bone_vertices, BODY_bone_triangles | BODY | surface of femur, patella or tibia, if the scene has it |
 | NAME_insertion | patella | insertions of the lines of a tendon, ligament or muscle |
 | NAME_origin | its attribute `body` | origins of those lines; with a time axis if they move |
+| NAME_arc | its attribute `body` | where they run over their obstacle, at all frames, if they ever do; else NaN |
 
 Lengths are in metres. Nothing is added or smoothed: the viewer itself adds schematic bones.
 """
 
 from __future__ import annotations
 
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import jax
@@ -26,8 +28,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from pftwin.base.leaves import host_array
 from pftwin.base.quantities import about
-from pftwin.base.spatial import Vec3
+from pftwin.base.spatial import Pose, Quaternion, Vec3
 from pftwin.geometry.patch.closest import Surface
+from pftwin.geometry.wrapping.obstacle import Obstacle
 from pftwin.model.effects.base import Effect
 from pftwin.model.motion import KneeMotion
 from pftwin.model.motion_on_host import seen_from_femur
@@ -42,9 +45,11 @@ ALONG = 49  # samples along each side of a fitted rectangle: the triangles stay 
 STEP = 1.5e-3  # grid spacing of an extrapolated surface, which is almost flat [m]
 MARGIN = 4e-3  # extrapolation past the outermost contact point [m]
 ROUNDING = 1e-9  # closer vertices are merged [m]
+ON_ARC = 8  # points of a line on its obstacle: on a quarter of a circle the chords are within 0.7 % of its radius
 Mesh = tuple[NDArray[np.float64], NDArray[np.int64]]  # vertices (n, 3) [m], triangles (m, 3)
 Variables = dict[str, tuple[tuple[str, ...], Any, dict[str, Any]]]
 Effects = dict[str, dict[str, NDArray[Any]]]  # values by effect and observable
+Poses = dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]  # of bodies in the femur: see `Result.poses`
 
 
 def has_rectangle(surface: Any) -> bool:
@@ -102,8 +107,11 @@ def _grid_mesh(surface: Any, u: NDArray[np.float64], v: NDArray[np.float64], *, 
     return points.reshape(-1, 3)[used], which.reshape(-1, 3)
 
 
-def geometry(scene: Scene, effects: Effects | None = None) -> Dataset:
-    """Returns a scene's geometry dataset; the contact points in `effects` set how far a surface is extrapolated."""
+def geometry(scene: Scene, effects: Effects | None = None, poses: Poses | None = None) -> Dataset:
+    """Returns a scene's geometry dataset.
+
+    The contact points in `effects` set how far a surface is extrapolated. Without `poses` lines have no arcs.
+    """
     from xarray import Dataset
 
     variables: Variables = {}
@@ -129,13 +137,13 @@ def geometry(scene: Scene, effects: Effects | None = None) -> Dataset:
     for body, mesh in {} if scene.bones is None else scene.bones.surfaces.items():
         variables |= _mesh(f"{body}_bone", (mesh.vertices, mesh.faces), body, f"the {body}'s bone")
     for effect in scene.effects:
-        variables |= _lines(effect, scene.motion)
+        variables |= _lines(effect, scene.motion, poses)
     axes = {"long_name": "x proximal, y lateral, z anterior", "units": "1"}
     return Dataset(variables, {"axis": (("axis",), ["x", "y", "z"], axes)})
 
 
-def _lines(effect: Effect, motion: KneeMotion) -> Variables:
-    """End points of an effect's lines of force; empty for an effect without lines."""
+def _lines(effect: Effect, motion: KneeMotion, poses: Poses | None) -> Variables:
+    """End points and arcs of an effect's lines of force; empty for an effect without lines."""
     element = effect.line_element()
     if element is None:
         return {}
@@ -150,10 +158,35 @@ def _lines(effect: Effect, motion: KneeMotion) -> Variables:
     if body == "ground":  # points fixed to the ground move in the frame of a moving femur
         start, body = seen_from_femur(motion, start), "femur"
     dimensions = (line, "axis") if start.ndim == 2 else ("time", line, "axis")
-    return {
+    found: Variables = {
         f"{name}_insertion": ((line, "axis"), ends, _about("m", f"{words}: insertion", "patella")),
         f"{name}_origin": (dimensions, start, _about("m", f"{words}: origin", body)),
     }
+    if element.wrap is not None and poses is not None:
+        places = (jnp.asarray(p, float) for p in (ends, np.broadcast_to(start, (len(motion.times), *ends.shape))))
+        arcs = np.asarray(_arcs(element.wrap, *places, body, poses), dtype=np.float32)
+        if np.isfinite(arcs).any():
+            of = _about("m", f"{words}: points on its obstacle, NaN where straight", element.wrap.body)
+            found[f"{name}_arc"] = (("time", line, "arc_point", "axis"), arcs, of)
+    return found
+
+
+@partial(jax.jit, static_argnames="body")
+def _arcs(obstacle: Obstacle, insertion: jax.Array, origin: jax.Array, body: str, poses: Poses) -> jax.Array:
+    """Points of lines on their obstacle, in the frame of its body (n, lines, ON_ARC, 3) [m]; NaN where straight.
+
+    Origins (n, lines, 3) are in the frame of `body`.
+    """
+
+    def at_frame(origin: jax.Array, poses: Poses) -> jax.Array:
+        frames = {b: Pose(Vec3.from_array(p), Quaternion.from_array(q)) for b, (p, q) in poses.items()}
+        ends = (Vec3.from_array(insertion), "patella"), (Vec3.from_array(origin), body)
+        start, end = (frames[own].apply(p) if own in frames else p for p, own in ends)
+        if obstacle.body in frames:
+            start, end = (frames[obstacle.body].unapply(p) for p in (start, end))
+        return jnp.swapaxes(obstacle.arc(start, end, ON_ARC).array(), 0, 1)
+
+    return jax.vmap(at_frame)(origin, poses)
 
 
 def _points(report: dict[str, NDArray[Any]]) -> NDArray[np.float64]:

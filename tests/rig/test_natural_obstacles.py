@@ -11,6 +11,7 @@ from pftwin.base.leaves import vector
 from pftwin.geometry.bones.anatomy import Anatomy
 from pftwin.geometry.bones.femur import FemurShape
 from pftwin.geometry.bones.implicit import gradient
+from pftwin.results.scene_geometry import ON_ARC
 from pftwin.rig.natural import placing
 from pftwin.rig.natural.obstacles import beside_condyle, over_trochlea
 
@@ -28,6 +29,18 @@ def strings(body: FemurShape, start: np.ndarray, end: np.ndarray, parts: int, ro
         inner = inner + out * np.minimum(1, 1 / np.maximum(size, 1e-9))
         at[:, 1:-1] = inner.reshape(len(start), -1, 3)
     return np.linalg.norm(np.diff(at, axis=1), axis=2).sum(axis=1)
+
+
+def depths(body: FemurShape, points: np.ndarray) -> np.ndarray:
+    """Distances from points (..., 3) inside a body to points of its surface near them; 0 outside [mm]."""
+    points = points.reshape(-1, 3)
+    inside = points[body(points) > 0]
+    at = inside
+    for _ in range(6):
+        slope = gradient(body, at)
+        at = at - (body(at) / (slope**2).sum(axis=1))[:, None] * slope
+    np.testing.assert_allclose(body(at), 0, atol=1e-6)
+    return np.array([0.0, *np.linalg.norm(at - inside, axis=1)])
 
 
 def lengths(obstacle, start: np.ndarray, end: np.ndarray) -> np.ndarray:
@@ -48,6 +61,25 @@ def test_ligaments_are_as_long_as_strings_over_the_bone(anatomy, name):
     end = np.tile(ends.body, (len(poses), 1))
     length = lengths(beside_condyle(anatomy, placing.SIDES[name]), start, end)
     np.testing.assert_allclose(length, strings(FemurShape(anatomy), start, end, 24, 1000), atol=0.6)
+
+
+@pytest.mark.parametrize("name", ["mpfl", "lpfl"])
+def test_ligaments_are_drawn_over_the_bone(name):
+    """Of the normal knee, with the chords between the points; straight they are 3 to 7 mm in it."""
+    normal = KNEES["normal"]
+    ends, body = placing.retinaculum(normal, name), FemurShape(normal)
+    poses = [placing.rest_pose(normal, flexion) for flexion in (0.0, 30.0, 60.0, 90.0)]
+    start = np.concatenate([place + turn.apply(ends.patella) for place, turn in poses])
+    end = np.tile(ends.body, (len(poses), 1))
+    arc = beside_condyle(normal, placing.SIDES[name]).arc(vector(1e-3 * start), vector(1e-3 * end), ON_ARC)
+    straight, bent = np.linspace(start, end, ON_ARC + 2), 1e3 * np.asarray(arc.array())
+    path = np.concatenate([start[None], np.where(np.isnan(bent), straight[1:-1], bent), end[None]])
+    deepest = [
+        depths(body, np.concatenate([(1 - s) * line[:-1] + s * line[1:] for s in np.linspace(0, 1, 9)])).max()
+        for line in (path, straight)
+    ]
+    assert deepest[0] < 1.0
+    assert deepest[1] > 3.0
 
 
 @pytest.mark.parametrize("name", KNEES)

@@ -95,7 +95,7 @@ class DrawnKnee:
             self._body(shown.recorded)
         self._shown = shown
         for name, (vertices, triangles) in shown.lines.items():
-            if name not in others:
+            if name not in others or len(others[name].vertices) != vertices.shape[1]:  # begins or ceases to bend
                 others[name] = self._mesh(name, Shape(vertices[0], triangles), paler(self._code, 0.3))
         for name, place in shown.origins.items():
             if (bump := f"tibia/{name}") not in others:

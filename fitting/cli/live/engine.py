@@ -128,7 +128,8 @@ class Engine:
 def _simulated(scene: Scene, name: str, still: Still, start: tuple[str, ...]) -> ShownMotion:
     """Simulates with the default integrator and step, as all commands do."""
     began = time.perf_counter()
-    answer = ShownMotion.of(simulate(scene), name, still.geometry(scene), still.continued, start)
+    result = simulate(scene)
+    answer = ShownMotion.of(result, name, still.geometry(result), still.continued, start)
     return replace(answer, seconds=time.perf_counter() - began)
 
 
@@ -143,10 +144,11 @@ class Still:
         """Returns this object if the scene has the same contact, else a new one for the scene."""
         return self if eqx.tree_equal(scene.contact, self._contact) else Still(scene)
 
-    def geometry(self, scene: Scene) -> Dataset:
-        """Geometry of a treated scene: the reused parts, and its own lines of force."""
-        contact = scene.contact
-        lines = geometry(scene if contact is None else scene.without(contact.name))
+    def geometry(self, result: Result) -> Dataset:
+        """Geometry of a treated scene's result: the reused parts, and its own lines of force."""
+        contact = result.scene.contact
+        scene = result.scene if contact is None else result.scene.without(contact.name)
+        lines = geometry(scene, poses=result.poses)
         return self._bodies.assign(lines.data_vars)
 
     def continued(self, points: Floats) -> Shape | None:

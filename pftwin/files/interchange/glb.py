@@ -83,14 +83,19 @@ def _glb(result: Recorded) -> bytes:
 
 
 def _rods(result: Recorded) -> dict[str, PartTrack]:
-    """Tracks of all lines of force as rods: they move a cylinder of length and radius 1 along z, centred at 0."""
+    """Tracks of all lines of force as rods: they move a cylinder of length and radius 1 along z, centred at 0.
+
+    A line that runs over an obstacle is several rods, from insertion to origin.
+    """
     found = {}
     for name, group in result.lines.items():
-        ends, start = group.ends
-        count = ends.shape[1]
+        paths = group.paths
+        _, count, points, _ = paths.shape
         for k in range(count):
             label = name.replace("_", " ") + (f" {k + 1}" if count > 1 else "")
-            found[label] = rod(start[:, k], ends[:, k], group.radius)
+            for j in range(points - 1):
+                part = f", part {j + 1}" if points > 2 else ""
+                found[label + part] = rod(paths[:, k, j + 1], paths[:, k, j], group.radius)
     return found
 
 

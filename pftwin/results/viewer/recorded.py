@@ -147,6 +147,8 @@ class Recorded:
         """Transforms points of a body, (k, 3) or moving (n, k, 3) [m], to the femur frame, (n, k, 3) [m]."""
         from scipy.spatial.transform import Rotation
 
+        if f"{body}_quaternion" not in self.data:  # the femur
+            return np.broadcast_to(points, (len(self.times), *points.shape[-2:]))
         turn = Rotation.from_quat(self.data[f"{body}_quaternion"].values, scalar_first=True).as_matrix()
         points = np.broadcast_to(points, (len(turn), *points.shape[-2:]))
         return np.einsum("nij,nkj->nki", turn, points) + self.data[f"{body}_position"].values[:, None]
@@ -208,11 +210,22 @@ class Lines:
         return values.values[self.result.frames] if "time" in values.dims else values.values
 
     @property
-    def ends(self) -> tuple[Floats, Floats]:
-        """Insertions and origins in the femur frame (n, k, 3) each [m]."""
-        insertion = self.result.placed("patella", self.insertion)
-        origin = self.result.placed("tibia", self.origin) if self.body == "tibia" else self.origin
-        return insertion, np.broadcast_to(origin, insertion.shape)
+    def paths(self) -> Floats:
+        """The lines from insertion to origin in the femur frame (n, k, m, 3) [m].
+
+        m is 2, or larger for lines of which one runs over its obstacle at some frame. In straight ones the points
+        between the ends are evenly spaced.
+        """
+        ends = [self.result.placed(*end)[:, :, None] for end in (("patella", self.insertion), (self.body, self.origin))]
+        arc = self.result.geometry.get(f"{self.name}_arc")
+        if arc is None:
+            return np.concatenate(ends, axis=2)
+        bent = arc.values[self.result.frames].astype(np.float64)
+        count = bent.shape[2]
+        bent = self.result.placed(str(arc.attrs["body"]), bent.reshape(len(bent), -1, 3)).reshape(bent.shape)
+        share = np.linspace(0, 1, count + 2)[1:-1, None]
+        straight = (1 - share) * ends[0] + share * ends[1]
+        return np.concatenate([ends[0], np.where(np.isnan(bent), straight, bent), ends[1]], axis=2)
 
     @property
     def radius(self) -> float:

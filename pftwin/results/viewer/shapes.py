@@ -138,23 +138,35 @@ def arrow_shape() -> Shape:
     return solid_of_revolution([[0, 0], [shaft, 0], [shaft, 1 - head], [width, 1 - head], [0, 1]], np.zeros(3))
 
 
-def tubes(ends: NDArray[np.float64], radius: float, sides: int) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
-    """Returns straight tubes whose ends move.
+def tubes(lines: NDArray[np.float64], radius: float, sides: int) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
+    """Returns tubes along lines that move.
 
     Args:
-        ends: the k tubes' first ends, then their second ends, at n frames (n, 2 k, 3) [mm].
+        lines: k lines through m points at n frames (n, k, m, 3) [mm].
         radius: radius of the tubes [mm].
         sides: number of sides of each tube.
 
     Returns:
-        Vertices (n, 2 k sides, 3) [mm] and triangles (2 k sides, 3), which are the same at every frame.
+        Vertices (n, k m sides, 3) [mm] and triangles (2 k (m - 1) sides, 3), which are the same at every frame.
     """
-    k = ends.shape[1] // 2
-    ring = _rings(ends[:, k:] - ends[:, :k], radius, sides)
-    vertices = ends[:, :, None] + np.concatenate([ring, ring], axis=1)
-    a = np.arange(k * sides).reshape(k, sides)
-    faces = ring_triangles(a, a + k * sides).reshape(-1, 3)
-    return vertices.reshape(len(ends), -1, 3).astype(np.float32), faces.astype(np.uint32)
+    n, k, m, _ = lines.shape
+    vertices = lines[..., None, :] + _rings(directions(lines), radius, sides)
+    a = np.arange(k * m * sides).reshape(k, m, sides)
+    faces = ring_triangles(a[:, :-1].reshape(-1, sides), a[:, 1:].reshape(-1, sides)).reshape(-1, 3)
+    return vertices.reshape(n, -1, 3).astype(np.float32), faces.astype(np.uint32)
+
+
+def directions(lines: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Unit directions of lines (..., m, 3) at their points: the mean of those of both pieces that meet there."""
+    pieces = units(np.diff(lines, axis=-2))
+    both = pieces[..., :-1, :] + pieces[..., 1:, :]
+    return units(np.concatenate([pieces[..., :1, :], both, pieces[..., -1:, :]], axis=-2))
+
+
+def units(vectors: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Unit vectors (..., 3); zero for zero vectors."""
+    size = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    return np.divide(vectors, size, out=np.zeros_like(vectors), where=size > 0)
 
 
 def path(points: NDArray[np.float64], radius: float, sides: int = 6) -> Shape:
@@ -162,7 +174,7 @@ def path(points: NDArray[np.float64], radius: float, sides: int = 6) -> Shape:
     there = np.isfinite(points).all(axis=1)
     p = points[there]
     along = np.asarray(np.gradient(p, axis=0)) if len(p) > 1 else np.ones_like(p)
-    vertices = p[:, None] + _rings(along[None], radius, sides)[0]
+    vertices = p[:, None] + _rings(along[None, None], radius, sides)[0, 0]
     k = np.arange(len(p) * sides).reshape(len(p), sides)
     whole = np.diff(np.cumsum(~there)[there]) == 0
     faces = ring_triangles(k[:-1], k[1:])[whole].reshape(-1, 3)
@@ -180,13 +192,14 @@ def spaced_points(points: NDArray[np.float64], least: float) -> NDArray[np.bool_
 
 
 def _rings(along: NDArray[np.float64], radius: float, sides: int) -> NDArray[np.float64]:
-    """Circles perpendicular to directions (n, k, 3), (n, k, sides, 3) [mm], continuous from frame to frame."""
-    length = np.linalg.norm(along, axis=-1, keepdims=True)
-    z = np.divide(along, length, out=np.zeros_like(along), where=length > 0)
-    reference = np.eye(3)[np.argmin(np.abs(z[:1]), axis=-1)]  # chosen at the first frame and used for all
-    x = np.cross(z, np.broadcast_to(reference, z.shape))
-    size = np.linalg.norm(x, axis=-1, keepdims=True)
-    x = np.divide(x, size, out=np.zeros_like(x), where=size > 0)
+    """Circles perpendicular to directions along k lines (n, k, m, 3), (n, k, m, sides, 3) [mm].
+
+    They do not jump about a line, from point to point or from frame to frame.
+    """
+    z = units(along)
+    # For each line, the coordinate axis that it is never nearly along.
+    reference = np.eye(3)[np.argmin(np.abs(z).max(axis=(0, 2)), axis=-1)]
+    x = units(np.cross(z, reference[:, None]))
     y = np.cross(z, x)
     angle = (2 * np.pi / sides * np.arange(sides))[:, None]
     return radius * (np.cos(angle) * x[..., None, :] + np.sin(angle) * y[..., None, :])

@@ -10,6 +10,7 @@ import pytest
 from other_readers import Glb
 from scipy.spatial.transform import Rotation
 from small_scene import small_result
+from wrapped_scene import wrapped_result
 
 from pftwin.files.interchange import export
 from pftwin.files.interchange.glb import rod
@@ -67,6 +68,24 @@ def test_glb_tendons_reach_from_end_to_end(result, glb):
             np.testing.assert_allclose(rod_now @ [0, 0, end, 1.0], expected, atol=2e-7)
         length = np.linalg.norm(rod_now[:3, 2])
         assert length == pytest.approx(result.effects["patellar_tendon"]["length"][k], abs=1e-6)
+
+
+def test_glb_lines_run_over_their_obstacles(tmp_path):
+    """A chain of rods from the insertion to the origin, each from where the one before ends."""
+    result = wrapped_result()
+    export(result, tmp_path / "wrapped.glb")
+    read, line = Glb(tmp_path / "wrapped.glb"), result.scene.effect("patellar_tendon")
+    for k in (0, 20, -1):
+        rods = [read.matrix(f"patellar tendon, part {j + 1}", k) for j in range(9)]
+        first, last = (np.array([r @ [0, 0, end, 1.0] for r in rods])[:, :3] for end in (0.5, -0.5))
+        np.testing.assert_allclose(first[1:], last[:-1], atol=2e-7)
+        for point, at, body in ((line.insertion, first[0], "patella"), (line.origin, last[-1], "tibia")):
+            expected = read.matrix(body, k) @ [float(point.x), float(point.y), float(point.z), 1.0]
+            np.testing.assert_allclose(at, expected[:3], atol=2e-7)
+        length = np.linalg.norm(first - last, axis=1).sum()
+        assert length == pytest.approx(result.effects["patellar_tendon"]["length"][k], abs=1e-6)
+        assert length > np.linalg.norm(first[0] - last[-1]) + 2e-4
+    assert "mpfl 3, part 9" in {n.get("name") for n in read.tree["nodes"]}
 
 
 def test_glb_has_the_meshes_of_a_contact_of_meshes(result, tmp_path):

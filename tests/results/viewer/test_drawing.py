@@ -71,14 +71,14 @@ def test_the_patella_goes_where_the_result_says(drawn, result, name):
 @pytest.mark.parametrize("tendon", ["quadriceps", "patellar_tendon"])
 def test_lines_are_as_long_as_their_tendons(result, tendon):
     one = Recorded.of(result)
-    ends = 1e3 * np.concatenate(one.lines[tendon].ends, axis=1)
+    ends = 1e3 * one.lines[tendon].paths[:, 0]
     length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
     np.testing.assert_allclose(length, 1e3 * result.effects[tendon]["length"], atol=1e-3)
 
 
 def test_tubes_begin_and_end_where_lines_do(drawn, result):
     one = Recorded.of(result)
-    ends = 1e3 * np.concatenate(one.lines["patellar_tendon"].ends, axis=1)
+    ends = 1e3 * one.lines["patellar_tendon"].paths[:, 0]
     for k, vertices in enumerate(named(drawn, "patellar tendon").vertices.values()):
         rings = vertices.reshape(2, -1, 3)
         np.testing.assert_allclose(rings.mean(axis=1), ends[k], atol=1e-3)
@@ -280,7 +280,7 @@ def test_importing_the_viewer_does_not_import_k3d():
 
 def test_tubes_and_paths_keep_their_radius():
     ends = np.array([[[0.0, 0, 0], [1, 2, 3]], [[0, 0, 1], [1, 2, 3]]])
-    vertices, triangles = tubes(ends, 0.5, 8)
+    vertices, triangles = tubes(ends[:, None], 0.5, 8)
     rings = vertices.reshape(2, 2, 8, 3)
     assert np.linalg.norm(rings - ends[:, :, None], axis=-1) == pytest.approx(0.5, rel=1e-5)
     assert triangles.max() == 15

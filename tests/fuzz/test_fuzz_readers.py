@@ -16,7 +16,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from pftwin.base.errors import InputError
-from pftwin.files.mocap.c3d_structure import check_c3d_structure
+from pftwin.files.mocap.c3d import check_c3d_structure
 from pftwin.files.scene_file.document import Document
 
 # A crash of ezc3d or HDF5 would end the whole run of tests: these are left to the script, which takes processes.

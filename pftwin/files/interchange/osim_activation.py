@@ -23,8 +23,8 @@ from pftwin.files.interchange.osim_muscle_force import MUSCLES, MuscleForce, rea
 from pftwin.files.interchange.osim_muscle_path import MovingBodies, PathOverMotion, path_over_motion
 from pftwin.files.interchange.osim_toml import csv_text
 from pftwin.files.interchange.osim_wraps import Wraps, wraps_of
+from pftwin.files.mocap.bones import in_words, jumps
 from pftwin.files.mocap.csv_files import read_csv
-from pftwin.files.mocap.jumps import in_words, jumps
 from pftwin.files.mocap.poses import PoseSeries
 from pftwin.files.mocap.sto import read_sto
 

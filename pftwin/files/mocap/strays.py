@@ -1,7 +1,7 @@
 """Detects and repairs mislabelled or misplaced markers of a cluster, which leave its shape for some frames.
 
 Skin moves markers of a segment relative to each other, but slowly. Frames in which they jump relative to each other are
-detected like the outliers of a patella (`pftwin.files.mocap.jumps`). For each such frame the simplest explanation is
+detected like the outliers of a patella (`pftwin.files.mocap.bones`). For each such frame the simplest explanation is
 searched: two markers exchanged, one misplaced, two misplaced. The reference is the cluster's shape in the good frames
 around.
 """
@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pftwin.base.arrays import Floats
+from pftwin.files.mocap.bones import Frames, coasts, in_words, out_of_line
 from pftwin.files.mocap.frames import cluster_poses, spans_plane
-from pftwin.files.mocap.jumps import Frames, coasts, in_words, out_of_line
 from pftwin.files.mocap.markers import MarkerTrajectories
 
 _APART = 8e-3  # [m] relative motion of markers by skin and noise that is always allowed, or, if larger,

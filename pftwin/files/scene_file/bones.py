@@ -9,7 +9,7 @@ import numpy as np
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.files.mocap import PoseSeries
-from pftwin.files.mocap.jumps import in_words, jumps
+from pftwin.files.mocap.bones import in_words, jumps
 from pftwin.files.scene_file.recording import SegmentRecording
 from pftwin.files.scene_file.segments import SegmentSection, StartSection
 from pftwin.files.scene_file.side import HostPose, Side

@@ -10,7 +10,7 @@ from pydantic import Field
 
 from pftwin.base.errors import InputError
 from pftwin.files.mocap import Table, frame_means, read_readings, singular_spectrum_filter
-from pftwin.files.mocap.jumps import in_words, jumps
+from pftwin.files.mocap.bones import in_words, jumps
 from pftwin.files.mocap.units import SI_UNITS, split_unit
 from pftwin.files.scene_file.bones import Bones
 from pftwin.files.scene_file.document import Document

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from pftwin.files.mocap import PoseSeries, read_poses
-from pftwin.files.mocap.jumps import in_words, jumps
+from pftwin.files.mocap.bones import in_words, jumps
 
 N, RATE = 60, 30.0
 

@@ -43,7 +43,7 @@ def simulate(
     Example: `pftwin simulate --case 2 --tto-medial 16 -o after.nc`
     """
     check_suffix(output, [".nc"], "results are NetCDF")
-    from pftwin.files.isb_axes import check_axes
+    from pftwin.files.result_files import check_axes
 
     files = [output, *(output.with_suffix(s) for s, wanted in ((".csv", csv), (".sto", sto)) if wanted)]
     if check_axes(axes) != "pftwin" and not (csv or sto):

@@ -1,4 +1,8 @@
-"""Reads and writes results as files: NetCDF, CSV, OpenSim storage. Writing is atomic."""
+"""Reads and writes results as files: NetCDF, CSV, OpenSim storage. Writing is atomic.
+
+The axes of results are x proximal, y lateral, z anterior, and a left knee is computed as its mirror image. In the axes
+of the International Society of Biomechanics, x anterior, y proximal, z to the right, it is a left knee again.
+"""
 
 from __future__ import annotations
 
@@ -9,10 +13,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.base.output import check_place, written_whole
 from pftwin.base.text_files import write_text
-from pftwin.files.isb_axes import PFTWIN, check_axes, describe, in_isb_axes
 from pftwin.files.mocap.csv_files import write_csv
 from pftwin.files.mocap.tables import Table
 
@@ -21,6 +25,9 @@ if TYPE_CHECKING:
 
 _QUATERNION = "component"
 GEOMETRY = "geometry"  # the group of a result's file with the geometry to draw
+PFTWIN, ISB = "pftwin", "isb"
+# Rows: the ISB's axes x, y, z, for a right knee, in the axes of results (Wu et al. 2002, J Biomech 35:543).
+AXES = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 
 
 def save_dataset(
@@ -119,7 +126,7 @@ def save_csv(data: Dataset, path: str | os.PathLike[str], axes: str = PFTWIN) ->
     Args:
         data: dataset of a result.
         path: target file.
-        axes: "pftwin" or "isb" (`pftwin.files.isb_axes`); a comment (#) at the top names the latter.
+        axes: "pftwin" or "isb"; a comment (#) at the top names the latter.
 
     Raises:
         InputError: unknown axes, or ISB axes for a dataset without the side of the knee.
@@ -153,7 +160,8 @@ def _in_axes(columns: dict[str, np.ndarray], data: Dataset, axes: str) -> tuple[
             expected="a result saved by this version of pftwin",
             remedy="simulate again, or the axes of pftwin",
         )
-    return in_isb_axes(columns, side == "left"), [describe(side == "left")]
+    said = f"Axes: ISB (Wu et al. 2002), {side} knee: x anterior, y proximal, z to the right"
+    return in_isb_axes(columns, side == "left"), [said]
 
 
 def reservations(data: Dataset) -> list[str]:
@@ -199,3 +207,26 @@ def flat_columns(data: Dataset) -> tuple[dict[str, np.ndarray], dict[str, str]]:
             columns[prefix + label] = column
             units[prefix + label] = "" if label.startswith("_q") else str(variable.attrs.get("units", "1"))
     return columns, units
+
+
+def check_axes(axes: str) -> str:
+    """Returns the name of the axes; InputError if it is unknown."""
+    if axes not in (PFTWIN, ISB):
+        raise InputError(f"found {axes!r}", where="axes", expected=f"{PFTWIN} or {ISB}")
+    return axes
+
+
+def in_isb_axes(columns: Mapping[str, Floats], left: bool) -> dict[str, Floats]:
+    """Columns (n,) with all vectors (NAME_x, NAME_y, NAME_z) and rotations (NAME_qx, NAME_qy, NAME_qz) in ISB axes.
+
+    Vectors are positions and forces. The axis of a rotation turns the other way in a mirror image. All other columns,
+    such as lengths and clinical angles, are the same in any axes.
+    """
+    turn = np.diag([1.0, 1.0, -1.0 if left else 1.0]) @ AXES
+    turned = dict(columns)
+    for start, matrix in (("_", turn), ("_q", np.linalg.det(turn) * turn)):
+        for name in (n.removesuffix(f"{start}x") for n in columns if n.endswith(f"{start}x")):
+            parts = [f"{name}{start}{axis}" for axis in "xyz"]
+            if all(part in columns for part in parts):
+                turned |= zip(parts, matrix @ np.stack([columns[part] for part in parts]), strict=True)
+    return turned

@@ -17,8 +17,17 @@ import numpy as np
 
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError, OutputError, PftwinWarning
-from pftwin.files.isb_axes import AXES, PFTWIN, check_axes
-from pftwin.files.result_files import finite_frames, motion_dataset, reservations, save_csv, save_sto, write_storage
+from pftwin.files.result_files import (
+    AXES,
+    PFTWIN,
+    check_axes,
+    finite_frames,
+    motion_dataset,
+    reservations,
+    save_csv,
+    save_sto,
+    write_storage,
+)
 
 if TYPE_CHECKING:
     from xarray import Dataset

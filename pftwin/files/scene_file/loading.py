@@ -16,9 +16,9 @@ from pftwin.base.errors import InputError
 from pftwin.base.program_cache import cached
 from pftwin.files.scene_file.bones import Bones
 from pftwin.files.scene_file.document import Document
-from pftwin.files.scene_file.drawn_bones_table import DrawnBonesSection
 from pftwin.files.scene_file.effect_tables import EffectSection, Setting
 from pftwin.files.scene_file.measured_table import MeasuredSection
+from pftwin.files.scene_file.mesh_tables import DrawnBonesSection
 from pftwin.files.scene_file.problems import validated
 from pftwin.files.scene_file.recording import SegmentRecording
 from pftwin.files.scene_file.registry import effect_tables

@@ -97,7 +97,7 @@ class MeshContactSection(_MeshesSection):
         return MeshContact(*meshes, self.law.build(), vector(button.origin), surface=surface, name=self.label)
 
     def _nearest(self, femur: FemurMesh, center: Floats, radius: float, surface: Surface | None) -> Contact:
-        from pftwin.geometry.contact.mesh_facets import mesh_facets
+        from pftwin.geometry.contact.patch_mesh import mesh_facets
         from pftwin.model.effects.mesh_sphere_contact import MeshSphereContact
 
         facets, place = mesh_facets(femur.mesh, femur.lateral), vector(center)

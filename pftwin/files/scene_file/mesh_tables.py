@@ -1,4 +1,4 @@
-"""Common tables of mesh contacts: the femur's mesh with its facets, and the button as a mesh or a sphere.
+"""Tables of meshes on bones: the femur's with its facets and the button's, for contact; and [bones], for drawings.
 
 Also checks the start for poses from which no equilibrium can be found.
 """
@@ -21,6 +21,7 @@ from pftwin.files.scene_file.surface_table import MeshFileSection, RegionSection
 if TYPE_CHECKING:
     from pftwin.geometry.mesh.mesh import SurfaceMesh
     from pftwin.geometry.patch.region import TrochlearRegion
+    from pftwin.model.drawn_bones import DrawnBones
 
 
 class FemurMesh(NamedTuple):
@@ -51,7 +52,7 @@ class FemurMeshSection(MeshFileSection):
         mesh = setting.side.mesh("femur", self.read(setting))
         if self.facets == "one":
             return FemurMesh(mesh, None, None)
-        from pftwin.geometry.contact.mesh_facets import lateral_of_groove
+        from pftwin.geometry.contact.patch_mesh import lateral_of_groove
 
         with setting.naming("region"):
             region = self.region.find(mesh, self.mesh_pose.pose(), setting)
@@ -173,3 +174,52 @@ def check_start(femur: FemurMesh, button: ButtonMesh, setting: Setting) -> None:
             f"{where}: at the first frame the button is {1e3 * found.deepest:.2g} mm deep in the femur: "
             "deeper than contact is made for, so the search for equilibrium may fail"
         )
+
+
+SIZES = (0.015, 0.65)  # plausible longest side of a bone or a part of one [m]
+FARTHEST = 0.2  # largest plausible distance of a bone's nearest point from its frame's origin [m]
+
+
+class BoneSection(MeshFileSection):
+    """A bone's surface in its body's frame."""
+
+    repair: bool = Field(default=False, description="reorient triangles that face the wrong way")
+
+    def build(self, body: str, setting: Setting) -> SurfaceMesh:
+        """The surface in the scene's frame of its body.
+
+        Raises:
+            InputError: a mesh that is unreadable, has an implausible size or is far from its frame's origin.
+        """
+        from pftwin.geometry.mesh.mesh import load_mesh
+
+        with setting.naming("mesh"):
+            mesh = load_mesh(setting.path(self.mesh), units=self.units, size=SIZES, repair=self.repair)
+        mesh = setting.side.mesh(body, self._placed(mesh))
+        if (away := float(np.linalg.norm(mesh.vertices, axis=1).min())) > FARTHEST:
+            raise InputError(
+                f"all of it is {1e3 * away:.0f} mm or farther from the origin of the {body}'s frame",
+                where=setting.where("mesh"),
+                expected=f"less than {1e3 * FARTHEST:.0f} mm",
+                remedy="mesh_pose, where the mesh has another frame than the bone; check units",
+            )
+        return mesh
+
+
+class DrawnBonesSection(Section):
+    """Surfaces of bones for drawings of the scene; they exert no force, and contact needs its own meshes."""
+
+    femur: BoneSection | None = Field(default=None, description="table: the femur's surface; schematic by default")
+    patella: BoneSection | None = Field(default=None, description="table: the patella's; schematic by default")
+    tibia: BoneSection | None = Field(default=None, description="table: the tibia's; schematic by default")
+
+    def _check(self) -> None:
+        if not self.model_fields_set:
+            raise problem("no bone", expected="femur, patella or tibia, or no such table")
+
+    def build(self, setting: Setting) -> DrawnBones:
+        """The surfaces in the table."""
+        from pftwin.model.drawn_bones import DrawnBones
+
+        given = ((body, getattr(self, body)) for body in ("femur", "patella", "tibia"))
+        return DrawnBones({body: bone.build(body, setting.at(body)) for body, bone in given if bone is not None})

@@ -142,7 +142,7 @@ def _femur(name: str) -> tuple[SurfaceMesh, NDArray[np.bool_]]:
 
 
 def _meshed(name: str) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.bool_]]:
-    from pftwin.geometry.contact.mesh_facets import lateral_of_groove
+    from pftwin.geometry.contact.patch_mesh import lateral_of_groove
     from pftwin.geometry.mesh.icosphere import RESOLUTIONS
 
     with jax.enable_x64(True):

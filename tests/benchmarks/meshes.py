@@ -19,8 +19,7 @@ from pftwin.base.spatial import Pose, Quaternion, Vec3
 from pftwin.dynamics.simulate import settle_first_frame
 from pftwin.geometry.contact.contact_mesh import contact_mesh
 from pftwin.geometry.contact.contour import mesh_pair
-from pftwin.geometry.contact.mesh_facets import lateral_of_groove
-from pftwin.geometry.contact.patch_mesh import patch_mesh
+from pftwin.geometry.contact.patch_mesh import lateral_of_groove, patch_mesh
 from pftwin.geometry.contact.sphere_patch import sphere_patch
 from pftwin.geometry.mesh.icosphere import icosphere
 from pftwin.geometry.mesh.mesh import SurfaceMesh

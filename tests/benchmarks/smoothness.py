@@ -80,8 +80,7 @@ def noise(force: NDArray[np.float64]) -> NDArray[np.float64]:
 def effects() -> Iterator[tuple[str, str, Any]]:
     """Law, mesh and effect of what is swept; each is made when it is asked for."""
     from pftwin.geometry.contact.contact_mesh import contact_mesh
-    from pftwin.geometry.contact.mesh_facets import lateral_of_groove, mesh_facets
-    from pftwin.geometry.contact.patch_mesh import patch_mesh
+    from pftwin.geometry.contact.patch_mesh import lateral_of_groove, mesh_facets, patch_mesh
     from pftwin.geometry.mesh.icosphere import button_mesh
     from pftwin.geometry.patch.implant import rig_implant, rig_region
     from pftwin.model.effects.mesh_contact import MeshContact

@@ -13,7 +13,7 @@ from pftwin.geometry.bvh.tree import build_tree
 from pftwin.geometry.bvh.triangle import Triangle, closest_on_triangle
 from pftwin.geometry.bvh.wide import nearest_wide, wide_tree
 from pftwin.geometry.contact import contour
-from pftwin.geometry.contact.mesh_facets import lateral_of_groove
+from pftwin.geometry.contact.patch_mesh import lateral_of_groove
 from pftwin.geometry.mesh.mesh import SurfaceMesh
 from pftwin.geometry.patch.implant import rig_region
 from pftwin.rig.contacts import implant_mesh

@@ -9,9 +9,9 @@ import pytest
 from jaxtyping import Array
 from mesh_samples import point
 
-from pftwin.geometry.bvh.features import features_of
 from pftwin.geometry.bvh.tree import build_tree
 from pftwin.geometry.contact.behind import Behind, _back_solid_angle, behind
+from pftwin.geometry.contact.contact_mesh import features_of
 from pftwin.geometry.mesh.icosphere import icosphere
 from pftwin.geometry.mesh.mesh import SurfaceMesh
 

@@ -14,8 +14,8 @@ from scenes import OPTIMISED
 
 from pftwin.base.errors import InputError
 from pftwin.base.spatial import Pose, Quaternion, Vec3
-from pftwin.geometry.bvh.features import features_of
 from pftwin.geometry.bvh.triangle import Triangle, closest_on_triangle
+from pftwin.geometry.contact.contact_mesh import features_of
 from pftwin.geometry.contact.depth_sides import pressed_surface, pressing_surface
 from pftwin.geometry.contact.depths import depths
 from pftwin.geometry.mesh.icosphere import icosphere

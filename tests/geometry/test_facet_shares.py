@@ -10,7 +10,7 @@ import pytest
 from scenes import RADIUS, J, contact, look, patch_of, vec
 
 from pftwin.base.spatial import Vec3
-from pftwin.geometry.contact.mesh_facets import FacetPoint
+from pftwin.geometry.contact.patch_mesh import FacetPoint
 from pftwin.geometry.patch.polynomial import PolynomialPatch, exponents
 from pftwin.model.effects.contact_law import Hertz
 from pftwin.model.effects.mesh_sphere_contact import _shares

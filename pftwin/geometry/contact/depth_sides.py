@@ -21,11 +21,11 @@ from numpy.typing import ArrayLike, NDArray
 from pftwin.base.errors import InputError
 from pftwin.base.program_cache import cached
 from pftwin.base.spatial import Rotation, Scalar, Vec3, safe_sqrt
-from pftwin.geometry.bvh.features import features_of
 from pftwin.geometry.bvh.loops import member_by_member
 from pftwin.geometry.bvh.tree import check_searchable
 from pftwin.geometry.bvh.triangle import Triangle, closest_on_triangle
 from pftwin.geometry.bvh.walk import Fans, SearchTree, fans_of, rows_of
+from pftwin.geometry.contact.contact_mesh import features_of
 from pftwin.geometry.contact.depth_search import TouchingLeaves, touching_leaves
 from pftwin.geometry.mesh.mesh import SurfaceMesh
 

@@ -16,7 +16,7 @@ from pftwin.model.effects.base import Effect, Instant, Load, Observable, StiffTe
 from pftwin.model.effects.contact_law import ContactLaw, Speeds
 
 if TYPE_CHECKING:
-    from pftwin.geometry.contact.mesh_facets import FacetPoint
+    from pftwin.geometry.contact.patch_mesh import FacetPoint
     from pftwin.geometry.patch.closest import ClosestPoint, Surface
     from pftwin.model.effects.friction import Friction
 

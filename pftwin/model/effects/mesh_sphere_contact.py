@@ -15,7 +15,7 @@ from jaxtyping import Array
 from pftwin.base.leaves import traced_once
 from pftwin.base.quantities import quantity
 from pftwin.base.spatial import Scalar, Vec3
-from pftwin.geometry.contact.mesh_facets import FacetPoint, MeshFacets
+from pftwin.geometry.contact.patch_mesh import FacetPoint, MeshFacets
 from pftwin.geometry.patch.closest import Surface
 from pftwin.model.effects.base import Instant, Load, Observable
 from pftwin.model.effects.contact import BY_FACET, ButtonSphere, Contact, Touch, facet_report, load_of, vector_sum

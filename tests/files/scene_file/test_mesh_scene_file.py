@@ -214,7 +214,7 @@ def test_a_scene_without_meshes_imports_nothing_of_them(toy: Path) -> None:
         "import sys, pftwin\n"
         f"pftwin.simulate, pftwin.load_scene({str(toy / 'light.toml')!r})\n"
         "surfaces = ('bvh', 'mesh.checked', 'mesh.doctor')\n"
-        "surfaces += ('contact.contact_mesh', 'contact.contour', 'contact.depth', 'contact.mesh_facets')\n"
+        "surfaces += ('contact.contact_mesh', 'contact.contour', 'contact.depth', 'contact.patch_mesh')\n"
         "effects = ('mesh', 'elastic_foundation', 'foundation_law', 'foundation_sums')\n"
         "odd = [f'pftwin.geometry.{m}' for m in surfaces]\n"
         "odd += [f'pftwin.model.effects.{m}' for m in effects] + ['trimesh']\n"

@@ -37,7 +37,7 @@ def volume() -> Effect:
 
 
 def nearest() -> Effect:
-    from pftwin.geometry.contact.mesh_facets import mesh_facets
+    from pftwin.geometry.contact.patch_mesh import mesh_facets
     from pftwin.model.effects.mesh_sphere_contact import MeshSphereContact
 
     return MeshSphereContact(mesh_facets(icosphere(BONE, 10)), LAW, vec(0, 0, 0), J(BUTTON))

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from scenes import MASS, RADIUS, G, J, look, march, record, state_at, system, vec
 
-from pftwin.geometry.contact.mesh_facets import mesh_facets
-from pftwin.geometry.contact.patch_mesh import patch_mesh
+from pftwin.geometry.contact.patch_mesh import mesh_facets, patch_mesh
 from pftwin.geometry.mesh.mesh import SurfaceMesh
 from pftwin.model.effects.contact_law import HuntCrossley
 from pftwin.model.effects.friction import Friction

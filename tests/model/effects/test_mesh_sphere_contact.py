@@ -19,7 +19,7 @@ from pftwin.dynamics.observe import observe
 from pftwin.dynamics.state import System
 from pftwin.dynamics.status import Status
 from pftwin.geometry.bvh import wide
-from pftwin.geometry.contact.mesh_facets import MeshFacets, lateral_of_groove, mesh_facets
+from pftwin.geometry.contact.patch_mesh import MeshFacets, lateral_of_groove, mesh_facets
 from pftwin.geometry.mesh.icosphere import icosphere
 from pftwin.geometry.mesh.mesh import SurfaceMesh
 from pftwin.geometry.patch.implant import rig_implant, rig_region

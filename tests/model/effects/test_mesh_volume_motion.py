@@ -16,9 +16,8 @@ from pftwin.base.spatial import Vec3
 from pftwin.dynamics.observe import observe
 from pftwin.dynamics.status import Status
 from pftwin.geometry.bvh.wide import BallListLengths
-from pftwin.geometry.contact.mesh_facets import lateral_of_groove
 from pftwin.geometry.contact.overlap import beside_groove, effective_radius
-from pftwin.geometry.contact.patch_mesh import patch_mesh
+from pftwin.geometry.contact.patch_mesh import lateral_of_groove, patch_mesh
 from pftwin.geometry.mesh.icosphere import icosphere
 from pftwin.geometry.mesh.mesh import SurfaceMesh
 from pftwin.geometry.patch.implant import rig_region

@@ -34,7 +34,7 @@ METHODS = {  # module and class
     "least_squares": ("least_squares", "LeastSquares"),
     "gradient": ("gradient", "Gradient"),
     "genetic": ("populations", "Genetic"),
-    "matlab_ga": ("matlab_ga", "MatlabGa"),
+    "matlab_ga": ("populations", "MatlabGa"),
     "cma_es": ("strategies", "CmaEs"),
     "differential_evolution": ("strategies", "DifferentialEvolution"),
 }

@@ -7,17 +7,21 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from fitting.methods.matlab_ga import (
+from fitting.methods.populations import (
+    STALL,
+    Genetic,
     MatlabGa,
     children_of,
+    default_population,
     elite_places,
     expectations,
+    has_stalled,
     mutation,
     mutation_length,
+    offspring,
     scattered_crossover,
     stochastic_uniform,
 )
-from fitting.methods.populations import STALL, Genetic, default_population, has_stalled, offspring
 from fitting.methods.problem import ProblemAnswer
 
 seeds = st.integers(0, 2**32 - 1)

@@ -62,8 +62,7 @@ def twin_page(scene: Scene) -> str:
     from fitting.cli.live.knobs import Knobs
     from fitting.cli.live.words import AFTER, BEFORE, NOT_FOR_PATIENTS
     from fitting.cli.pages import template
-    from fitting.cli.twin.facts import facts
-    from fitting.cli.twin.programs import missing, programs, sliders
+    from fitting.cli.twin.programs import facts, missing, programs, sliders
     from pftwin.model.scene import check
 
     check(scene)

@@ -10,8 +10,7 @@ import numpy as np
 from fitting.finish import started_at
 from fitting.methods.gradient import Gradient
 from fitting.methods.least_squares import LeastSquares
-from fitting.methods.matlab_ga import MatlabGa
-from fitting.methods.populations import Genetic
+from fitting.methods.populations import Genetic, MatlabGa
 from fitting.methods.problem import Method, Problem, State
 from fitting.methods.strategies import CmaEs, DifferentialEvolution
 from tests.benchmarks.fitting.methods.meter import Meter

@@ -10,8 +10,7 @@ from twin_in_node import simulated
 
 import pftwin
 from fitting.cli.live.knobs import Knobs, neutral
-from fitting.cli.twin.facts import facts
-from fitting.cli.twin.programs import missing, programs, sliders
+from fitting.cli.twin.programs import facts, missing, programs, sliders
 from pftwin.model.effects.gravity import Gravity
 
 CLOSE = 1e-9  # [m]: a millionth of a millimetre

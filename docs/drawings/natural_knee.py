@@ -17,7 +17,7 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 from numpy.typing import NDArray
 
 from pftwin import rig
-from pftwin.geometry.bones.femur import FLEXION_AXIS
+from pftwin.geometry.bones.tibiofemoral import FLEXION_AXIS
 from pftwin.geometry.mesh.mesh import SurfaceMesh
 from pftwin.rig.natural.motion import tibia_turn
 from pftwin.rig.natural.placing import rest_pose

@@ -12,7 +12,7 @@ from pftwin.base.rotations import tibiofemoral_angles
 from pftwin.dynamics.simulate import equilibrium, simulate
 from pftwin.dynamics.status import Status
 from pftwin.geometry.bones.anatomy import Anatomy
-from pftwin.geometry.bones.femur import FemurShape
+from pftwin.geometry.bones.tibiofemoral import FemurShape
 from pftwin.model.motion_on_host import tibia_orientation
 from pftwin.rig.natural import motion, placing
 

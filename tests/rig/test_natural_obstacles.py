@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 from pftwin import rig
 from pftwin.base.leaves import vector
 from pftwin.geometry.bones.anatomy import Anatomy
-from pftwin.geometry.bones.femur import FemurShape
 from pftwin.geometry.bones.implicit import gradient
+from pftwin.geometry.bones.tibiofemoral import FemurShape
 from pftwin.results.scene_geometry import ON_ARC
 from pftwin.rig.natural import placing
 from pftwin.rig.natural.obstacles import beside_condyle, over_trochlea

@@ -11,10 +11,10 @@ from scipy.optimize import brentq
 
 from pftwin.base.errors import InputError
 from pftwin.geometry.bones.anatomy import Anatomy
-from pftwin.geometry.bones.femur import FemurShape
 from pftwin.geometry.bones.implicit import mesh_of
 from pftwin.geometry.bones.patella import PatellaShape
 from pftwin.geometry.bones.surfaces import bones
+from pftwin.geometry.bones.tibiofemoral import FemurShape
 from pftwin.geometry.mesh.doctor import examine
 from pftwin.geometry.mesh.mesh import SurfaceMesh
 

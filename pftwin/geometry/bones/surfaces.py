@@ -11,10 +11,9 @@ import numpy as np
 from pftwin.base.errors import InputError
 from pftwin.base.program_cache import cached
 from pftwin.geometry.bones.anatomy import Anatomy
-from pftwin.geometry.bones.femur import FemurShape
 from pftwin.geometry.bones.implicit import mesh_of
 from pftwin.geometry.bones.patella import PatellaShape
-from pftwin.geometry.bones.tibia import TibiaShape
+from pftwin.geometry.bones.tibiofemoral import FemurShape, TibiaShape
 from pftwin.geometry.mesh.mesh import SurfaceMesh, compacted
 
 _SHAPES: dict[str, type[FemurShape | PatellaShape | TibiaShape]] = {

@@ -12,7 +12,7 @@ from pftwin.base.arrays import Floats
 from pftwin.geometry.bones.anatomy import Anatomy
 from pftwin.geometry.bones.implicit import smooth_step
 from pftwin.geometry.bones.surfaces import bones
-from pftwin.geometry.bones.tibia import TibiaShape
+from pftwin.geometry.bones.tibiofemoral import TibiaShape
 from pftwin.results.viewer.recorded import Mesh, Recorded
 from pftwin.results.viewer.shapes import (
     CAP,

@@ -19,8 +19,8 @@ from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.base.rotations import tibiofemoral_orientation
 from pftwin.files.mocap.poses import PoseSeries
-from pftwin.geometry.bones.femur import FLEXION_AXIS
 from pftwin.geometry.bones.implicit import smooth_step
+from pftwin.geometry.bones.tibiofemoral import FLEXION_AXIS
 from pftwin.model.motion import KneeMotion
 
 STRAIGHT, BENT = 15.0, 90.0  # range of flexion [deg]

@@ -13,7 +13,7 @@ from pftwin.base.arrays import Floats
 from pftwin.base.leaves import number, vector
 from pftwin.base.spatial import Quaternion
 from pftwin.geometry.bones.anatomy import Anatomy
-from pftwin.geometry.bones.femur import FemurShape
+from pftwin.geometry.bones.tibiofemoral import FemurShape
 from pftwin.geometry.wrapping.cylinder import Cylinder
 from pftwin.geometry.wrapping.ellipsoid import Ellipsoid
 

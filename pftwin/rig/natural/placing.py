@@ -14,9 +14,8 @@ from scipy.spatial.transform import Rotation
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.geometry.bones.anatomy import Anatomy
-from pftwin.geometry.bones.femur import FLEXION_AXIS, FemurShape
 from pftwin.geometry.bones.patella import EDGE, PatellaShape
-from pftwin.geometry.bones.tibia import TibiaShape
+from pftwin.geometry.bones.tibiofemoral import FLEXION_AXIS, FemurShape, TibiaShape
 from pftwin.rig.natural.motion import tibia_turn
 
 STRANDS = {"patellar_tendon": 5, "mpfl": 3, "lpfl": 3}

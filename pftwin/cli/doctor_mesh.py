@@ -16,7 +16,7 @@ from pftwin.cli.exit_codes import exit_flagged
 
 if TYPE_CHECKING:
     from pftwin.geometry.mesh.doctor import Diagnosis
-    from pftwin.geometry.patch.directions import Candidate, PrincipalAxis
+    from pftwin.geometry.patch.region import Candidate, PrincipalAxis
 
 _SEVERITIES = {"safe": "can be repaired", "left": "stays as it is", "fatal": "makes it unusable"}
 _MOST_PARTS = 5  # largest number of a mesh's parts to describe
@@ -96,7 +96,7 @@ def _axes(mesh: Path, unit: str, output: Path | None) -> tuple[dict[str, Any], l
     """Candidates for the anatomical axes, as facts and as lines; writes their figure if requested."""
     terminal.start_computing()
     from pftwin.geometry.mesh.mesh import load_mesh
-    from pftwin.geometry.patch.directions import directions_with_groove, principal_axes
+    from pftwin.geometry.patch.region import directions_with_groove, principal_axes
 
     with terminal.spinner("searching for axes"):
         surface = load_mesh(mesh, units=unit, size=None, repair=True)

@@ -119,7 +119,7 @@ def _patches(kind: str, degree: str | None, tolerance: str | None) -> tuple[list
 
 def _with_directions(error: InputError, surface: SurfaceMesh, wanted: dict[str, Any]) -> InputError:
     """The error of a region search, with the direction options that give a region as a remedy."""
-    from pftwin.geometry.patch.directions import directions_with_groove
+    from pftwin.geometry.patch.region import directions_with_groove
 
     found = directions_with_groove(surface, **wanted)
     if not found:

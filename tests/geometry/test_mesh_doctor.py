@@ -14,8 +14,8 @@ from pftwin.cli import app
 from pftwin.geometry.mesh import files
 from pftwin.geometry.mesh.doctor import Diagnosis, examine, examine_file, repaired
 from pftwin.geometry.mesh.mesh import SurfaceMesh, check_mesh, load_mesh, save_mesh
-from pftwin.geometry.patch.directions import principal_axes
 from pftwin.geometry.patch.implant import rig_implant
+from pftwin.geometry.patch.region import principal_axes
 from pftwin.results.plots.region import plot_principal
 
 

@@ -12,11 +12,10 @@ from scipy.spatial.transform import Rotation as ScipyRotation
 from pftwin.base.errors import InputError
 from pftwin.base.written_amounts import AXES
 from pftwin.geometry.mesh.mesh import SurfaceMesh, check_mesh, load_mesh
-from pftwin.geometry.patch.directions import directions_with_groove
 from pftwin.geometry.patch.fit import fit_patch
 from pftwin.geometry.patch.groove import fit_axis_direction, fit_circle
 from pftwin.geometry.patch.implant import FemoralComponent, rig_implant
-from pftwin.geometry.patch.region import trochlear_region
+from pftwin.geometry.patch.region import directions_with_groove, trochlear_region
 from pftwin.results.plots.region import plot_region
 
 _FRONT = {"anterior": (0, 0, 1), "proximal": (1, 0, 0)}

@@ -13,8 +13,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from pftwin.geometry.mesh.mesh import SurfaceMesh
-    from pftwin.geometry.patch.directions import Candidate, PrincipalAxis
-    from pftwin.geometry.patch.region import TrochlearRegion
+    from pftwin.geometry.patch.region import Candidate, PrincipalAxis, TrochlearRegion
 
 _PANEL = 4.4  # height of a panel [in]
 

@@ -97,11 +97,7 @@ _ALIGNED = 8
 
 
 def check_heaps(file: Path) -> None:
-    """Checks every global heap and its objects.
-
-    Raises:
-        InputError: a heap that does not end where its size says, or an object of size zero.
-    """
+    """Raises InputError for a global heap that does not end where its size says, or with an object of size zero."""
     if not file.stat().st_size:
         return
     with file.open("rb") as opened, mmap.mmap(opened.fileno(), 0, access=mmap.ACCESS_READ) as data:

@@ -71,8 +71,7 @@ def _netcdf(data: Dataset, groups: Mapping[str, Dataset], encoding: dict[str, di
 def load_dataset(path: str | os.PathLike[str], *, group: str | None = None) -> Dataset:
     """Reads a dataset written by `save_dataset`, or one of its groups, into memory.
 
-    Raises:
-        InputError: no such file, not NetCDF-4, too large, data in other files or missing, or no such group.
+    Raises InputError for no such file or group, not NetCDF-4, too large, and data in other files or missing.
     """
     from xarray import load_dataset as load
 
@@ -96,11 +95,7 @@ def load_dataset(path: str | os.PathLike[str], *, group: str | None = None) -> D
 
 
 def motion_dataset(result: Any) -> Dataset:
-    """Dataset of a `Result`, or of a result's file.
-
-    Raises:
-        InputError: no such file, or not a result of one simulation.
-    """
+    """Dataset of a `Result` or its file. Raises InputError for no such file, or no result of one simulation."""
     if not isinstance(result, str | os.PathLike):
         return result.to_dataset()
     data = load_dataset(result)
@@ -178,8 +173,7 @@ def write_storage(
 ) -> None:
     """Writes columns (n,) in OpenSim's storage format, angles in degrees; `notes` are lines of the header.
 
-    Raises:
-        OutputError: as `save_dataset`.
+    Raises OutputError as `save_dataset`.
     """
     counts = f"nRows={times.size}", f"nColumns={len(columns) + 1}"
     head = [title, "version=1", *counts, "inDegrees=yes", *notes, "endheader", "\t".join(["time", *columns])]

@@ -63,8 +63,7 @@ def _offered(knob: Knob) -> bool:
 def programs(knobs: Knobs) -> Programs:
     """Compiles the programs of a scene with its sliders.
 
-    Raises:
-        InputError: the scene's programs cannot be compiled, for example those of contacts on meshes.
+    Raises InputError for a scene whose programs cannot be compiled, for example contacts on meshes.
     """
     scene, emitter, changed = knobs.scene, Emitter(), _changed(knobs)
     values = jnp.asarray([k.neutral for k in sliders(knobs)], float)

@@ -43,11 +43,8 @@ JOINTS = {"tibia": ("knee", ("flex", "add", "rot")), "patella": ("pf", ("flex", 
 def save_mot(data: Dataset, path: str | os.PathLike[str]) -> None:
     """Writes the motion of tibia and patella relative to the femur, for OpenSim's models and tools.
 
-    Frames that are not finite are omitted, with a warning.
-
-    Raises:
-        InputError: no finite frame.
-        OutputError: the folder is missing, the path is a folder, or the file cannot be written.
+    Frames that are not finite are omitted, with a warning. Raises InputError for no finite frame, and OutputError for a
+    path that is not writable.
     """
     finite = finite_frames(data)
     lost = data.sizes["time"] - finite.size

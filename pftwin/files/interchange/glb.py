@@ -49,11 +49,9 @@ class PartTrack(NamedTuple):
 def save_glb(result: Result | str | os.PathLike[str], path: str | os.PathLike[str]) -> None:
     """Writes the moving knee: component, button, bones, tendons and ligaments.
 
-    Time starts at 0. Frames that are not finite are omitted; viewers interpolate between frames.
-
-    Raises:
-        InputError: no such file, not a result, nothing to draw, or fewer than two finite frames.
-        OutputError: the folder is missing, the path is a folder, or the file cannot be written.
+    Time starts at 0. Frames that are not finite are omitted; viewers interpolate between frames. Raises InputError for
+    no such file, not a result, nothing to draw, or fewer than two finite frames; OutputError for a path that is not
+    writable.
     """
     from pftwin.results.viewer.recorded import Recorded
 

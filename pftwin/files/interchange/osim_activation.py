@@ -78,8 +78,7 @@ def activated(
 ) -> Activated:
     """Computes the tensions of muscles that insert on the patella; `given` is as for `_activations`.
 
-    Raises:
-        InputError: an invalid activation or file; no muscle with a computable tension; invalid muscle parameters.
+    Raises InputError for an invalid activation, file or muscle parameter, and for no muscle with a computable tension.
     """
     bodies = MovingBodies(knee, motion)
     notes: list[str] = []
@@ -157,10 +156,8 @@ def _activations(given: float | str | os.PathLike[str], names: Sequence[str], ti
     """Activations (n, muscles) of named muscles at the times of a motion (n,) [s], and a description of their source.
 
     `given` is one activation for all muscles, 0 to 1, or a STO, MOT or CSV file of activations over time, with columns
-    named by the muscles or their paths ("/forceset/NAME/activation").
-
-    Raises:
-        InputError: no such file, no column for a muscle, times that do not cover the motion, values outside 0 to 1.
+    named by the muscles or their paths ("/forceset/NAME/activation"). Raises InputError for no such file, no column for
+    a muscle, times that do not cover the motion, and values outside 0 to 1.
     """
     try:
         number = float(str(given))

@@ -53,11 +53,9 @@ def read_recording(
 ) -> Recording:
     """Reads the longest range of a recording in which femur and tibia each have three or more markers.
 
-    The options are those of `import_osim`.
-
-    Raises:
-        InputError: as the file's reader; ambiguous names; fewer than three markers of a segment, or never at the same
-            time; collinear markers; a range too short for the filter; a femur without a hip.
+    The options are those of `import_osim`. Raises InputError as the file's reader, for ambiguous names, fewer than
+    three markers of a segment, or never at the same time, collinear markers, a range too short for the filter, and a
+    femur without a hip.
     """
     raw = read_markers(path, units=units)
     centers = find_centers(knee) if joint_centers else []

@@ -98,8 +98,7 @@ class Element:
 def read_osim(path: str | os.PathLike[str]) -> Element:
     """Reads the <Model> of an OpenSim 4 file.
 
-    Raises:
-        InputError: as `read_xml`; no model, or an older version.
+    Raises InputError as `read_xml`, for no model, and for an older version.
     """
     root = read_xml(path)
     if root.tag != "OpenSimDocument":
@@ -115,8 +114,8 @@ def read_osim(path: str | os.PathLike[str]) -> Element:
 def read_xml(path: str | os.PathLike[str]) -> Element:
     """Reads an XML file and returns its root element.
 
-    Raises:
-        InputError: no such file, invalid XML (naming the line), a DOCTYPE, too many or too deeply nested elements.
+    Raises InputError for no such file, invalid XML (naming the line), a DOCTYPE, and too many or too deeply nested
+    elements.
     """
     content, file = read_bytes(path, max_bytes=MODEL_BYTES), str(path)
     parser = expat.ParserCreate()

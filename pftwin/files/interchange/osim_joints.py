@@ -256,11 +256,7 @@ class Tree:
 
 
 def read_tree(model: Element, frames: Frames) -> Tree:
-    """Reads the joints of a model and its coupled coordinates.
-
-    Raises:
-        InputError: an incomplete joint; an unknown function.
-    """
+    """Reads a model's joints and coupled coordinates. Raises InputError for an incomplete joint or unknown function."""
     elements = [e for holder in model.all("JointSet") for e in holder.needed("objects").children]
     joints = {joint.child.body: joint for joint in (read_joint(e, frames) for e in elements)}
     coupled = {}

@@ -108,8 +108,7 @@ class Written(NamedTuple):
 def load_mesh(mesh: Mesh, knee: OsimKnee, places: list[Path]) -> Written:
     """Loads a mesh of one of the knee's bones from the model's folder, its subfolder Geometry, or other `places`.
 
-    Raises:
-        InputError: no such file, an unreadable file, a mesh on another body.
+    Raises InputError for no such file, an unreadable file, and a mesh on another body.
     """
     from pftwin.geometry.mesh.files import read_triangles
 

@@ -134,8 +134,7 @@ def _muscles(knee: OsimKnee) -> Iterator[PatellarMuscle]:
 def shared_tensions(muscles: Sequence[PatellarMuscle], total: float) -> dict[str, float]:
     """Distributes a total tension [N] over muscles in proportion to their maximum isometric forces; by name [N].
 
-    Raises:
-        InputError: an invalid total; no suitable muscle; two muscles with the same name.
+    Raises InputError for an invalid total, no suitable muscle, and two muscles with the same name.
     """
     if not (np.isfinite(total) and total > 0):
         raise InputError(f"found {total!r}", where="quadriceps", expected="a tension, a positive number of newtons")

@@ -39,8 +39,7 @@ class OsimMarker(NamedTuple):
 def markers_of(knee: OsimKnee, path: str | os.PathLike[str] | None, left: list[LeftOut]) -> list[OsimMarker]:
     """Markers of a marker file or, without one, of the model; those on unknown bodies are added to `left`.
 
-    Raises:
-        InputError: a file without a <MarkerSet>; a marker without a body or a location; two markers of the same name.
+    Raises InputError for a file without a <MarkerSet>, a marker without a body or a location, and a repeated name.
     """
     root = knee.model.root
     holder = root.child("MarkerSet") if path is None else _marker_set(path)
@@ -76,10 +75,8 @@ def _placed(elements: Sequence[Element], knee: OsimKnee, left: list[LeftOut]) ->
 def recorded_names(markers: Sequence[OsimMarker], recorded: Sequence[str], where: str) -> dict[str, str]:
     """Maps the model's marker names to those of a recording; markers that are not recorded are omitted.
 
-    Names are matched exactly, else ignoring dots, underscores, blanks, hyphens and case.
-
-    Raises:
-        InputError: ambiguous names; no match at all.
+    Names are matched exactly, else ignoring dots, underscores, blanks, hyphens and case. Raises InputError for
+    ambiguous names, and if none matches.
     """
     alike: dict[str, list[str]] = {}
     for name in recorded:
@@ -123,8 +120,7 @@ class Center(NamedTuple):
 def find_centers(knee: OsimKnee) -> list[Center]:
     """Finds the centres of hip and knee.
 
-    Raises:
-        InputError: a centre that is not fixed in the femur: a hip with translations, or a knee joint of another body.
+    Raises InputError for a centre that is not fixed in the femur: a hip with translations, or a knee of another body.
     """
     tree = knee.model.tree
     joint, hip = tree.joints[tree_joint(tree, knee.tibia)], tree.joints.get(tree.welded(knee.femur)[0])

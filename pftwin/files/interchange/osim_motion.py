@@ -44,11 +44,8 @@ def motion_of(
     """Reads the motion from a file of coordinates or of poses as matrices; without a file, flexes the knee.
 
     If a file of poses lacks the patella, it has the model's default pose in the femur. The options are those of
-    `import_osim`.
-
-    Raises:
-        InputError: as `read_poses`, `read_sto` and `poses`; no poses of femur or tibia; none of the model's
-            coordinates; no coordinate for the flexion; a rate for a file without poses.
+    `import_osim`. Raises InputError as `read_poses`, `read_sto` and `poses`, for no poses of femur or tibia, none of
+    the model's coordinates, no coordinate for the flexion, and a rate for a file without poses.
     """
     if path is not None and holds_matrices(path):
         return _measured(knee, path, rate)

@@ -90,8 +90,7 @@ class MuscleForce(NamedTuple):
 def read_force(muscle: Element, defaults: Mapping[str, Element]) -> MuscleForce:
     """Reads a muscle's parameters from its element, else from the model's defaults, else OpenSim's.
 
-    Raises:
-        InputError: an unsupported class; invalid parameters.
+    Raises InputError for an unsupported class or invalid parameters.
     """
     if muscle.tag not in MUSCLES:
         found = f"no force follows from the activation of a <{muscle.tag}> {muscle.name!r}"

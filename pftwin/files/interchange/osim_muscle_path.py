@@ -101,10 +101,8 @@ class _Point(NamedTuple):
 def path_over_motion(muscle: Element, bodies: MovingBodies, wraps: Sequence[Wrap] = ()) -> PathOverMotion | None:
     """Computes a muscle's path; None unless in every frame exactly one segment ends at a fixed point of the patella.
 
-    If it wraps over several objects, each is treated separately.
-
-    Raises:
-        InputError: points without a position; unknown coordinates; a path without length.
+    If it wraps over several objects, each is treated separately. Raises InputError for points without a position,
+    unknown coordinates, and a path without length.
     """
     points = [_point(p, bodies) for p in muscle.all(*POINTS)]
     lengths, ends = np.zeros(bodies.count), np.zeros((bodies.count, 2), int)

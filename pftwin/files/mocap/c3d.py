@@ -143,11 +143,7 @@ _INTEL, _DEC, _MIPS = 84, 85, 86
 
 
 def check_c3d_structure(content: bytes, *, where: object) -> None:
-    """Checks that bytes are a complete C3D file.
-
-    Raises:
-        InputError: no C3D signature, a damaged or incomplete parameter section, a truncated data section.
-    """
+    """Raises InputError for no C3D signature, damaged or incomplete parameters, or a truncated data section."""
     if len(content) < 2 or content[1] != 0x50 or content[0] < 1:
         raise InputError("the content is not C3D", where=where, expected="a C3D file (its second byte is 0x50)")
     start = (content[0] - 1) * _BLOCK

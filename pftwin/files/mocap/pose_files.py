@@ -63,11 +63,7 @@ def read_poses(
 
 
 def holds_matrices(path: str | os.PathLike[str]) -> bool:
-    """Whether an STO file contains poses as matrices, not coordinates.
-
-    Raises:
-        InputError: as `read_sto`.
-    """
+    """Whether an STO file contains poses as matrices, not coordinates. Raises InputError as `read_sto`."""
     if Path(path).suffix.lower() not in _MATRICES:
         return False
     with warnings.catch_warnings(action="ignore", category=PftwinWarning):  # the later reading warns

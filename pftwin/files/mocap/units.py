@@ -44,11 +44,7 @@ _DIMENSIONLESS = re.compile(r"(^|_)q[wxyz]$|^frame#?$|^status$", re.IGNORECASE)
 
 
 def to_si(unit: str, *, where: object) -> tuple[str, float]:
-    """SI unit and the factor that converts to it.
-
-    Raises:
-        InputError: an unknown unit.
-    """
+    """SI unit and the factor that converts to it. Raises InputError for an unknown unit."""
     known = known_unit(unit)
     if known is None:
         raise unknown_name("unit", unit, _UNITS, where=where)
@@ -65,10 +61,8 @@ def known_unit(unit: str) -> tuple[str, float] | None:
 def length_factor(header: str | None, argument: str | None, *, where: object) -> float:
     """Metres per unit of length, from a file's header or the caller's argument.
 
-    The argument overrides the header (in case the header is wrong), with a warning if they differ.
-
-    Raises:
-        InputError: neither gives a unit, or it is not a unit of length.
+    The argument overrides the header (in case the header is wrong), with a warning if they differ. Raises InputError if
+    neither gives a unit, or it is not a unit of length.
     """
     if not (argument or header):
         found = "no unit of length in the file, and none given"

@@ -30,8 +30,7 @@ class Bones:
     def read(recording: SegmentRecording, side: Side) -> Bones:
         """Makes the bones' motion from a recording.
 
-        Raises:
-            InputError: a fixed tibia, poses that are implausible for a knee.
+        Raises InputError for a fixed tibia, and poses implausible for a knee.
         """
         document, femur = recording.document, recording.segments["femur"]
         if recording.segments["tibia"].fixed is not None:

@@ -30,8 +30,7 @@ class ClusterFits:
     ) -> None:
         """Checks a fit, and adds a note on its quality.
 
-        Raises:
-            InputError: a cluster of the other side; one with too large residuals.
+        Raises InputError for a cluster of the other side, or one with too large residuals.
         """
         assert poses.residual_rms is not None
         place = np.array(list(cluster.values()))
@@ -64,8 +63,7 @@ class ClusterFits:
     def compare(self, document: Document) -> None:
         """Compares the fits with each other; adds a note on planar clusters, whose side cannot be checked.
 
-        Raises:
-            InputError: a cluster whose fit is far worse than the others'.
+        Raises InputError for a cluster whose fit is far worse than the others'.
         """
         most = self.limits.most_marker_residual_ratio
         for name, worst in self._worst.items():

@@ -48,9 +48,8 @@ class Document:
     def read(path: str | os.PathLike[str], *, allow_outside: bool = False) -> Document:
         """Reads a file.
 
-        Raises:
-            InputError: missing, empty or binary; invalid TOML (naming line and column); tables or lists nested deeper
-                than `DEEPEST`.
+        Raises InputError if it is missing, empty, binary or invalid TOML (naming line and column), or nested deeper
+        than `DEEPEST`.
         """
         file = Path(path)
         lines, _ = read_lines(file, max_bytes=SCENE_BYTES)
@@ -107,9 +106,8 @@ class Document:
     def file(self, name: str) -> Path:
         """Path of a file that a field refers to.
 
-        Raises:
-            InputError: it is outside the scene's folder, also by a link, and this is not allowed. A scene file may come
-                from an untrusted source, and must not cause other files to be read or shown.
+        Raises InputError if it is outside the scene's folder, also by a link, and this is not allowed: a scene file may
+        come from an untrusted source, and must not cause other files to be read or shown.
         """
         path = self.folder / name
         if path != self.given and not self.allow_outside and not self._holds(path):

@@ -77,11 +77,7 @@ class Setting:
         return self.document.naming(*self.place, *steps)
 
     def path(self, name: str) -> str:
-        """Path of a file; relative paths start at the scene file.
-
-        Raises:
-            InputError: it is outside the scene's folder, and this is not allowed.
-        """
+        """Path of a file; relative paths start at the scene file. Raises InputError as `Document.file`."""
         return str(self.document.file(name))
 
     def sphere(self, mesh: SurfaceMesh, label: str, tolerance: float | None = None) -> tuple[Floats, float]:
@@ -130,11 +126,7 @@ class EffectSection(Section):
 
     @abstractmethod
     def build(self, setting: Setting) -> Effect:
-        """The effect.
-
-        Raises:
-            InputError: files that cannot be used, groups of different lengths.
-        """
+        """The effect. Raises InputError for files that cannot be used, and for groups of different lengths."""
 
 
 class GravitySection(EffectSection):

@@ -158,10 +158,8 @@ def read_strands(path: str, body: str) -> Strands:
 
     JSON: an object NAME: {"points": [["patella", [x, y, z]], [BODY, [x, y, z]]], "linear_stiffness_N_per_strain": k,
     "slack_length_m": L0}; strands of other bodies are ignored. CSV: columns name, stiffness_N_per_strain,
-    slack_length_m, insertion_x_m, ..., origin_z_m.
-
-    Raises:
-        InputError: no such file, not JSON or CSV, missing values, two strands with the same name.
+    slack_length_m, insertion_x_m, ..., origin_z_m. Raises InputError for no such file, not JSON or CSV, missing values,
+    and two strands with the same name.
     """
     if path.lower().endswith(".json"):
         rows = _json_rows(path, body)

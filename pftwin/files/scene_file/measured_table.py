@@ -67,8 +67,7 @@ class MeasuredSection(Section):
     def build(self, scene: Scene, bones: Bones) -> Measured:
         """Reads the measurements, in the femur's frame, at the scene's frames.
 
-        Raises:
-            InputError: files that cannot be used; missing columns; forces that do not cover the motion.
+        Raises InputError for files that cannot be used, missing columns, and forces that do not cover the motion.
         """
         from pftwin.model.measured import Measured
 
@@ -175,11 +174,7 @@ class MeasuredSection(Section):
 
 
 def _column(table: Table, column: str, unit: str) -> NDArray[np.float64]:
-    """A column by its name, with or without its unit.
-
-    Raises:
-        InputError: an unknown column, or one in another unit.
-    """
+    """A column by its name, with or without its unit. Raises InputError for an unknown column or another unit."""
     label = column if column in table.names else split_unit(column)[0]
     values = table.column(label if label in table.names else column)
     if unit not in SI_UNITS:

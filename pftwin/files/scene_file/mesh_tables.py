@@ -144,8 +144,7 @@ def refuse_patch(setting: Setting) -> None:
 def check_start(femur: FemurMesh, button: ButtonMesh, setting: Setting) -> None:
     """Checks the start for poses from which no equilibrium can be found; adds a note if it may be difficult.
 
-    Raises:
-        InputError: most of the button is behind the femur's surface, or all of it is far away.
+    Raises InputError for most of the button behind the femur's surface, or all of it far away.
     """
     from pftwin.geometry.contact.behind import mutual_place
     from pftwin.geometry.contact.depths import DEEPEST
@@ -188,8 +187,7 @@ class BoneSection(MeshFileSection):
     def build(self, body: str, setting: Setting) -> SurfaceMesh:
         """The surface in the scene's frame of its body.
 
-        Raises:
-            InputError: a mesh that is unreadable, has an implausible size or is far from its frame's origin.
+        Raises InputError for a mesh that is unreadable, has an implausible size or is far from its frame's origin.
         """
         from pftwin.geometry.mesh.mesh import load_mesh
 

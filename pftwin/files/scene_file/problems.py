@@ -20,8 +20,7 @@ Found = tuple[str, str | None, str | None]  # problem, expected, remedy
 def validated(document: Document, model: type[Table]) -> tuple[Table, Document]:
     """Validates a file; returns its model, and the document with the values that validation has put into lists.
 
-    Raises:
-        InputError: one error that lists all problems.
+    Raises one InputError that lists all problems.
     """
     reading = Reading()
     try:

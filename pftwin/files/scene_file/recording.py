@@ -79,10 +79,8 @@ class SegmentRecording:
     def bones(self) -> tuple[PoseSeries | None, PoseSeries]:
         """Poses of femur (None if it is fixed) and tibia in the time range of the scene.
 
-        In a file of poses, runs of frames in which a bone jumps out and back are filled.
-
-        Raises:
-            InputError: runs that are too long.
+        In a file of poses, runs of frames in which a bone jumps out and back are filled; raises InputError for too long
+        runs.
         """
         femur, tibia = self.segments["femur"], self.segments["tibia"]
         shin = self.poses(tibia, "tibia")

@@ -68,11 +68,7 @@ def effect_tables() -> tuple[type[EffectSection], ...]:
 
 @cache
 def _installed() -> dict[str, type[EffectSection]]:
-    """Tables of installed packages.
-
-    Raises:
-        InputError: an entry point that cannot be loaded or is not an effect.
-    """
+    """Tables of installed packages. Raises InputError for an entry point that cannot be loaded or is not an effect."""
     found = {}
     for point in entry_points(group=ENTRY_POINTS):
         where = f"entry point {point.name!r} of group {ENTRY_POINTS!r}"

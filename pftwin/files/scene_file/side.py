@@ -106,11 +106,7 @@ class Side:
 
     @classmethod
     def read(cls, left: bool, axes: AxesSection, document: Document) -> Self:
-        """Reads the side and axes of a scene file.
-
-        Raises:
-            InputError: axes of the other side.
-        """
+        """Reads the side and axes of a scene file. Raises InputError for axes of the other side."""
         world = np.eye(3)
         if left:
             world["xyz".index(axes.world_medial_lateral)] *= -1

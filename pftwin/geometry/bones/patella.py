@@ -24,8 +24,7 @@ EDGE = 7.0  # thickness of the patella's border [mm]
 class PatellaShape:
     """The patella's implicit function, positive inside.
 
-    Raises:
-        InputError: facets so steep or wide that the patella would be thickest at its border.
+    Raises InputError for facets so steep or wide that the patella would be thickest at its border.
     """
 
     def __init__(self, anatomy: Anatomy) -> None:

@@ -58,10 +58,9 @@ class WideTree(eqx.Module):
 
 
 def wide_tree(tree: MeshTree) -> WideTree:
-    """Makes the blocks of a tree with one triangle per leaf. No search finds the copies that fill its empty places.
+    """Makes the blocks of a tree with one triangle per leaf; raises TypeError for a tree with more of them in a leaf.
 
-    Raises:
-        TypeError: a tree with more than one triangle in a leaf.
+    No search finds the copies that fill its empty places.
     """
     if tree.leaf != 1:
         raise TypeError(f"{tree.leaf} triangles a leaf: expected 1")

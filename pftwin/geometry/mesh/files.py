@@ -25,9 +25,8 @@ def check_format(path: Path) -> None:
 def read_triangles(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Reads vertices (n, 3) in the file's own unit and faces (m, 3), without welding or cleaning.
 
-    Raises:
-        InputError: missing, empty, unreadable or truncated file; no triangles; more than `MESH_BYTES` or
-            `MESH_TRIANGLES`.
+    Raises InputError for a missing, empty, unreadable or truncated file, no triangles, and more than `MESH_BYTES` or
+    `MESH_TRIANGLES`.
     """
     import trimesh
 

@@ -26,10 +26,8 @@ _MOST_FREQUENCY = 300  # 1.8 million triangles
 def icosphere(radius: float, frequency: int) -> SurfaceMesh:
     """An icosphere of 20 * frequency^2 outward triangles, its vertices on a sphere of a radius [m] about the origin.
 
-    A frequency of 16 gives 5,120 triangles, the same as four subdivisions of the icosahedron.
-
-    Raises:
-        InputError: a frequency below 1 or that gives too many triangles; a radius that is not positive.
+    A frequency of 16 gives 5,120 triangles, the same as four subdivisions of the icosahedron. Raises InputError for a
+    frequency below 1 or that gives too many triangles, and a radius that is not positive.
     """
     if not frequency >= 1 or 20 * frequency**2 > MESH_TRIANGLES:
         raise InputError(f"found {frequency}", where="frequency", expected=f"1 to {int((MESH_TRIANGLES / 20) ** 0.5)}")
@@ -51,8 +49,7 @@ def icosphere_deviation(frequency: int) -> float:
 def button_mesh(radius: float, deviation: float) -> SurfaceMesh:
     """The coarsest icosphere within a deviation [m] of a sphere of a radius [m] about the origin.
 
-    Raises:
-        InputError: a radius or deviation that is not positive, or that needs more triangles than a mesh may have.
+    Raises InputError for a radius or deviation that is not positive, or that needs more triangles than a mesh may have.
     """
     for name, value in (("radius", radius), ("deviation", deviation)):
         if not (math.isfinite(value) and value > 0):

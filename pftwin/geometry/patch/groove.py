@@ -36,10 +36,8 @@ def fit_axis_direction(
 
     The normal line through p along n meets the axis through c along d if d . (p x n) - (c x d) . n = 0, which is linear
     in d and c x d and gives a small eigenvalue problem. A regularization towards y decides where the surface does not.
-    Source: Pottmann and Randrup, Computing 60 (1998) 307.
-
-    Raises:
-        InputError: no part of the surface faces away from the axis, or that part is flat or a cylindrical sheet.
+    Source: Pottmann and Randrup, Computing 60 (1998) 307. Raises InputError if no part of the surface faces away from
+    the axis, or that part is flat or a cylindrical sheet.
     """
     arm = points - np.array([center[0], 0.0, center[1]])
     away = np.stack([arm[:, 0], np.zeros(len(arm)), arm[:, 2]], axis=1)

@@ -48,8 +48,7 @@ class FittedSpline:
 def refined_spline(v: Vertices, tolerance: float, smoothing: float) -> FittedSpline:
     """Fits the spline with the longest cells (among those tried) that reach the tolerance [m]; else the best one.
 
-    Raises:
-        InputError: too few vertices, or all of them on a line.
+    Raises InputError for too few vertices, or all of them on a line.
     """
     if len(v.h) < FEWEST_VERTICES:
         raise InputError(

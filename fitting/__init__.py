@@ -12,26 +12,29 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-if TYPE_CHECKING:
-    from fitting import treatments
-    from fitting.calibration.calibrate import calibrate
-    from fitting.calibration.quick_fit import QuickFit
-    from fitting.estimate import Estimate
-    from fitting.fit import fit_tendons
-    from fitting.identifiability import plan_experiment, profile_likelihood
-    from fitting.nuisance import Nuisance
-    from fitting.objective import Objective
-    from fitting.parameters import Parameter, Parameters, free_parameters
-    from fitting.posterior.result import Posterior
-    from fitting.posterior.sampling import sample_posterior
-    from fitting.prediction import outcomes
-    from fitting.prediction.derived import derived
-    from fitting.prediction.motion import predict_motion
-    from fitting.prediction.predicting import predict
-    from fitting.programs import channels_of
-    from fitting.trained import TrainedPosterior
-    from fitting.training import train_posterior
-    from fitting.treatments.optimise import optimise_treatment
+if TYPE_CHECKING:  # `as` marks names that are exported
+    from fitting import treatments as treatments
+    from fitting.calibration.calibrate import calibrate as calibrate
+    from fitting.calibration.quick_fit import QuickFit as QuickFit
+    from fitting.estimate import Estimate as Estimate
+    from fitting.fit import fit_tendons as fit_tendons
+    from fitting.identifiability import plan_experiment as plan_experiment
+    from fitting.identifiability import profile_likelihood as profile_likelihood
+    from fitting.nuisance import Nuisance as Nuisance
+    from fitting.objective import Objective as Objective
+    from fitting.parameters import Parameter as Parameter
+    from fitting.parameters import Parameters as Parameters
+    from fitting.parameters import free_parameters as free_parameters
+    from fitting.posterior.result import Posterior as Posterior
+    from fitting.posterior.sampling import sample_posterior as sample_posterior
+    from fitting.prediction import outcomes as outcomes
+    from fitting.prediction.derived import derived as derived
+    from fitting.prediction.motion import predict_motion as predict_motion
+    from fitting.prediction.predicting import predict as predict
+    from fitting.programs import channels_of as channels_of
+    from fitting.trained import TrainedPosterior as TrainedPosterior
+    from fitting.training import train_posterior as train_posterior
+    from fitting.treatments.optimise import optimise_treatment as optimise_treatment
 
 _HOME = {
     "Estimate": "estimate",
@@ -57,48 +60,21 @@ _HOME = {
 }
 _MODULES = {"outcomes": "prediction.outcomes", "treatments": "treatments"}
 
-__all__ = [
-    "Estimate",
-    "Nuisance",
-    "Objective",
-    "Parameter",
-    "Parameters",
-    "Posterior",
-    "QuickFit",
-    "TrainedPosterior",
-    "calibrate",
-    "channels_of",
-    "derived",
-    "fit_tendons",
-    "free_parameters",
-    "optimise_treatment",
-    "outcomes",
-    "plan_experiment",
-    "predict",
-    "predict_motion",
-    "profile_likelihood",
-    "sample_posterior",
-    "train_posterior",
-    "treatments",
-]
-
-
 if not TYPE_CHECKING:  # so that type checkers report names that do not exist
+    __all__ = list(_HOME | _MODULES)
 
     def __getattr__(name: str) -> Any:
-        if name in __all__:
-            from pftwin.base.runtime import use_defaults
+        if name not in __all__:
+            raise AttributeError(f"module 'fitting' has no attribute {name!r}")
+        from pftwin.base.runtime import use_defaults
 
-            use_defaults()
+        use_defaults()
         if name in _HOME:
             value = getattr(import_module(f"fitting.{_HOME[name]}"), name)
-        elif name in _MODULES:
-            value = import_module(f"fitting.{_MODULES[name]}")
         else:
-            raise AttributeError(f"module 'fitting' has no attribute {name!r}")
+            value = import_module(f"fitting.{_MODULES[name]}")
         globals()[name] = value
         return value
 
-
-def __dir__() -> list[str]:
-    return __all__
+    def __dir__() -> list[str]:
+        return __all__

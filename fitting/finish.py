@@ -10,12 +10,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from fitting.evaluation import Evaluator
 from fitting.methods.least_squares import LeastSquares
+from fitting.methods.problem import Method, Problem, State
+from fitting.objective import Objective
 from fitting.parameters import Parameters
+from fitting.trials_evaluator import TrialsEvaluator
 from fitting.uncertainty import (
     SERIAL,
     inverse_information,
@@ -25,13 +29,6 @@ from fitting.uncertainty import (
     uncertainty,
 )
 from pftwin.base.arrays import Floats
-
-if TYPE_CHECKING:
-    from fitting.evaluation import Evaluator
-    from fitting.methods.problem import Method, Problem, State
-    from fitting.objective import Objective
-    from fitting.trials_evaluator import TrialsEvaluator
-
 
 _MOST = 8  # most steps between two frames, as a multiple of the number before their error has been checked
 _SETTLED = 0.05  # divergence [nats] below which two estimates count as equal: a shift by 0.3 SD, or 22 % of one SD

@@ -22,6 +22,8 @@ from fitting.fit import SIMULATIONS
 from fitting.inference.infer import DRAWS, TOGETHER, Inferred
 from fitting.inference.learning import Answer, Learned
 from fitting.inference.nuisance_draws import at_own_lengths, with_nuisance
+from fitting.inference.recordings import Noise, Summaries, SummaryNoise, Table
+from fitting.inference.region import Region
 from fitting.methods.problem import Problem
 from fitting.nuisance import Nuisance
 from fitting.objective import Objective
@@ -213,8 +215,6 @@ class TrainedPosterior:
             InputError: no such file, or no trained posterior in it; a scene without its parameters.
         """
         from fitting.inference.network import network_of
-        from fitting.inference.recordings import Noise, Summaries, SummaryNoise, Table
-        from fitting.inference.region import Region
 
         try:
             with np.load(path, allow_pickle=False) as file:

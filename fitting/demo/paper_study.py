@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 
 from fitting.demo.straight_springs import (
@@ -24,6 +25,9 @@ from fitting.demo.straight_springs import (
     recorded_pulls,
 )
 from fitting.fit import SPRING_PARAMETERS, fit_tendons
+from fitting.methods.problem import Problem
+from fitting.objective import Objective
+from fitting.parameters import free_parameters
 from fitting.training import train_posterior
 from pftwin.base.errors import PftwinError
 from pftwin.results.tracking import Tracking, find_dislocations, groove_offset
@@ -181,9 +185,6 @@ def learned_fit(fit: str, simulations: int, progress: Callable[[int, int], None]
 
 def compile_fit() -> float:
     """Compiles the program of the paper's fit by evaluating the nominal springs; returns the time it took [s]."""
-    from fitting.methods.problem import Problem
-    from fitting.objective import Objective
-    from fitting.parameters import free_parameters
     from pftwin import rig
 
     scene, measured = rig.case(PATHOLOGY), rig.measured(PATHOLOGY)
@@ -196,9 +197,6 @@ def compile_fit() -> float:
 
 def with_springs(scene: Scene, theta: np.ndarray) -> Scene:
     """The scene with K1, L1, K2, L2 = theta (4,) [N/m, m]. Raises InputError for values that no spring can have."""
-    import jax.numpy as jnp
-
-    from fitting.parameters import free_parameters
 
     return free_parameters(scene, SPRING_PARAMETERS).apply(scene, jnp.asarray(theta, dtype=float))
 

@@ -6,6 +6,7 @@ of the International Society of Biomechanics, x anterior, y proximal, z to the r
 
 from __future__ import annotations
 
+import io
 import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
@@ -54,7 +55,6 @@ def save_dataset(
 
 def _netcdf(data: Dataset, groups: Mapping[str, Dataset], encoding: dict[str, dict[str, Any]]) -> memoryview:
     """Content of the file, made in memory, since a full disk while HDF5 writes can end the process."""
-    import io
 
     import h5netcdf
     from xarray.backends import H5NetCDFStore

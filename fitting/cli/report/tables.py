@@ -12,7 +12,7 @@ import numpy as np
 
 from fitting.cli.pages import number
 from pftwin.base.errors import InputError
-from pftwin.base.quantities import as_read
+from pftwin.base.quantities import as_read, declarations
 from pftwin.base.sheet import Sheet
 from pftwin.base.text_files import csv_cells, read_lines
 
@@ -69,7 +69,6 @@ def parameters(scene: Scene) -> Sheet:
 
 def _declared(effect: Effect) -> Iterator[tuple[str, str, str]]:
     """Yields quantity, value and unit of every parameter of an effect; for a surface, only its type."""
-    from pftwin.base.quantities import declarations
     from pftwin.geometry.patch.fit import name_of
 
     surface = None

@@ -15,6 +15,7 @@ from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.files.interchange.osim_document import OsimFrame
 from pftwin.files.interchange.osim_model import LeftOut, Mesh, OsimModel, plain_name
+from pftwin.geometry.mesh.files import read_triangles
 from pftwin.geometry.mesh.mesh import SurfaceMesh
 
 FOLDER = "geometry"  # folder of meshes in a scene's folder
@@ -110,8 +111,6 @@ def load_mesh(mesh: Mesh, knee: OsimKnee, places: list[Path]) -> Written:
 
     Raises InputError for no such file, an unreadable file, and a mesh on another body.
     """
-    from pftwin.geometry.mesh.files import read_triangles
-
     part, pose = knee.placed(mesh.frame)
     if part not in PARTS:
         raise InputError(f"{mesh.name!r} is fixed to {part!r}", where=mesh.where, expected="a bone of the knee")

@@ -17,6 +17,8 @@ from pftwin.files.interchange.osim_lines import PatellarMuscle, ligament_lines, 
 from pftwin.files.interchange.osim_model import CONTACT, LIGAMENT, SURFACE, LeftOut, OsimContact, read_model
 from pftwin.files.interchange.osim_toml import poses_csv, report, scene_text
 from pftwin.files.interchange.osim_wraps import Wraps
+from pftwin.files.mocap.trc import trc_text
+from pftwin.geometry.mesh.mesh import save_mesh
 from pftwin.model.limits import Limits
 
 if TYPE_CHECKING:
@@ -106,7 +108,6 @@ def import_osim(
         OutputError: the folder cannot be written, or contains one of these files already.
     """
     from pftwin.files.interchange.osim_activation import FILE
-    from pftwin.files.mocap.trc import trc_text
 
     if quadriceps is not None and activation is not None:
         raise InputError("both a tension and an activation", where="activation", expected="one of them")
@@ -213,8 +214,6 @@ def _contact_meshes(knee: OsimKnee, places: list[Path], told: Imported) -> tuple
 
 def _write(folder: Path, text: str, tables: dict[str, str], meshes: list[Written], told: Imported) -> None:
     """Writes all files, or none if one of them exists already."""
-    from pftwin.geometry.mesh.mesh import save_mesh
-
     names = ["scene.toml", *tables, REPORT, *(m.file for m in meshes)]
     for name in names:
         if (folder / name).exists():

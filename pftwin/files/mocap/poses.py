@@ -6,7 +6,6 @@ Left knees are mirrored on input, so that internally every knee is a right one.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -14,11 +13,9 @@ from numpy.typing import ArrayLike, NDArray
 from pftwin.base.errors import InputError
 from pftwin.base.leaves import host_array
 from pftwin.base.rotations import continuous_signs
+from pftwin.base.spatial import Pose
 from pftwin.files.mocap.markers import MarkerTrajectories
 from pftwin.files.mocap.tables import Sampled, increasing_times
-
-if TYPE_CHECKING:
-    from pftwin.base.spatial import Pose
 
 _UNIT_TOLERANCE = 1e-3
 

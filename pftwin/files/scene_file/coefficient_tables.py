@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 from pydantic import Field
 
 from pftwin.base.errors import InputError
 from pftwin.base.leaves import number, vector
-from pftwin.base.spatial import Scalar
+from pftwin.base.spatial import Rotation, Scalar
 from pftwin.files.scene_file.effect_tables import Setting
 from pftwin.files.scene_file.section import (
     Pair,
@@ -22,10 +22,8 @@ from pftwin.files.scene_file.section import (
     problem,
 )
 from pftwin.files.scene_file.side import HostPose
-
-if TYPE_CHECKING:
-    from pftwin.geometry.patch.charts import Chart
-    from pftwin.geometry.patch.closest import Surface
+from pftwin.geometry.patch.charts import Chart, CylindricalChart, PlaneChart
+from pftwin.geometry.patch.closest import Surface
 
 
 class ChartSection(Section):
@@ -44,9 +42,6 @@ class ChartSection(Section):
 
     def build(self, setting: Setting) -> Chart:
         """The chart. A mirrored chart keeps a right-handed frame by reversing its y axis: v changes its sign."""
-        from pftwin.base.spatial import Rotation
-        from pftwin.geometry.patch.charts import CylindricalChart, PlaneChart
-
         frame = HostPose.of(self.origin_m, self.quaternion_wxyz)
         origin = setting.side.points("femur", frame.position)
         axes = setting.side.matrices["femur"] @ frame.matrix * np.array([1.0, v_sign(setting), 1.0])

@@ -5,7 +5,7 @@ The tables of laws and friction are also used in [mesh_contact].
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal
 
 from pydantic import Field
 
@@ -14,12 +14,11 @@ from pftwin.base.leaves import number, vector
 from pftwin.files.scene_file.effect_tables import EffectSection, Setting
 from pftwin.files.scene_file.section import FileName, LengthUnit, NotNegative, Point, Positive, Section, problem
 from pftwin.files.scene_file.surface_table import SurfaceSection
+from pftwin.model.effects.base import Effect
+from pftwin.model.effects.contact import Contact
 from pftwin.model.effects.contact_law import Flores, Hertz, HuntCrossley
+from pftwin.model.effects.friction import Friction
 from pftwin.model.effects.sphere_contact import SphereContact
-
-if TYPE_CHECKING:
-    from pftwin.model.effects.base import Effect
-    from pftwin.model.effects.contact import Contact
 
 
 class LawSection(Section):
@@ -98,8 +97,6 @@ class FrictionSection(Section):
 
     def added(self, contact: Contact) -> Contact:
         """The contact with friction."""
-        from pftwin.model.effects.friction import Friction
-
         return contact.with_friction(Friction(number(self.coefficient), number(self.slip_speed_m_per_s)))
 
 

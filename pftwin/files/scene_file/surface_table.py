@@ -11,6 +11,7 @@ from pydantic import Discriminator, Field, Tag
 
 from pftwin.base.errors import InputError
 from pftwin.base.leaves import number, vector
+from pftwin.base.spatial import Rotation
 from pftwin.files.scene_file.coefficient_tables import PatchSurfaceSection, SplineSurfaceSection, refuse_other
 from pftwin.files.scene_file.effect_tables import Setting
 from pftwin.files.scene_file.section import (
@@ -26,6 +27,7 @@ from pftwin.files.scene_file.section import (
 )
 from pftwin.files.scene_file.segments import PoseSection
 from pftwin.files.scene_file.side import HostPose
+from pftwin.geometry.patch.charts import CylindricalChart
 
 if TYPE_CHECKING:
     from pftwin.geometry.mesh.mesh import SurfaceMesh
@@ -56,8 +58,6 @@ class RegionSection(Section):
 
     def find(self, mesh: SurfaceMesh, frame: HostPose, setting: Setting) -> TrochlearRegion:
         """The region on a mesh in the femur's frame; `frame` is the pose of the mesh's original frame."""
-        from pftwin.base.spatial import Rotation
-        from pftwin.geometry.patch.charts import CylindricalChart
         from pftwin.geometry.patch.region import check_outward, hinted_axes, region_about, trochlear_region
 
         anterior, proximal = (

@@ -22,11 +22,10 @@ QUANTITIES = {"contact force, N": "contact_force", "tilt, deg": "patella_tilt", 
 
 
 def run_knee(folder: Path, progress: Callable[..., None]) -> tuple[dict[str, Any], list[Sheet | str]]:
-    """Simulates both knees, draws and saves; returns the results as plain values, and as a table and lines.
+    """Simulates both knees, draws and saves before.nc, after.nc, knee.html and knee.gif in a folder.
 
-    Args:
-        folder: where before.nc, after.nc, knee.html and knee.gif are written.
-        progress: called with the number of steps done and of all, and the next one (`what=`).
+    Returns the results as plain values, and as a table and lines. `progress` is called with the number of steps done
+    and of all, and the next one (`what=`).
     """
     from fitting.treatments import tibial_tuberosity_transfer
     from pftwin import rig

@@ -25,13 +25,9 @@ _AGAIN = "copy the file again, or simulate again"
 
 
 def check_netcdf(file: Path) -> list[str]:
-    """Checks a file.
+    """Checks a file, and returns the names of its groups.
 
-    Returns:
-        The names of its groups.
-
-    Raises:
-        InputError: the file is too large, packed or unpacked; it refers to other files; it is not NetCDF-4.
+    Raises InputError if it is too large, packed or unpacked, refers to other files, or is not NetCDF-4.
     """
     size = file.stat().st_size
     if size > RESULT_BYTES:

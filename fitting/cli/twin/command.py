@@ -56,8 +56,7 @@ def twin(
 def twin_page(scene: Scene) -> str:
     """Renders the page of a scene, with sliders for the tibial tuberosity and both tendons.
 
-    Raises:
-        InputError: the scene cannot be compiled for a page (contacts on meshes), or the page would be too large.
+    Raises InputError for a scene that cannot be compiled for a page (contacts on meshes), or too large a page.
     """
     from fitting.cli.live.knobs import Knobs
     from fitting.cli.live.words import AFTER, BEFORE, NOT_FOR_PATIENTS

@@ -27,11 +27,8 @@ class Emitter(Arrays):
     def program(self, name: str, function: Callable[..., Any], *examples: Any) -> dict[str, Any]:
         """Compiles a traceable function of arrays like the examples, and exports it under a name.
 
-        Returns:
-            "inputs" and "outputs": [address, size, 1 for float64 or 0 for integers] of every array.
-
-        Raises:
-            InputError: the function has a primitive or a type of number that is not supported.
+        Returns "inputs" and "outputs": [address, size, 1 for float64 or 0 for integers] of every array. Raises
+        InputError for a primitive or a type of number that is not supported.
         """
         made, shape = jax.make_jaxpr(function, return_shape=True)(*examples)
         code = Code()

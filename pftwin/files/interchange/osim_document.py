@@ -197,15 +197,11 @@ class Frames:
         return self.find(element.needed(socket).text, element)
 
     def find(self, path: str, near: Element, depth: int = 0) -> OsimFrame:
-        """The frame named by the last part of a path: in this element, a body, ground, or a frame elsewhere.
+        """The frame named by the last part of a socket's path: in this element, a body, ground, or a frame elsewhere.
 
-        A path may start with ".." for the element's owner, as for meshes and frames in a body's components. Raises
-        InputError for an unknown name.
-
-        Args:
-            path: path in the socket.
-            near: the element with the socket.
-            depth: number of frames followed so far, each fixed in the next.
+        A path may start with ".." for the owner of `near`, the element with the socket, as for meshes and frames in a
+        body's components. `depth` is the number of frames followed so far, each fixed in the next. Raises InputError
+        for an unknown name.
         """
         where, steps = near.where, path.strip().split("/")
         while steps[:1] == [".."] and near.owner is not None:

@@ -57,13 +57,8 @@ class OsimKnee(NamedTuple):
 def find_knee(model: OsimModel, side: str | None = None, **named: str | None) -> OsimKnee:
     """Finds the knee's bodies, unless the caller names them, by their names and the joints between them.
 
-    Args:
-        model: the model.
-        side: "right" or "left"; None: by the end of the patella's name, else right.
-        named: `femur`, `tibia`, `patella`: names of bodies.
-
-    Raises:
-        InputError: an unknown body; no or several candidates for patella, femur or tibia.
+    The side is "right" or "left"; None: by the end of the patella's name, else right. Raises InputError for an unknown
+    body, and for no or several candidates for patella, femur or tibia.
     """
     tree, file = model.tree, model.root.file
     if side is not None and side not in SIDES:

@@ -83,10 +83,8 @@ class Setting:
     def sphere(self, mesh: SurfaceMesh, label: str, tolerance: float | None = None) -> tuple[Floats, float]:
         """Centre (3,) in the patella's frame and radius of a sphere fitted to a button's mesh [m].
 
-        Args:
-            mesh: in the patella's axes of the file.
-            label: name of the contact, under which the fit is stored; a note reports its quality.
-            tolerance: largest deviation of the spherical part [m].
+        The mesh is in the patella's axes of the file. The fit is stored under the contact's label, and a note reports
+        its quality; `tolerance` limits the deviation [m].
         """
         from pftwin.geometry.patch.sphere import fit_sphere
 

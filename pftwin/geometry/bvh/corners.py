@@ -102,12 +102,10 @@ def ray_depth(corner: Vec3, normal: Vec3, t: Triangle) -> tuple[Scalar, Array]:
 
 
 def may_leave(a: Array, b: Array, X: Pose, deepest: Array) -> Array:
-    """Whether the rays of single corners may exit through discs and be longer than the longest so far, bool.
+    """Whether the rays of single corners may exit through discs and be longer than the longest so far [m], bool.
 
-    Args:
-        a, b: discs and single corners, one component per row; a corner's disc has the corner as its middle.
-        X: pose of b's frame in a's, single precision.
-        deepest: length of the longest ray so far [m].
+    `a` and `b` are discs and single corners, one component per row (a corner's disc has the corner as its middle), X is
+    the pose of b's frame in a's, single precision.
     """
     rotation = X.orientation.rotation()
     point, normal = rotation.apply(Vec3(*b[:3])) + X.position, rotation.apply(Vec3(*b[3:6]))

@@ -128,11 +128,8 @@ def unpacked(pair: Array, b_level: int) -> tuple[Array, Array]:
 def go_down(descent: Descent, test: Test, width: int, stop: int = 0) -> tuple[Queue, Array]:
     """Packed pairs of nodes that pass the test at every step, and whether any was lost for want of capacity.
 
-    Args:
-        descent: both trees.
-        test: for sixteen pairs of volumes.
-        width: capacity for pairs, at any level.
-        stop: number of last steps to omit; 0 descends to the leaves.
+    `test` is for sixteen pairs of volumes, `width` the capacity for pairs at any level; the last `stop` steps are
+    omitted, 0 descends to the leaves.
     """
     alone, together = descent.steps
     top = (alone[0] if alone else together[0]).start if alone or together else descent.depths

@@ -61,12 +61,9 @@ def queue_of(width: int, first: Array | None = None, dtype: jnp.dtype = jnp.int3
 
 
 def pushed_where(queue: Queue, yes: Array, value_of: Callable[[Array], Array]) -> Queue:
-    """Appends the values of those of sixteen lanes whose condition is true.
+    """Appends `value_of(lanes)` for those of sixteen lanes (bool of any shape) whose condition is true.
 
-    Args:
-        queue: to append to.
-        yes: condition of each lane, sixteen bool of any shape.
-        value_of: function from lane numbers (8,) int32 to values (8,).
+    `value_of` maps lane numbers (8,) int32 to values (8,).
     """
     return Queue(*written_where(queue.entries, queue.count, queue.width, yes, value_of))
 

@@ -58,11 +58,9 @@ class PairSearch(eqx.Module):
 
 
 def pair_search(a: MeshTree, b: MeshTree, room: PairListLengths | None = None) -> PairSearch:
-    """Makes the search for intersecting triangles of two trees.
+    """Makes the search for intersecting triangles of two trees with four triangles per leaf.
 
-    Args:
-        a, b: trees with four triangles per leaf.
-        room: capacities; None: more than an implant and a button need.
+    `room` holds capacities; None: more than an implant and a button need.
     """
     if (a.leaf, b.leaf) != (LEAF, LEAF):
         raise TypeError(f"leaves of {a.leaf} and {b.leaf} triangles: expected {LEAF}")

@@ -125,12 +125,9 @@ def depth_for(n: int, leaf: int) -> int:
 
 
 def median_order(middles: NDArray[np.float64], leaf: int, depth: int) -> NDArray[np.int64]:
-    """Triangle in each place of the tree, -1 if empty, (2^depth * leaf,).
+    """Triangle in each place of the tree, -1 if empty, (2^depth * leaf,), from the triangles' centroids (n, 3).
 
-    Args:
-        middles: the triangles' centroids (n, 3).
-        leaf: places per leaf.
-        depth: of the tree, at least `depth_for(n, leaf)`.
+    `leaf` is the number of places per leaf, `depth` at least `depth_for(n, leaf)`.
     """
     n = len(middles)
     rows, counts = np.arange(n)[None], np.array([n])

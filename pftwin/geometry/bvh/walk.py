@@ -84,12 +84,10 @@ class Fans(NamedTuple):
 
 
 def fans_of(corners: NDArray[np.float64], lanes: int, balls: bool) -> Fans:
-    """Builds the tree of triangles.
+    """Builds the tree of triangles with corners (n, 3, 3) [m].
 
-    Args:
-        corners: of the triangles, (n, 3, 3) [m].
-        lanes: largest number of triangles in a leaf; leaves have as many lanes as the fullest needs.
-        balls: bound the triangles' centroids by balls (middle and radius); else their corners by discs.
+    A leaf has at most `lanes` triangles; leaves have as many lanes as the fullest needs. With `balls` it bounds the
+    triangles' centroids by balls (middle and radius); else their corners by discs.
     """
     depth = depth_for(len(corners), lanes)
     used = -(-len(corners) // 2**depth)  # triangles in the fullest leaf: splits halve to within one

@@ -96,13 +96,9 @@ class NearestTriangle(NamedTuple):
 
 
 def nearest_wide(tree: WideTree, triangles: Array, point: Vec3, half: int | None = None) -> NearestTriangle:
-    """Finds the triangle nearest to a point. Supports jit and vmap; no derivatives.
+    """Finds the triangle (places, 9) [m], in the tree's order, nearest to a point of the mesh's frame [m].
 
-    Args:
-        tree: of the mesh.
-        triangles: (places, 9) in the tree's order [m].
-        point: in the mesh's frame [m].
-        half: 0 or 1: search only the first or the second half of the places; None: all.
+    `half` is 0 or 1 to search only the first or the second half of the places. Supports jit and vmap; no derivatives.
     """
     return member_by_member(partial(_search_nearest, half))(tree, triangles, point.array())
 

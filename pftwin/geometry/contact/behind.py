@@ -99,12 +99,9 @@ class MutualPlace(NamedTuple):
 def mutual_place(
     mesh: SurfaceMesh, other: SurfaceMesh, position: NDArray[np.float64], matrix: NDArray[np.float64]
 ) -> MutualPlace:
-    """Estimates where one mesh is relative to another.
+    """Estimates where one mesh is relative to another, tested vertex by vertex; the first defines front and back.
 
-    Args:
-        mesh: the first mesh, which defines front and back.
-        other: the second mesh, tested vertex by vertex.
-        position, matrix: position (3,) [m] and rotation (3, 3) of the second's frame in the first's.
+    `position` (3,) [m] and `matrix` (3, 3) are the pose of the second's frame in the first's.
     """
     from scipy.spatial import cKDTree
 

@@ -68,11 +68,8 @@ def facet_tree(
 ) -> tuple[MeshTree, NDArray[np.int64], Features, int]:
     """Builds the tree of a mesh; `lateral` (m,) bool marks the lateral facet, each facet is a subtree of the root.
 
-    Returns:
-        The tree; the index of the mesh's triangle in each place (places,); the triangles' features; number of facets.
-
-    Raises:
-        InputError: labels that do not match the mesh, or a facet without triangles.
+    Returns the tree, the index of the mesh's triangle in each place (places,), the triangles' features, and the number
+    of facets. Raises InputError for labels that do not match the mesh, or a facet without triangles.
     """
     m = len(mesh.faces)
     label = np.zeros(m, dtype=np.int64) if lateral is None else np.asarray(lateral).astype(np.int64)

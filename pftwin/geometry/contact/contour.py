@@ -94,9 +94,7 @@ class MeshPair(eqx.Module):
 def mesh_pair(a: ContactMesh, b: ContactMesh, *, room: PairListLengths | None = None) -> MeshPair:
     """Makes the searches of two meshes; b's corners are searched for inside a.
 
-    Args:
-        a, b: the meshes.
-        room: capacities of the lists of pairs; None: more than an implant and a button need.
+    `room` holds capacities of the lists of pairs; None: more than an implant and a button need.
     """
     return MeshPair(a, b, pair_search(a.tree, b.tree, room), depth_search(a, b.corners, jnp.asarray(LIMIT, float)))
 

@@ -191,15 +191,7 @@ class MeshFacets(eqx.Module):
 
 
 def mesh_facets(mesh: SurfaceMesh, lateral: ArrayLike | None = None) -> MeshFacets:
-    """Divides a mesh into its facets and builds their tree.
-
-    Args:
-        mesh: in the femur's frame, normals outward [m].
-        lateral: which triangles are on the lateral facet, (m,) bool (see `lateral_of_groove`); None: a single facet.
-
-    Raises:
-        InputError: labels that do not match the mesh, or a facet without triangles.
-    """
+    """Divides a mesh into its facets and builds their tree; arguments and errors are as in `patch_mesh`."""
     tree, which, features, count = facet_tree(mesh, lateral, leaf=1, least_depth=1)
     marks = (_RIM * features.rim[which] + _SEAM * features.seam[which]).astype(np.int8)
     outward = features.outward[which].astype(np.float32)

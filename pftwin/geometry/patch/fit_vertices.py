@@ -182,11 +182,8 @@ def quality(
 ) -> PatchFit:
     """Evaluates the quality of a fit, in double precision.
 
-    Args:
-        patch: the patch.
-        v: the vertices.
-        fitted: the patch's heights at the vertices [m] and its slopes along u and v [-], (n,) each.
-        a, b: the vertices' coordinates in the patch's rectangle, -1 to 1, (n,).
+    `fitted` holds the patch's heights at the vertices [m] and its slopes along u and v [-], (n,) each; a, b are the
+    vertices' coordinates in the patch's rectangle, -1 to 1, (n,).
     """
     height, slope_u, slope_v = fitted
     if isinstance(patch.chart, CylindricalChart):

@@ -150,7 +150,8 @@ def _size(r: list[Scalar]) -> Scalar:
 def _improved(system: System, guide: Guide, at: _Iterate) -> _Iterate:
     """One Newton iteration; a converged pose does not change."""
     remembers = bool(jax.tree.leaves(at.memories))
-    searching = at.count < (SEARCH_STEPS if remembers else 0)  # the pose does not move until memories are refined
+    refining = SEARCH_STEPS if remembers else 0  # the pose does not move until memories are refined
+    searching, moved = at.count < refining, at.count > refining  # only then do two residuals belong to different poses
     there = look_around(system, lambda d: patella_at_rest(guide, displaced_pose(at.pose, d)), at.memories, at.residual)
     r, stiffness = there.residual(), there.tangent()
     size = _size(r)
@@ -161,11 +162,11 @@ def _improved(system: System, guide: Guide, at: _Iterate) -> _Iterate:
     shorter = jnp.minimum(1.0, 2 * REACH / jnp.maximum(length, 1e-12))
     rounding = _rounding(system, at.pose, there)
     tolerance = jnp.maximum(jnp.asarray(tolerance_of(size.dtype), size.dtype), rounding)
-    floor = (size < tolerance) & (size > 0.5 * at.residual)  # rounding prevents further improvement
+    floor = (size < tolerance) & (size > 0.5 * at.residual) & moved  # rounding prevents further improvement
     # The load jumps here, as where a triangle passes the rim of a mesh, and Newton's steps go to and fro across it.
-    jump = (size >= at.residual) & (length < AT_JUMP) & definite & (caution <= 1) & ~searching
+    jump = (size >= at.residual) & (length < AT_JUMP) & definite & (caution <= 1) & moved
     rounding = jnp.where(jump, jnp.maximum(rounding, 2 * size), rounding)
-    done = ((size < 0.01 * tolerance) | floor | jump) & ~searching
+    done = ((size < 0.01 * tolerance) & ~searching) | floor | jump
     scale = jnp.where(done | searching | ~jnp.isfinite(length), 0.0, shorter)
     d = [jnp.where(scale == 0, 0.0, scale * a) for a in d]
     return _Iterate(displaced_pose(at.pose, d), there.memories, size, stiffness, rounding, at.count + 1, done, caution)

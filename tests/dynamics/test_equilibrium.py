@@ -21,6 +21,8 @@ from pftwin.dynamics.status import Status
 from pftwin.model.effects.base import Effect, Instant, Load
 from pftwin.model.effects.contact_law import Hertz
 from pftwin.model.effects.damping import LinearDamping
+from pftwin.studies.hard_cases.batch import built_scene
+from pftwin.studies.hard_cases.catalogue import case_named
 
 
 @eqx.filter_jit
@@ -120,6 +122,21 @@ def flags(scene, start=None) -> Status:
     for s in np.unique(np.asarray(seen.status)):
         out |= Status(int(s))
     return out
+
+
+@pytest.mark.parametrize("change", [1e-2, -1e-2])  # of 629 N/m
+def test_a_search_beside_the_equilibrium_does_not_end_before_it_moves(change):
+    """While memories are refined the pose stays, and so does the residual: that is neither a jump nor rounding."""
+    scene = built_scene(case_named("tendon_stiff"), "P5")
+    rest = starting_equilibrium(scene)
+    k = scene.effect("quadriceps").stiffness
+    near = Pose(rest.pose.apply(-scene.patella.center_of_mass), rest.pose.orientation)
+    found = starting_equilibrium(scene.set("quadriceps.stiffness", k + change), near)
+    slope = jax.jvp(lambda k: starting_equilibrium(scene.set("quadriceps.stiffness", k)).pose, (k,), (jnp.ones(()),))[1]
+    assert float(found.residual) < 1e-8
+    assert float(found.rounding) < 1e-8
+    moved = (found.pose.position - rest.pose.position).array()
+    np.testing.assert_allclose(moved, change * slope.position.array(), rtol=1e-3, atol=1e-14)
 
 
 def test_a_clean_motion_is_ok():

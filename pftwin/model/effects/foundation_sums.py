@@ -66,11 +66,9 @@ class Pressures(NamedTuple):
     deepest: Array  # () maximum depth [m]
 
 
-Sums = tuple[Forces, Pressures]
-
-
 class Lanes(NamedTuple):
-    """Sums and maxima over every n-th triangle, arrays (n,), so that a loop adds several with one instruction."""
+    """Sums and maxima over every n-th triangle, arrays (n,), so that a loop adds several with one instruction; or over
+    all triangles, arrays ()."""
 
     force: list[Array]  # 6
     elastic: list[Array]  # 6
@@ -89,34 +87,38 @@ class Lanes(NamedTuple):
         most, deepest = (jnp.maximum(a, b) for a, b in ((self.most, other.most), (self.deepest, other.deepest)))
         return jax.tree.map(jnp.add, self, other)._replace(most=most, deepest=deepest)
 
-    def total(self) -> Sums:
-        """Over all triangles."""
-        largest = jnp.max(self.most), jnp.max(self.deepest)
-        t = jax.tree.map(jnp.sum, self)
-        force, elastic, triangle = (jnp.stack(x) for x in (t.force, t.elastic, t.stiffness))
-        forces = Forces(force, elastic, triangle[_PLACE], t.size, t.energy)
-        moment, facets = (jnp.stack([jnp.stack(v) for v in per_facet]) for per_facet in (t.moment, t.facets))
-        return forces, Pressures(t.area, jnp.stack(t.borne), moment, facets, *largest)
+    def total(self) -> Lanes:
+        """Over all triangles, as arrays ()."""
+        return jax.tree.map(jnp.sum, self)._replace(most=jnp.max(self.most), deepest=jnp.max(self.deepest))
+
+    def stacked(self) -> tuple[Forces, Pressures]:
+        """Of a total, as vectors and matrices."""
+        force, elastic, triangle, borne = (jnp.stack(x) for x in (self.force, self.elastic, self.stiffness, self.borne))
+        forces = Forces(force, elastic, triangle[_PLACE], self.size, self.energy)
+        moment, facets = (jnp.stack([jnp.stack(v) for v in per_facet]) for per_facet in (self.moment, self.facets))
+        return forces, Pressures(self.area, borne, moment, facets, self.most, self.deepest)
 
 
-def triangle_sums(at: Bedded) -> Sums:
+def triangle_sums(at: Bedded) -> tuple[Forces, Pressures]:
     """Sums over all triangles in contact. Supports jit, vmap, and forward and reverse differentiation."""
     found = at.femur.touching(at.button, at.position, at.rotation, width=at.button.leaves, band=0.0, reach=REACH)
-    return _sum_contacts(at, found)
+    return _sum_contacts(at, found).stacked()
 
 
+# Under vmap the axis of the batch must be in the same place in a result and in what its derivative rule returns: JAX
+# does not check that, and `jnp.stack` puts it elsewhere than the loop over members does. So both return arrays ().
 @eqx.filter_custom_jvp
-def _sum_contacts(at: Bedded, found: TouchingLeaves) -> Sums:
+def _sum_contacts(at: Bedded, found: TouchingLeaves) -> Lanes:
     return member_by_member(_sum_of_all)(at, found)
 
 
 @_sum_contacts.def_jvp
-def _summed_jvp(primals: Any, tangents: Any) -> tuple[Sums, Sums]:
+def _summed_jvp(primals: Any, tangents: Any) -> tuple[Lanes, Lanes]:
     at, found = primals
     moving, still = what_changes(at, tangents[0])
     most = most_in_batch(found.total)
 
-    def total(moving: Any) -> Sums:
+    def total(moving: Any) -> Lanes:
         at = eqx.combine(moving, still)
         zero = _zero_lanes(at)
 
@@ -130,7 +132,7 @@ def _summed_jvp(primals: Any, tangents: Any) -> tuple[Sums, Sums]:
     return jax.jvp(total, (moving,), (tangents[0],))
 
 
-def _sum_of_all(at: Bedded, found: TouchingLeaves) -> Sums:
+def _sum_of_all(at: Bedded, found: TouchingLeaves) -> Lanes:
     def piece(state: tuple[Array, Lanes]) -> tuple[Array, Lanes]:
         start, so_far = state
         return start + PIECE, so_far.plus(_lanes_of_leaves(at, found, start))

@@ -87,6 +87,27 @@ def test_forces_in_touch_and_apart(side):
     np.testing.assert_array_equal(slopes, 0)
 
 
+def test_a_batch_in_a_loop_has_the_values_and_slopes_of_its_members(side):
+    """Six members, as many as a force has components, so that exchanged axes would not show in shapes."""
+    contact = knee(side).effect("contact")
+
+    def force(depth):
+        return contact.load(look((0.002, -0.003, -depth), orientation=TILT), None)[0].bed.force
+
+    def differentiated(function, depth):
+        def in_loop(d):
+            return jax.lax.scan(lambda _, n: (function(d), None), function(0 * d), jnp.arange(1))[0]
+
+        return jax.jit(lambda d: jax.jvp(in_loop, (d,), (jnp.ones_like(d),)))(depth)
+
+    depths = jnp.linspace(1e-4, 6e-4, 6)
+    together = differentiated(jax.vmap(force), depths)
+    alone = [differentiated(force, depth) for depth in depths]
+    assert np.asarray(together[0])[:, 2].min() > 1
+    for both, each in zip(together, zip(*alone, strict=True), strict=True):
+        np.testing.assert_allclose(both, np.stack(each), rtol=1e-12, atol=1e-9)
+
+
 def check(slopes: np.ndarray, differences: np.ndarray) -> None:
     """Each number's column counts: to a thousandth of its own largest slope."""
     size = np.abs(slopes).max(axis=0)

@@ -1,4 +1,4 @@
-"""Simulates variants in chunks: a compiled function of treatment amounts, parameters and start poses.
+"""Simulates variants in chunks: compiled functions of treatment amounts, parameters and start poses.
 
 Memory does not grow with the number of variants: a chunk's trajectories are freed once its outcomes are computed.
 """
@@ -8,9 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 from numpy.typing import NDArray
@@ -24,6 +22,8 @@ from pftwin.dynamics.batch.devices import Devices, chosen_devices, feeding_threa
 from pftwin.dynamics.batch.member import frames_with_flags, run_with_error, scene_is_valid
 from pftwin.dynamics.batch.retry import SMALLER
 from pftwin.dynamics.batch.sharding import Chunk, Sharding
+from pftwin.dynamics.equilibrium import Solution
+from pftwin.dynamics.equilibrium_report import Start, start_offset
 from pftwin.dynamics.frame_states import starting_equilibrium
 from pftwin.dynamics.integrators import BDF2
 from pftwin.dynamics.observe import observe_on_the_way
@@ -51,9 +51,9 @@ class Recipe(NamedTuple):
         scene = self.scene if self.fitted is None else self.fitted(self.scene, theta)
         return self.treatment.with_values(list(amounts))(scene)
 
-    def observed(self, scene: Scene, substeps: Array) -> tuple[CourseFrame, Array]:
-        """The variant's observations (frames,) and their status."""
-        options: Any = {"substeps": substeps, "integrator": _INTEGRATOR}
+    def observed(self, scene: Scene, substeps: Array, start: Solution | None = None) -> tuple[CourseFrame, Array]:
+        """The variant's observations (frames,) and their status; `start`: its equilibrium, by default solved for."""
+        options: Any = {"substeps": substeps, "integrator": _INTEGRATOR, "start": start}
         seen, status, _ = observe_on_the_way(scene, lambda frame: CourseFrame.of(scene, frame), **options)
         return seen, status
 
@@ -71,11 +71,30 @@ class Members(NamedTuple):
     courses: dict[str, Floats]  # (n, frames, ...), if trajectories are requested
 
 
-def _member_outcomes(recipe: Recipe, a: Array, theta: Array, start: Pose) -> Any:
+class _Settled(NamedTuple):
+    """A variant's equilibrium."""
+
+    found: Solution
+    pose: Pose  # of the patella's frame
+    start: Start
+
+
+def _member_start(recipe: Recipe, a: Array, theta: Array, start: Pose) -> _Settled:
+    """Equilibrium of one variant, by descent from a pose of the patella's frame."""
+    scene = recipe.made(a, theta)
+    found = starting_equilibrium(scene, start)
+    pose = Pose(found.pose.apply(-scene.patella.center_of_mass), found.pose.orientation)
+    return _Settled(found, pose, Start(found.converged(), *start_offset(scene, found)))
+
+
+def _member_outcomes(recipe: Recipe, a: Array, theta: Array, start: Solution) -> Any:
     """Outcomes of one variant; its motion is flagged if the estimated error of its steps is too large."""
-    scene = eqx.tree_at(lambda s: s.start, recipe.made(a, theta), start)
+    scene = recipe.made(a, theta)
     (seen, status), error = run_with_error(
-        lambda n: recipe.observed(scene, n), lambda found: found[0].compared(), recipe.substeps, _INTEGRATOR.order
+        lambda n: recipe.observed(scene, n, start),
+        lambda found: found[0].compared(),
+        recipe.substeps,
+        _INTEGRATOR.order,
     )
     at = course_of(scene, seen, status | error.flags.astype(status.dtype), recipe.groove)
     flags = frames_with_flags(at.status)
@@ -91,69 +110,85 @@ def _member_outcomes(recipe: Recipe, a: Array, theta: Array, start: Pose) -> Any
     return measure(at, recipe.threshold), flags, scene_is_valid(scene), courses
 
 
-@eqx.filter_jit
-def _member_equilibria(recipe: Recipe, amounts: Array, thetas: Array) -> tuple[Pose, Array]:
-    """Equilibria from the scene's own start: poses of the patella's frame, and whether the searches converged."""
+class Batch:
+    """Programs for all variants of a recipe, and the devices that run them.
 
-    def one(a: Array, theta: Array) -> tuple[Pose, Array]:
-        scene = recipe.made(a, theta)
-        found = starting_equilibrium(scene)
-        origin = found.pose.apply(-scene.patella.center_of_mass)
-        return Pose(origin, found.pose.orientation), found.converged()
+    A chunk holds up to `chunk` variants per device; a smaller study, of `count` variants, and a repetition, is one
+    smaller chunk, padded to `fewest`, as compiling another size takes longer than idle lanes.
+    """
 
-    return jax.vmap(one)(amounts, thetas)
+    def __init__(self, recipe: Recipe, count: int, chunk: int, devices: Devices = "all", fewest: int = _FEWEST) -> None:
+        self.recipe = recipe._replace(scene=recipe.scene.unnamed())
+        chosen = chosen_devices(devices)
+        size = min(chunk, max(fewest, 1 << (count - 1).bit_length()))  # powers of two, so that programs are reused
+        pieces, piece = good_sizes(size, chosen[0].platform)
+        self._sharding = Sharding(chosen, piece, pieces * piece * len(chosen))
+        self._threads = feeding_threads(devices)
+
+    def settled(self, amounts: Floats, thetas: Floats, starts: Pose | None = None) -> tuple[Pose, Start]:
+        """Equilibria, searched for from `starts` (n,): poses of the patella's frame (n,), and what is judged of them.
+
+        None: the scene's own start.
+        """
+        shared = self._sharding.shared(self.recipe)
+
+        def computed(some: Chunk) -> tuple[Pose, Start]:
+            rows = self._sharding.placed(self._rows(amounts, thetas, starts), some)
+            settled = self._sharding.run(_member_start, shared, some, rows)
+            return self._sharding.taken((settled.pose, settled.start), some)
+
+        return self._sharding.over(computed, len(amounts), self._threads)
+
+    def untreated(self, thetas: Floats, starts: Pose | None = None) -> tuple[Pose, Start]:
+        """Equilibria of the untreated scene with parameters (n, p)."""
+        return self.settled(np.zeros((len(thetas), len(self.recipe.treatment.names))), thetas, starts)
+
+    def simulated(
+        self, amounts: Floats, thetas: Floats, starts: Pose | None, progress: Any = None, smaller: int = 1
+    ) -> Members:
+        """Motions, in steps smaller by a factor; the searches for equilibrium start from `starts` (n,)."""
+        substeps = smaller * self.recipe.substeps
+        shared = self._sharding.shared(self.recipe._replace(substeps=substeps))
+
+        def computed(some: Chunk) -> Members:
+            rows = self._sharding.placed(self._rows(amounts, thetas, starts), some)
+            settled = self._sharding.run(_member_start, shared, some, rows)
+            found = self._sharding.run(_member_outcomes, shared, some, (*rows[:2], settled.found))
+            return Members(*self._sharding.taken(found, some))
+
+        return self._sharding.over(computed, len(amounts), self._threads, progress)
+
+    def _rows(self, amounts: Floats, thetas: Floats, starts: Pose | None) -> tuple[Floats, Floats, Pose]:
+        own = jax.tree.map(lambda a: np.broadcast_to(np.asarray(a), len(amounts)), self.recipe.scene.start)
+        return np.asarray(amounts, float), np.asarray(thetas, float), own if starts is None else starts
 
 
 def run(
-    recipe: Recipe,
+    batch: Batch,
     amounts: Floats,
     thetas: Floats,
-    chunk: int,
-    devices: Devices = "all",
     progress: Callable[[int, int], None] | None = None,
-    fewest: int = _FEWEST,
     care: bool = False,
 ) -> Members:
     """Simulates variants with amounts (n, k) and parameters (n, p). A failed variant does not stop the others.
 
-    With `care`, variants whose estimated error is large are simulated again with a quarter of the step. A chunk holds
-    up to `chunk` variants per device; a smaller study, and a repetition, is one smaller chunk, padded to `fewest`, as
-    compiling another size takes longer than idle lanes.
+    With `care`, variants whose estimated error is large are simulated again with a quarter of the step.
     """
-    recipe = recipe._replace(scene=recipe.scene.unnamed())
-    chosen = chosen_devices(devices)
-    size = min(chunk, max(fewest, 1 << (len(amounts) - 1).bit_length()))  # powers of two, so that programs are reused
+    starts = _starts(batch, amounts, thetas)
+    found = batch.simulated(amounts, thetas, starts, progress)
 
-    def simulated(amounts: Floats, thetas: Floats, starts: Pose | None, progress: Any, recipe: Recipe) -> Members:
-        n = len(amounts)
-        if starts is None:
-            starts = jax.tree.map(lambda a: np.broadcast_to(np.asarray(a), (n,)), recipe.scene.start)
-        pieces, piece = good_sizes(size, chosen[0].platform)
-        sharding = Sharding(chosen, piece, pieces * piece * len(chosen))
-        shared, rows = sharding.shared(recipe), (np.asarray(amounts, float), np.asarray(thetas, float), starts)
-
-        def computed(some: Chunk) -> Members:
-            return Members(
-                *sharding.taken(sharding.run(_member_outcomes, shared, some, sharding.placed(rows, some)), some)
-            )
-
-        return sharding.over(computed, n, feeding_threads(devices), progress)
-
-    starts = _starts(recipe, amounts, thetas)
-    found = simulated(amounts, thetas, starts, progress, recipe)
-
-    def again(which: NDArray[np.bool_], recipe: Recipe) -> None:
+    def again(which: NDArray[np.bool_], smaller: int = 1) -> None:
         if which.any():
             chosen = None if starts is None else jax.tree.map(lambda a: a[which], starts)
-            better = simulated(amounts[which], thetas[which], chosen, None, recipe)
+            better = batch.simulated(amounts[which], thetas[which], chosen, smaller=smaller)
             jax.tree.map(lambda old, new: old.__setitem__(which, new), found, better)
 
     if starts is not None:
         lost = _flagged(found, Status.START_NOT_IN_EQUILIBRIUM)
-        starts = jax.tree.map(lambda a, own: np.where(lost, np.asarray(own), a), starts, recipe.scene.start)
-        again(lost, recipe)
+        starts = jax.tree.map(lambda a, own: np.where(lost, np.asarray(own), a), starts, batch.recipe.scene.start)
+        again(lost)
     if care:
-        again(_flagged(found, Status.INACCURATE), recipe._replace(substeps=SMALLER * recipe.substeps))
+        again(_flagged(found, Status.INACCURATE), SMALLER)
     return found
 
 
@@ -161,7 +196,7 @@ def _flagged(found: Members, flag: Status) -> NDArray[np.bool_]:
     return found.flags[:, FLAGS.index(flag)] > 0
 
 
-def _starts(recipe: Recipe, amounts: Floats, thetas: Floats) -> Pose | None:
+def _starts(batch: Batch, amounts: Floats, thetas: Floats) -> Pose | None:
     """For each variant the pose from which to search for equilibrium, (n,); None: the scene's own."""
     if len(amounts) <= _NEAR:
         return None
@@ -169,16 +204,13 @@ def _starts(recipe: Recipe, amounts: Floats, thetas: Floats) -> Pose | None:
     spread = np.ptp(points, axis=0)
     points = points[:, spread > 0] / spread[spread > 0]
     chosen, nearest = _spread_out(points, _NEAR)
-    padded = np.resize(chosen, _NEAR)
-    poses, good = jax.tree.map(
-        np.asarray, _member_equilibria(recipe, jnp.asarray(amounts[padded]), jnp.asarray(thetas[padded]))
-    )
-    if not good.any():
+    poses, start = batch.settled(amounts[chosen], thetas[chosen])
+    if not start.converged.any():
         return None
-    usable = good[: len(chosen)]
-    if not usable.all():  # no variant starts from a search that failed
+    if not start.converged.all():  # no variant starts from a search that failed
+        usable = np.flatnonzero(start.converged)
         distance = np.stack([np.sum((points - points[i]) ** 2, axis=1) for i in chosen[usable]])
-        nearest = np.flatnonzero(usable)[np.argmin(distance, axis=0)]
+        nearest = usable[np.argmin(distance, axis=0)]
     return jax.tree.map(lambda a: a[nearest], poses)
 
 

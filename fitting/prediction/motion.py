@@ -16,7 +16,7 @@ from fitting.estimate import Estimate
 from fitting.measured_channels import check_times
 from fitting.prediction.plots import MOST_FAILED
 from fitting.prediction.predicted_motion import COORDINATES, LEVEL, PredictedMotion
-from fitting.prediction.predicting import check_draws, estimate_and_draws, reservations, untrusted_start
+from fitting.prediction.predicting import check_draws, estimate_and_draws, reservations
 from fitting.programs import ORIENTATION, POSITION, TURNS
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
@@ -25,6 +25,7 @@ from pftwin.base.rotations import patellar_angles
 from pftwin.base.spatial import Quaternion
 from pftwin.dynamics.batch.simulate_batch import simulate_batch
 from pftwin.dynamics.batch.variants import Variants
+from pftwin.dynamics.equilibrium_report import Start, invalid_start
 from pftwin.model.measured import Measured
 from pftwin.model.scene import Scene, check
 from pftwin.model.scene_parameters import find
@@ -77,12 +78,14 @@ def predict_motion(
     frames = scene.motion.times.size
     counts = found["status_frames"].values
     good = ~(found["failed"].values | is_invalid(counts, frames))
-    if scene.limits is not None:
-        for k in 1 + np.flatnonzero(good[1:]):
-            good[k] = not untrusted_start(estimate.apply(scene, thetas[k]))
+    moved, turned = found["start_shift"].values, np.radians(found["start_turn"].values)
+    starts = [
+        invalid_start(estimate.apply(scene, thetas[k]), Start(True, moved[k], turned[k])) if good[k] or k == 0 else ()
+        for k in range(len(thetas))
+    ]
+    good[1:] &= [not why for why in starts[1:]]
     paths = _coordinates(found["sphere_center"].values, found["patella_quaternion"].values)
-    start = untrusted_start(estimate.apply(scene, thetas[0]))
-    verdict = Verdict((*verdict_of_counts(counts[0], frames).reasons, *start)).describe()
+    verdict = Verdict((*verdict_of_counts(counts[0], frames).reasons, *starts[0])).describe()
     if verdict == "valid" and not good[0]:
         verdict = "INVALID: the estimate has no motion"
     lost = int((~good[1:]).sum())

@@ -10,16 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.coverage import NOT_KNOWN, Coverage
-from fitting.prediction.members import Members, Recipe, run
+from fitting.prediction.members import Batch, Members, Recipe, run
 from fitting.prediction.outcomes import MEASURES, Groove
+from fitting.prediction.untreated import untrusted_starts
 from fitting.prediction.variants import VariantBatch, batches
 from fitting.treatments import Treatment
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.dynamics.batch.devices import Devices, chosen_devices
-from pftwin.dynamics.equilibrium_report import EquilibriumReport, invalid_start
 from pftwin.dynamics.frame_states import substeps_for
-from pftwin.dynamics.simulate import settle_first_frame
 from pftwin.dynamics.status import FLAGS
 from pftwin.model.measured import SYNTHETIC
 from pftwin.model.scene import Scene, check
@@ -113,9 +112,10 @@ def predict(
         A dataset over `variant` (and `sample`, of which 0 is the estimate itself), in SI units and degrees, with the
         amounts as coordinates, every outcome of `fitting.prediction.outcomes.MEASURES`, `status_frames` (frames with
         each status) and `failed`. Variants and draws with an INVALID motion, or that cannot be simulated, have `failed`
-        set and contain NaN; no error is raised. If the untreated scene starts INVALID (nothing pulls the patella
-        upward, or its equilibrium is far from the recorded start), all its variants are INVALID, although
-        `pftwin.simulate` of a treated scene does not check the start.
+        set and contain NaN; no error is raised. If the untreated scene starts INVALID (it has no equilibrium, nothing
+        pulls the patella upward, or its equilibrium is far from the recorded start), all its variants are INVALID,
+        although `pftwin.simulate` of a treated scene does not check the start. So are all variants of a draw whose own
+        untreated scene starts INVALID.
 
     Raises:
         InputError: no scene or treatment; a scene that lacks what is to be changed or estimated; samples without an
@@ -148,31 +148,19 @@ def predict(
 
         scene = batch.scene
         check(scene)
-        own = scene
         if estimate is not None:
-            own = estimate.apply(scene)
-            check(own)  # refuses a scene without these parameters
-        invalid.append(untrusted_start(own))
+            check(estimate.apply(scene))  # refuses a scene without these parameters
         substeps = jnp.asarray(substeps_for(scene.motion.frame_interval, step))
         fitted = None if estimate is None else estimate.apply
         groove = Groove.of(scene)
         recipe = Recipe(scene, batch.treatment, fitted, groove, substeps, float(threshold), trajectories)
         amounts = np.repeat(batch.amounts, len(thetas), axis=0)  # variants by samples, samples varying fastest
         members = np.tile(thetas, (len(batch.amounts), 1))
-        found.append(run(recipe, amounts, members, chunk, devices, counted, care=care))
+        programs = Batch(recipe, len(amounts), chunk, devices)
+        invalid.append(untrusted_starts(programs, scene, thetas))
+        found.append(run(programs, amounts, members, counted, care=care))
         done += len(amounts)
     return dataset(groups, found, estimate, thetas, invalid, dt=step, threshold=threshold)
-
-
-def untrusted_start(scene: Scene) -> tuple[str, ...]:
-    """Reasons not to trust any motion of a scene, from its equilibrium: see `invalid_start`. Empty without limits.
-
-    Its parameters are not checked: draws from an estimate may exceed the limits of parameters.
-    """
-    if scene.limits is None:
-        return ()
-    found, relaxed = settle_first_frame(scene.unnamed())
-    return invalid_start(scene, EquilibriumReport.build(scene, found.answer, relaxed))
 
 
 def estimate_and_draws(estimate: Fitted | None, samples: int, seed: int) -> Floats:
@@ -216,12 +204,12 @@ def dataset(
     found: list[Members],
     estimate: Fitted | None,
     thetas: Floats,
-    invalid: list[tuple[str, ...]],
+    invalid: list[list[tuple[str, ...]]],
     **settings: float,
 ) -> Dataset:
     """The dataset of members, which stand batch by batch, variants by samples.
 
-    `invalid`: for each batch, why no motion of its scene can be trusted.
+    `invalid`: for each batch, why no motion of its scene can be trusted, with the estimate's values and each draw's.
     """
     from xarray import Dataset
 
@@ -234,8 +222,13 @@ def dataset(
         a = np.concatenate([p.reshape(len(b.places), many, *p.shape[1:]) for b, p in zip(batches, parts, strict=True)])
         return a[order] if sampled else a[order][:, 0]
 
-    counted = [(m, b.scene.motion.times.size, why) for b, m, why in zip(batches, found, invalid, strict=True)]
-    failed = gathered([~m.sensible | is_invalid(m.flags, frames) | bool(why) for m, frames, why in counted])
+    counted = [(m, b.scene.motion.times.size, why[0]) for b, m, why in zip(batches, found, invalid, strict=True)]
+    failed = gathered(
+        [
+            ~m.sensible | is_invalid(m.flags, frames) | np.resize([bool(why or own) for own in each], m.sensible.size)
+            for (m, frames, why), each in zip(counted, invalid, strict=True)
+        ]
+    )
     variables: Variables = {}
     for name, about in MEASURES.items():
         values, unit = _shown(gathered([m.outcomes[name] for m in found]), about.unit)

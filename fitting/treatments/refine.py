@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection
+from functools import cached_property
 from typing import Any
 
 import equinox as eqx
@@ -15,10 +16,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
+from numpy.typing import NDArray
 
-from fitting.prediction.members import Recipe, run
+from fitting.prediction.members import Batch, Recipe, run
 from fitting.prediction.outcomes import MEASURES, Groove, measure
 from fitting.prediction.predicting import STEP, Fitted
+from fitting.prediction.untreated import untrusted_starts
 from fitting.treatments import Treatment
 from fitting.treatments.limits import Limit
 from pftwin.base.arrays import Floats
@@ -87,6 +90,8 @@ class Search:
         fitted = None if estimate is None else estimate.apply
         prepared = treatment.prepared(scene)
         self._recipe = Recipe(scene.unnamed(), prepared, fitted, Groove.of(scene), substeps, threshold, False)
+        self._batch = Batch(self._recipe, CHUNK, CHUNK)  # with the programs that simulated the grid
+        self._scene = scene
         self._thetas = jnp.asarray(thetas, dtype=float)
         self._limits, self._draws = limits, len(thetas) - 1
         self._needed = math.ceil(confidence * self._draws - 1e-9)
@@ -111,12 +116,10 @@ class Search:
         """
         key = np.asarray(amounts, dtype=np.float64).tobytes()
         if key not in self._known:
-            if self.alone:  # with the program that simulated the grid
+            if self.alone:
                 every, thetas = np.array(self._fixed), np.asarray(self._thetas)
                 every[list(self._places)] = amounts
-                members = run(
-                    self._recipe, np.tile(every, (len(thetas), 1)), thetas, CHUNK, fewest=CHUNK, care=self._care
-                )
+                members = run(self._batch, np.tile(every, (len(thetas), 1)), thetas, care=self._care)
                 self._known[key] = members.outcomes, None, members.flags
             else:
                 numbers = (self._fixed, self._thetas, jnp.asarray(amounts, dtype=float))
@@ -137,7 +140,12 @@ class Search:
         """Scaled margins of each limit, for the estimate and the draws (limits, 1 + draws)."""
         found = self._at(amounts)[0]
         rooms = np.stack([lim.room(found[lim.outcome]) / lim.size for lim in self._limits])
-        return np.where(np.isfinite(rooms), rooms, _NONE)
+        return np.where(np.isfinite(rooms) & ~self._lost, rooms, _NONE)
+
+    @cached_property
+    def _lost(self) -> NDArray[np.bool_]:
+        """Which rows of parameters (1 + draws,) start INVALID untreated; they meet no limit."""
+        return np.array([bool(why) for why in untrusted_starts(self._batch, self._scene, np.asarray(self._thetas))])
 
     def share(self, amounts: Floats) -> float:
         """Share of the draws that meet all limits."""

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
 from pftwin.base.leaves import host_array
 from pftwin.base.program_cache import Program
-from pftwin.base.spatial import Pose
+from pftwin.base.spatial import Pose, Scalar
 from pftwin.dynamics.equilibrium import Solution, tolerance_on_host
 from pftwin.dynamics.frame_states import first_guide
 from pftwin.dynamics.observe import instant_and_frame
@@ -167,7 +168,22 @@ def _turned(q: NDArray[np.float64], v: NDArray[np.float64]) -> NDArray[np.float6
     return v + 2 * (w * t + np.array([y * t[2] - z * t[1], z * t[0] - x * t[2], x * t[1] - y * t[0]]))
 
 
-def invalid_start(scene: Scene, start: EquilibriumReport) -> tuple[str, ...]:
+class Start(NamedTuple):
+    """What `invalid_start` judges of an equilibrium; of members of a batch, which have no report, arrays (n,)."""
+
+    converged: Any
+    moved: Any  # displacement of the centre of mass from the scene's start pose [m]
+    turned: Any  # rotation from the scene's start pose [rad]
+
+
+def start_offset(scene: Scene, found: Solution) -> tuple[Scalar, Scalar]:
+    """`moved` [m] and `turned` [rad] as in an `EquilibriumReport`, of a traced scene."""
+    start = scene.center_of_mass_pose()
+    cosine = jnp.abs(jnp.sum(found.pose.orientation.array() * start.orientation.array()))
+    return (found.pose.position - start.position).norm(), 2 * jnp.arccos(jnp.minimum(1.0, cosine))
+
+
+def invalid_start(scene: Scene, start: EquilibriumReport | Start) -> tuple[str, ...]:
     """Reasons not to trust any motion of a scene with limits: fewer lines than `least_upward_lines` pull the patella
     upward at the start, or the equilibrium is far from the recorded start. A failed search has its own status flag.
     """

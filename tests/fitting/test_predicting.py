@@ -11,9 +11,11 @@ import pytest
 from small_scene import small_scene
 
 from fitting.prediction import predicting
-from fitting.prediction.members import Members
-from fitting.prediction.outcomes import MEASURES, outcomes
+from fitting.prediction.members import Batch, Members, Recipe
+from fitting.prediction.outcomes import MEASURES, Groove, outcomes
+from fitting.prediction.plots import draws_failed
 from fitting.prediction.predicting import STEP, Fitted, predict
+from fitting.prediction.untreated import NO_EQUILIBRIUM, untrusted_starts
 from fitting.prediction.variants import grid
 from fitting.treatments import Treatment, tibial_tuberosity_transfer
 from pftwin import BDF2, equilibrium, rig, simulate
@@ -143,6 +145,31 @@ def test_a_knee_that_starts_invalid_has_no_valid_variant(sampled, knee):
     found = predict(near, TRANSFERS, Estimated(), samples=6, seed=3, dt=DT, devices=1)
     np.testing.assert_array_equal(found["failed"], sampled["failed"])
     assert not found["failed"].values.all()
+
+
+def test_draws_that_start_invalid_are_in_no_band(sampled, knee):
+    """Whatever their treatment; the equilibrium of each, as `pftwin.equilibrium` reports it, says which they are."""
+    turned = np.degrees([equilibrium(Estimated().apply(knee, t)).turned for t in Estimated().samples(6, 3)])
+    third, second = np.sort(turned)[-3:-1]
+    estimated = np.degrees(equilibrium(Estimated().apply(knee)).turned)
+    assert estimated < second
+    near = knee.with_limits(most_start_turn_deg=float(0.5 * (max(third, estimated) + second)))
+    found = predict(near, TRANSFERS, Estimated(), samples=6, seed=3, dt=DT, devices=1)
+    out = np.array([False, *(turned >= second)])
+    assert not sampled["failed"].values.any()
+    np.testing.assert_array_equal(found["failed"].values, np.tile(out, (found.sizes["variant"], 1)))
+    assert set(draws_failed(found)) == {2}
+    force = sampled["mean_contact_force"].values
+    np.testing.assert_allclose(found["mean_contact_force"].values, np.where(out, np.nan, force), rtol=1e-9)
+
+
+def test_a_draw_without_untreated_equilibrium_is_lost_without_limits_too(knee):
+    """Nothing holds a patella whose quadriceps has no stiffness."""
+    treatment = Treatment.of(TRANSFER, medialisation=0.0, distalisation=0.0).prepared(knee)
+    recipe = Recipe(knee, treatment, Estimated().apply, Groove.of(knee), jnp.asarray(2), 0.01, False)
+    thetas = np.array([[160.0, 0.0715], [1e-6, 0.0715], [161.0, 0.0715]])
+    assert [equilibrium(Estimated().apply(knee, t)).converged for t in thetas] == [True, False, True]
+    assert untrusted_starts(Batch(recipe, 3, 16, 1), knee, thetas) == [(), (NO_EQUILIBRIUM,), ()]
 
 
 @pytest.mark.slow

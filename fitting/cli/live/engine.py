@@ -15,9 +15,9 @@ import numpy as np
 
 from fitting.cli.live.knobs import Knobs, neutral
 from fitting.cli.live.motion import Band, Floats, Shown, ShownMotion
+from fitting.prediction.untreated import reasons_of, untrusted_start
 from pftwin.base.errors import InputError
 from pftwin.base.spatial import Vec3
-from pftwin.dynamics.equilibrium_report import invalid_start
 from pftwin.dynamics.simulate import prepare_relaxation, simulate
 from pftwin.model.scene import Scene
 from pftwin.results.scene_geometry import MARGIN, continuation, geometry, has_rectangle
@@ -63,6 +63,7 @@ class Engine:
         self._tracing = threading.Lock()  # only one thread may trace at a time
         self._first = load(contacts[0])
         self._draws = () if estimate is None else estimate.samples(DRAWS)[:, : estimate.shared]
+        self._untreated: dict[tuple[str, int], tuple[str, ...]] = {}  # as `LiveModel.start`, by contact and draw
 
     def ready(self, contact: str) -> bool:
         """Whether the model of this contact is compiled."""
@@ -85,7 +86,7 @@ class Engine:
             own, rest = nominal if self.estimate is None else self.estimate.apply(nominal), knobs.scene_with(neutral())
             still = Still(rest)
             # Compiles the simulation, and small programs for the drawing.
-            start = invalid_start(own, _simulated(rest, UNTREATED, still, ()).result.equilibrium)
+            start = reasons_of(own, _simulated(rest, UNTREATED, still, ()).result.equilibrium)
             prepare_relaxation(rest)
             before = _simulated(rest, UNTREATED, still.of(rest), start)
             before.refuse_if_lost()
@@ -108,21 +109,34 @@ class Engine:
     ) -> Band | None:
         """Computes the band of a motion from `run`; None as soon as `wanted` returns False.
 
-        Draws are simulated one by one with the compiled program, because a batch would take minutes to compile.
+        Draws are simulated one by one with the compiled program, because a batch would take minutes to compile. Those
+        whose own untreated scene starts INVALID are left out, as in `fitting.predict`.
         """
         model = self._models[contact]
         if model.start:
             return Band({}, "No bands: the untreated knee starts INVALID.")
         found: list[Result] = []
-        for theta in self._draws:
+        for k, theta in enumerate(self._draws):
             if not wanted():
                 return None
+            if self._untreated_start(model, k):
+                continue
             with contextlib.suppress(InputError):  # a draw with an impossible scene counts as lost
                 found.append(simulate(model.knobs.scene_with(values, theta)))
         good = [result for result in found if result.verdict.valid]
         if not good:
             return Band({}, f"No bands: none of {len(self._draws)} draws from the estimate has a valid motion.")
         return Band.of(good, answer, len(self._draws))
+
+    def _untreated_start(self, model: LiveModel, draw: int) -> tuple[str, ...]:
+        """Reasons why a draw's untreated scene starts INVALID; found once for each contact."""
+        key, knobs = (model.contact, draw), model.knobs
+        if key not in self._untreated:
+            theta = self._draws[draw]
+            self._untreated[key] = untrusted_start(
+                knobs.turned.fitted(knobs.scene, theta), knobs.scene_with(neutral(), theta)
+            )
+        return self._untreated[key]
 
 
 def _simulated(scene: Scene, name: str, still: Still, start: tuple[str, ...]) -> ShownMotion:

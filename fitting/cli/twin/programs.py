@@ -15,7 +15,7 @@ from jaxtyping import Array
 
 from fitting.cli.live.knobs import KNOBS, Knob, Knobs, neutral
 from fitting.cli.twin.emitter import Emitter
-from fitting.prediction.predicting import untrusted_start
+from fitting.prediction.untreated import untrusted_start
 from pftwin.base.errors import InputError
 from pftwin.base.rotations import patellar_angles, tibiofemoral_angles
 from pftwin.base.spatial import Pose, Quaternion, Vec3

@@ -37,7 +37,12 @@ COURSES = {
     "patella_quaternion": ("component", "1", "orientation of the patella in the femur frame, unit quaternion"),
     "frame_status": (None, "1", "how far the frame can be trusted; 0: no reservation"),
 }
-OWN_NAMES = {*SUMMARY, *COURSES, "status", "status_frames", "recomputed", "failed", "equilibrium_residual"}
+STARTS = {
+    "equilibrium_residual": ("N", "residual force of the equilibrium that the motion starts from"),
+    "start_shift": ("m", "distance of the equilibrium's centre of mass from the scene's start pose"),
+    "start_turn": ("deg", "rotation of the equilibrium from the scene's start pose"),
+}
+OWN_NAMES = {*SUMMARY, *COURSES, *STARTS, "status", "status_frames", "recomputed", "failed"}
 COORDINATES = ("variant", "scene", "flag", "values", "number", "time", "axis", "component")
 _VOID = (Status.NOT_FINITE, Status.START_NOT_IN_EQUILIBRIUM)
 Variables = dict[str, tuple[tuple[str, ...], Any, dict[str, Any]]]
@@ -68,9 +73,7 @@ def dataset(groups: list[Group], parts: list[Found], values: Any, settings: dict
 
     for name in [n for n in SUMMARY if all(n in part["summary"] for part in parts)]:
         unit, words = SUMMARY[name]
-        shown = gathered("summary", name)
-        shown = np.degrees(shown) if unit == "deg" else shown
-        variables[name] = (("variant",), known(shown), about(unit, words))
+        variables[name] = (("variant",), known(_in_unit(gathered("summary", name), unit)), about(unit, words))
     for name in parts[0]["own"]:
         own = gathered("own", name)
         dimensions = ("variant", *(f"{name}_{i}" for i in range(own.ndim - 1)))
@@ -100,6 +103,11 @@ def summed_up(found: Dataset) -> dict[str, Any]:
     }
 
 
+def _in_unit(values: NDArray[Any], unit: str) -> NDArray[Any]:
+    """The values, from radians if the unit is degrees."""
+    return np.degrees(values) if unit == "deg" else values
+
+
 def _trust(gathered: Any, frames: NDArray[Any], status: NDArray[Any], failed: NDArray[Any]) -> Variables:
     masks = {
         "flag_masks": np.array([int(f) for f in FLAGS], dtype=np.int32),
@@ -113,11 +121,7 @@ def _trust(gathered: Any, frames: NDArray[Any], status: NDArray[Any], failed: ND
         "status_frames": (("variant", "flag"), frames, about("1", "recorded frames with each status")),
         "recomputed": (("variant",), gathered("recomputed"), {**about("1", "whether and how recomputed"), **ways}),
         "failed": (("variant",), failed, about("1", why)),
-        "equilibrium_residual": (
-            ("variant",),
-            gathered("equilibrium_residual"),
-            about("N", "residual force of the equilibrium that the motion starts from"),
-        ),
+        **{n: (("variant",), _in_unit(gathered(n), unit), about(unit, words)) for n, (unit, words) in STARTS.items()},
     }
 
 

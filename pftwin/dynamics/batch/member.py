@@ -15,6 +15,7 @@ from pftwin.base.quantities import bounded_leaves
 from pftwin.base.rotations import patellar_angles
 from pftwin.base.spatial import Pose, Scalar, Vec3
 from pftwin.dynamics.equilibrium import Solution
+from pftwin.dynamics.equilibrium_report import start_offset
 from pftwin.dynamics.error_estimate import Course, ErrorEstimate, error_of
 from pftwin.dynamics.frame_states import frame_states, relaxed_start, starting_equilibrium
 from pftwin.dynamics.integrator import Integrator
@@ -80,10 +81,13 @@ def member_motion(task: Task, row: Any, start: Solution) -> dict[str, Any]:
     if not isinstance(own, dict):
         kind = type(own).__name__
         raise InputError(f"gives {kind}", where="outcome", expected="a dictionary of numbers or arrays")
+    moved, turned = start_offset(scene, start)
     return {
         "sensible": scene_is_valid(scene),
         "status_frames": frames_with_flags(status),
         "equilibrium_residual": start.residual,
+        "start_shift": moved,
+        "start_turn": turned,
         "summary": {**seen.summary(), **largest},
         "own": own,
         "courses": seen.courses(status) if task.courses else {},

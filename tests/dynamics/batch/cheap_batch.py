@@ -52,6 +52,8 @@ class Cheap:
             "sensible": number > 0,
             "status_frames": np.stack([number.astype(int) % 3 == i for i in range(len(FLAGS))], axis=1).astype(int),
             "equilibrium_residual": number * 1e-9,
+            "start_shift": number * 1e-3,
+            "start_turn": number * 1e-2,
             "recomputed": (number.astype(int) % 2).astype(np.int8),
             "summary": {"mean_tilt": np.sin(number), "mean_shift": np.cos(number)},
             "own": {},

@@ -12,6 +12,7 @@ from made_estimates import made_estimate
 from small_scene import small_scene
 
 import pftwin
+from fitting.cli.live import engine as engines
 from fitting.cli.live.engine import Engine
 from fitting.cli.live.knobs import neutral
 from fitting.cli.live.motion import Shown
@@ -83,6 +84,25 @@ def test_the_fitted_knee_is_judged_not_the_nominal_one():
     band = engine.band("groove", MOVED, answer, lambda: True)
     assert band is not None
     assert (band.ends, band.words) == ({}, "No bands: the untreated knee starts INVALID.")
+
+
+def test_draws_that_start_invalid_are_in_no_band(monkeypatch):
+    """The band is that of the other draws: which they are, the equilibrium of each says, as `pftwin` reports it."""
+    monkeypatch.setattr(engines, "DRAWS", 4)
+    draws = np.array([[150.0], [90.0], [152.0], [156.0]])  # a softer quadriceps turns the equilibrium further
+    fitted = made_estimate({"K1": (154.0, 2.0)}, draws=draws)
+    turned_by = np.degrees([pftwin.equilibrium(fitted.apply(small_scene(), d)).turned for d in draws])
+    assert turned_by.argmax() == 1
+    limit = float(np.sort(turned_by)[-2:].mean())
+    engine = Engine(lambda _: small_scene().with_limits(most_start_turn_deg=limit), ("groove",), fitted)
+    engine.prepare("groove")
+    answer = engine.run("groove", MOVED)
+    band = engine.band("groove", MOVED, answer, lambda: True)
+    assert band is not None
+    assert "4 draws from the estimate; 1 without a valid motion were omitted" in band.words
+    tilts = [engine.model("groove").knobs.scene_with(MOVED, d) for d in draws[[0, 2, 3]]]
+    ends = np.quantile([np.degrees(pftwin.simulate(s).angles.tilt) for s in tilts], [0.05, 0.95], axis=0)
+    np.testing.assert_allclose(band.ends["tilt"], ends[:, answer.recorded.frames])
 
 
 def test_lines_of_the_treated_scene_are_drawn(engine):

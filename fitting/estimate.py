@@ -74,7 +74,7 @@ class Estimate:
     priors: dict[str, tuple[float, float]] = field(default_factory=dict)
     nuisance: Nuisance = EXACT  # nuisance parameters' priors, and sensor errors
     auxiliary: tuple[str, ...] = ()  # nuisance parameters and differences between trials, the last of `names`
-    kinds: tuple[str, ...] = ()  # of each parameter: `fitting.parameters.ASKED`, or the kind of nuisance
+    kinds: tuple[str, ...] = ()  # of each parameter: `fitting.parameters.REQUESTED`, or the kind of nuisance
     varies: dict[str, float] = field(default_factory=dict)  # standard deviation between trials, by parameter
     differences: tuple[tuple[int, int], ...] = ()  # for each of the last parameters: index of its mean, and the trial
     springs: dict[str, str] = field(default_factory=dict)  # effects measured as femoral and tibial spring force
@@ -295,7 +295,8 @@ class Estimate:
             )
         if self.share < 1:
             out.append(
-                f"beside the priors the measurements count as {100 * self.share:.2g} % of as many independent ones"
+                "in addition to the priors, the measurements count as "
+                f"{100 * self.share:.2g} % of as many independent ones"
             )
         if errors := sensors_in_words(self.nuisance):
             out.append(f"allowed for throughout the recording, one standard deviation: {errors}")

@@ -23,7 +23,7 @@ from pftwin.model.scene_parameters import find
 
 Bounds = float | Mapping[str, float | tuple[float, float]]
 DEFAULT_BOUNDS = 0.3
-ASKED, BETWEEN_TRIALS = "what was asked for", "differences between trials"  # kinds of parameters
+REQUESTED, BETWEEN_TRIALS = "what was asked for", "differences between trials"  # kinds of parameters
 _EDGE = 1e-9  # least distance of iterates from the bounds, as a share of the range
 
 
@@ -39,7 +39,7 @@ class Parameter:
         prior: mean and standard deviation of a normal prior; None: flat.
         unit: of all these values.
         coordinate: whether it is a coordinate of a point, which may lie elsewhere in other scenes.
-        kind: `ASKED` if requested; otherwise the kind of nuisance, or `BETWEEN_TRIALS`.
+        kind: `REQUESTED` if requested; otherwise the kind of nuisance, or `BETWEEN_TRIALS`.
         trial: None for a parameter that all trials share; k for the difference of trial k (from 0) from the shared
             parameter at the same place (`fitting.trials`).
     """
@@ -52,7 +52,7 @@ class Parameter:
     prior: tuple[float, float] | None = None
     unit: str = ""
     coordinate: bool = False
-    kind: str = ASKED
+    kind: str = REQUESTED
     trial: int | None = None
 
 
@@ -68,7 +68,7 @@ class Parameters:
     @property
     def asked(self) -> int:
         """Number of requested parameters, which come first; nuisance parameters follow."""
-        return sum(p.kind == ASKED for p in self.items)
+        return sum(p.kind == REQUESTED for p in self.items)
 
     @property
     def shared(self) -> Parameters:

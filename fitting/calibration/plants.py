@@ -6,7 +6,7 @@
 
     calibrate(trained, scene, kinds={"sticky": sticky})
 
-Its springs may follow another law than the twin's: the truth is then the straight line nearest to them.
+Its springs may follow another law than the twin's: the true value is then the straight line nearest to them.
 """
 
 from __future__ import annotations

@@ -23,7 +23,7 @@ class CalibrationPlots:
         self._calibration = calibration
 
     def coverage(self) -> Figure:
-        """Share of intervals that contain the truth, against their level, a panel for each kind of plants."""
+        """Share of intervals that contain the true value, against their level, a panel for each kind of plants."""
         from matplotlib.figure import Figure
 
         from pftwin.results.plots.style import COLOURS, DASHES, PAGE, house_style
@@ -45,7 +45,7 @@ class CalibrationPlots:
         return figure
 
     def ranks(self) -> Figure:
-        """Histograms of the truth's rank among the draws: flat if intervals are calibrated."""
+        """Histograms of the true value's rank among the draws: flat if intervals are calibrated."""
         from matplotlib.figure import Figure
 
         from pftwin.results.plots.style import COLOURS, PAGE, house_style
@@ -62,7 +62,7 @@ class CalibrationPlots:
                     ax.axhspan(*_usual(len(ranks), expected), color="black", alpha=0.15, linewidth=0)
                     ax.set(title=f"{name}, {kind}", xlim=(0, 1), yticks=[])
             for ax in panels[-1]:
-                ax.set_xlabel("rank of the truth")
+                ax.set_xlabel("rank of the true value")
         return figure
 
     def save(self, stem: Path) -> list[Path]:

@@ -38,8 +38,8 @@ _BAD = (_NARROW, _NONE, _FEW, _UNSAFE, _NO_PLAN)
 class Answers(NamedTuple):
     """Answers for the plants of one kind that were answered without a doubt: N plants, d parameters or outcomes."""
 
-    ranks: Floats  # (N, d) share of the draws below the truth
-    errors: Floats  # (N, d) of the means; of parameters as a share of the truth
+    ranks: Floats  # (N, d) share of the draws below the true value
+    errors: Floats  # (N, d) of the means; of parameters as a share of the true value
     half_widths: Floats  # (N, d) of intervals of the level, in the same unit
     doubted: int  # number answered with a doubt: INVALID
     refused: int
@@ -65,12 +65,12 @@ class Answers(NamedTuple):
         return answers._replace(doubted=len(some) - len(clean), dropped=len(treated) - len(some))
 
     def covered(self, level: float) -> NDArray[np.bool_]:
-        """Which (N, d) central intervals of a level contain the truth."""
+        """Which (N, d) central intervals of a level contain the true value."""
         return np.abs(self.ranks - 0.5) < 0.5 * level
 
     @property
     def coverage(self) -> dict[float, Floats]:
-        """Coverage (d,): share of intervals that contain the truth, by level."""
+        """Coverage (d,): share of intervals that contain the true value, by level."""
         return {level: self.covered(level).mean(axis=0) for level in LEVELS}
 
     @property
@@ -206,8 +206,9 @@ class Calibration:
         return f"{what} are NOT shown to be as reliable as stated: {'; '.join(self._failing())}"
 
     def widened(self, trained: TrainedPosterior) -> TrainedPosterior:
-        """The posterior with its answers widened so that their intervals would have contained the truth on every kind
-        of plants. Check it on plants of another seed.
+        """The posterior, widened so that its intervals would have contained the true value on every kind of plants.
+
+        Check it on plants of another seed.
         """
         factors = np.max([a.factors for a in self.kinds.values()], axis=0)
         return replace(trained, widened=tuple((factors * (trained.widened or 1.0)).tolist()))

@@ -70,8 +70,8 @@ class Gradient(Method):
         else:
             self._newton_step(state, answer.value, gradient)
             gained = before - state["best_value"]
-            worth = 100 * self.problem.objective.tolerance(state["best_value"])
-            state["idle"] = 0 if gained > worth else state["idle"] + 1
+            least_gain = 100 * self.problem.objective.tolerance(state["best_value"])
+            state["idle"] = 0 if gained > least_gain else state["idle"] + 1
             if state["idle"] >= _PATIENCE:
                 state["stopped"] = "the objective no longer decreases"
         state["count"] += 1

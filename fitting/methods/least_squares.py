@@ -28,7 +28,7 @@ class Phase(NamedTuple):
     keep: int  # number of best starts that continue
     fine: bool  # whether time steps are fine
     iterations: int  # at most
-    worth: float  # least gain of a start worth another iteration, in tolerances of the objective
+    least_gain: float  # least gain of a start that justifies another iteration, in tolerances of the objective
     damping: float = 1e-2  # largest initial damping, as a share of the diagonal
 
 
@@ -131,7 +131,7 @@ class LeastSquares(Method):
         rows = np.arange(len(which))
         new, old = table[rows, best], state["value"][which]
         better = new < old
-        tolerance = self.problem.objective.tolerance(old) * self.phases[state["phase"]].worth
+        tolerance = self.problem.objective.tolerance(old) * self.phases[state["phase"]].least_gain
         chosen = rows * damping.shape[1] + best
         found = {"u": at[rows, best], "gradient": gradient[chosen], "hessian": hessian[chosen], "value": new}
         for key, values in found.items():

@@ -51,7 +51,7 @@ class Fitted(Protocol):
 
     @property
     def kinds(self) -> tuple[str, ...]:
-        """Kind of each parameter: `fitting.parameters.ASKED`, or the kind of nuisance; may be empty."""
+        """Kind of each parameter: `fitting.parameters.REQUESTED`, or the kind of nuisance; may be empty."""
         return ()
 
     @property

@@ -11,13 +11,13 @@ import pytest
 from made_estimates import made_estimate
 
 from fitting.estimate import Estimate
-from fitting.parameters import ASKED
+from fitting.parameters import REQUESTED
 from fitting.prediction.band_sources import ALL, BandSources, band_sources
 from fitting.prediction.plots import PANELS
 from pftwin.base.errors import InputError
 
 OUTCOMES = ("mean_tilt", "peak_contact_force")
-SOURCES = [ASKED, ASKED, "friction", "attachments"]
+SOURCES = [REQUESTED, REQUESTED, "friction", "attachments"]
 
 
 def prediction(count: int, tilt: np.ndarray, force: np.ndarray, theta: np.ndarray) -> Any:
@@ -50,7 +50,7 @@ def test_what_is_left_is_the_conditional_variance():
     tilt = theta[:, 0] + theta[:, 1] / 3
     force = 1.5 * theta[:, 0] + 0.8 * theta[:, 3]
     found = band_sources(prediction(4000, tilt, force, theta), OUTCOMES)
-    assert found.sources == (ASKED, "friction", "attachments", ALL)
+    assert found.sources == (REQUESTED, "friction", "attachments", ALL)
     expected = [[1, 0.2], [0, 1 - np.sqrt(14.76) / 5], [0, 0.4], [1, 1]]
     np.testing.assert_allclose(found.narrower, expected, atol=0.02)
 
@@ -80,15 +80,15 @@ def test_words_and_figures_say_the_same(tmp_path):
     found = band_sources(prediction(400, theta[:, 0] + 0 * noise, noise, theta), OUTCOMES)
     sheet = found.sheet()
     assert sheet.headings == ("if it were known", "mean tilt", "peak contact force")
-    assert sheet.rows[0][:2] == (ASKED, "100")
-    assert found.facts()[ASKED]["mean_tilt"] == pytest.approx(1.0)
+    assert sheet.rows[0][:2] == (REQUESTED, "100")
+    assert found.facts()[REQUESTED]["mean_tilt"] == pytest.approx(1.0)
     bars = [patch.get_width() for patch in found.figure().axes[0].patches]
     np.testing.assert_allclose(bars, 100 * found.narrower[:, 0])
 
 
 def test_the_figures_texts_lie_apart():
     note = "95 % bands hold the uncertainty of the fitted parameters alone, and nothing of the model's own error."
-    sources = (ASKED, "damping", "attachments", "friction", ALL)
+    sources = (REQUESTED, "damping", "attachments", "friction", ALL)
     narrower = np.linspace(0, 1, 20).reshape(5, 4)
     figure = BandSources(sources, tuple(name for name, _, _ in PANELS), narrower, "case 2 of the rig", note).figure()
     figure.draw_without_rendering()

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from fitting.cli.amounts import AMOUNTS
 from fitting.coverage import QUICK
-from fitting.parameters import ASKED
+from fitting.parameters import REQUESTED
 from fitting.prediction.band_sources import band_sources
 from fitting.prediction.plots import outcome_sheet
 from pftwin.base.errors import InputError
@@ -28,7 +28,7 @@ RUNNER = CliRunner(env={"COLUMNS": "200"})
 def fit(tmp_path_factory):
     """An estimate of case 2's stiffness K1 and slack length L2, as `pftwin fit` writes it."""
     path = tmp_path_factory.mktemp("fit") / "fit.json"
-    return made_estimate({"K1": (157.0, 2.0), "L2": (0.0713, 2e-4)}, kinds=(ASKED, "friction")).save(path)
+    return made_estimate({"K1": (157.0, 2.0), "L2": (0.0713, 2e-4)}, kinds=(REQUESTED, "friction")).save(path)
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from fitting.prediction.predicting import Fitted, predict
 from fitting.prediction.variants import grid
 from fitting.treatments import Treatment
 from fitting.treatments.optimise import Limit, optimise_treatment
-from pftwin import BDF2, rig, simulate
+from pftwin import BDF2, equilibrium, rig, simulate
 from pftwin.base.errors import InputError
 
 DT = 5e-3
@@ -173,6 +173,19 @@ class Uncertain(Fitted):
 
     def samples(self, count, seed=0):
         return np.linspace(-1e-3, 1e-3, count)[:, None]
+
+
+def test_draws_that_start_invalid_meet_no_limit():
+    """Two of eleven turn further at the start than the limit allows, by the equilibria that `pftwin` reports."""
+    knee, draws = small_scene(5), Uncertain().samples(11)
+    turned = np.degrees([equilibrium(Uncertain().apply(knee, d)).turned for d in (Uncertain().values, *draws)])
+    second, third = np.sort(turned[1:])[[-2, -3]]
+    assert turned[0] < third
+    near = knee.with_limits(most_start_turn_deg=float(0.5 * (second + third)))
+    options = {"estimate": Uncertain(), "samples": 11, "confidence": 0.5, "dt": DT}
+    plan = optimise_treatment(near, Limit("peak_contact_force", at_most=1e4), {"medialisation": (0.0, 0.02)}, **options)
+    assert plan.met
+    assert plan.share == pytest.approx(9 / 11)
 
 
 @pytest.mark.slow

@@ -50,6 +50,8 @@ def test_each_member_is_what_simulate_gives():
         assert five()["status"].values[i] == int(np.bitwise_or.reduce(alone.flags))
         for name, largest in alone.error.largest.items():
             assert five()[f"estimated_error_{name}"].values[i] == pytest.approx(largest, rel=1e-6, abs=1e-9)
+        assert five()["start_shift"].values[i] == pytest.approx(alone.equilibrium.moved, rel=1e-9)
+        assert five()["start_turn"].values[i] == pytest.approx(np.degrees(alone.equilibrium.turned), rel=1e-9)
 
 
 @pytest.mark.slow

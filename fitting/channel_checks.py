@@ -53,6 +53,7 @@ _FRAMES = 200  # most frames used to compare readings, spread evenly over the re
 _SIMPLER = 1.1  # a simpler reading is preferred if it is at most this many times farther away
 _FLOOR = {POSITION: 1e-3, ORIENTATION: 0.02}  # distance below which all readings count as equally good [m], [rad]
 _FORCE_FLOOR = 0.01  # the same for a force, as a share of the twin's
+_PRESUMED = "gravity, loads and frame"  # a twin with wrong ones may lie closer to another reading of right data
 _SLACK = 0.1  # least force of a trial to compare with, as a share of the strongest trial's or of the measured force
 
 
@@ -93,9 +94,10 @@ def misread(objective: Objective, trials: Floats, limits: Limits) -> list[str]:
                 f"{said}? Read like this, the values lie {r.times:.3g} times closer to what the scene can do",
                 where=objective.source,
                 expected=_expected(r.channels, objective.readings),
-                remedy=f"correct the file; or, if it is right, {raised('reading', limits, r.times)}",
+                remedy=f"correct the file; or {_PRESUMED} in the scene; or, if both are right, "
+                + raised("reading", limits, r.times),
             )
-        found.append(f"{said} ({r.times:.2g} times closer to the twin)")
+        found.append(f"{said} ({r.times:.2g} times closer to the twin; this presumes {_PRESUMED} of the scene)")
     return found
 
 
@@ -125,7 +127,7 @@ def readings(objective: Objective, trials: Floats) -> Iterator[Reading]:
         size = 1.0 if channel in _FLOOR else max(float(_rms(seen).mean()), 1e-300)
         floor = _FLOOR.get(channel, _FORCE_FLOOR)
         if channel == POSITION:
-            tried = _not_just_smaller(data, tried, seen)
+            tried = _more_than_an_offset(data, tried, seen)
         off = {words: max(float(_distance(channel, values, seen).min()) / size, floor) for words, values in tried}
         best = min(off.values())
         words = next(w for w, value in off.items() if value <= _SIMPLER * best)  # the simplest comes first
@@ -234,15 +236,27 @@ def _distance(channel: str, data: Floats, seen: Floats) -> Floats:
     return _rms(data - seen)
 
 
-def _not_just_smaller(data: Floats, tried: Iterator[tuple[str, Floats]], seen: Floats) -> Iterator[tuple[str, Floats]]:
-    """Omits readings of positions that only shrink the values and fit worse than the values with a constant offset.
+def _more_than_an_offset(
+    data: Floats, tried: Iterator[tuple[str, Floats]], seen: Floats
+) -> Iterator[tuple[str, Floats]]:
+    """Omits readings of positions where a constant offset explains the values better.
 
-    Positions in a frame far away come closer with any reading that shrinks them; an offset explains them better.
+    Positions in a frame far away come closer with any reading that shrinks them. Other axes or signs that come closer
+    by their mean place alone, and follow the course of the trial motions worse, mean a twin that stands elsewhere. A
+    course within the distance that counts as equal says nothing.
     """
-    apart = data - seen
-    set_off = float(_rms(apart - apart.mean(axis=1, keepdims=True)).min())
+
+    def set_off(values: Floats) -> float:
+        apart = values - seen
+        return float(_rms(apart - apart.mean(axis=1, keepdims=True)).min())
+
+    size, own = _rms(data), set_off(data)
     for words, values in tried:
-        if _rms(values) > 0.5 * _rms(data) or _SIMPLER * _distance(POSITION, values, seen).min() < set_off:
+        if _rms(values) <= 0.5 * size:
+            kept = _SIMPLER * _distance(POSITION, values, seen).min() < own
+        else:
+            kept = _rms(values) > 2 * size or set_off(values) <= _SIMPLER * max(own, _FLOOR[POSITION])
+        if kept:
             yield words, values
 
 

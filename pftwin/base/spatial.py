@@ -70,6 +70,19 @@ class Vec3(eqx.Module):
         """|v|; its derivative at the zero vector is zero rather than NaN."""
         return safe_sqrt(self.squared_norm())
 
+    def perpendiculars(self) -> tuple[Vec3, Vec3]:
+        """Two unit vectors that complete a unit vector to a right-handed frame; they jump where its z changes sign.
+
+        After Duff et al. 2017, J Comput Graph Tech 6(1):1.
+        """
+        sign = jnp.where(self.z < 0, -1.0, 1.0)
+        a = -1 / (sign + self.z)
+        b = self.x * self.y * a
+        return (
+            Vec3(1 + sign * self.x * self.x * a, sign * b, -sign * self.x),
+            Vec3(b, sign + self.y * self.y * a, -self.y),
+        )
+
     def sum(self) -> Vec3:
         """Sum over the leading axis of a group (no-op on a single vector)."""
         return jax.tree.map(lambda a: jnp.sum(a, axis=0) if jnp.ndim(a) else a, self)

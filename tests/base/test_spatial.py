@@ -39,6 +39,14 @@ def test_products_of_vectors():
     np.testing.assert_allclose((2.0 * a - b * 3.0 + -a).array(), POINTS - 3 * POINTS[::-1])
 
 
+def test_perpendiculars_complete_a_right_handed_frame_everywhere():
+    units = np.concatenate([POINTS / np.linalg.norm(POINTS, axis=1)[:, None], np.eye(3), -np.eye(3)])
+    one, two = vector(units).perpendiculars()
+    frame = np.stack([np.asarray(one.array()), np.asarray(two.array()), units], axis=1)
+    np.testing.assert_allclose(frame @ frame.transpose(0, 2, 1), np.broadcast_to(np.eye(3), frame.shape), atol=1e-14)
+    np.testing.assert_allclose(np.linalg.det(frame), 1, atol=1e-14)
+
+
 def test_quaternions_agree_with_scipy():
     q, p, other = QUATERNIONS, vector(POINTS), QUATERNIONS.conjugate()
     np.testing.assert_allclose(q.rotation().array(), SCIPY.as_matrix(), atol=1e-14)

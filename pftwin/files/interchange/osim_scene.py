@@ -77,7 +77,7 @@ def import_osim(
 
     Imported are bodies with mass and meshes, two-point `Blankevoort1991Ligament`s, `Smith2018ContactMesh`es with the
     `Smith2018ArticularContactForce` between femur and patella, joints and coordinates (for the motion and the patella's
-    start), `WrapCylinder` and `WrapEllipsoid`. Everything else is listed with the reason.
+    start), `WrapCylinder`, `WrapSphere` and `WrapEllipsoid`. Everything else is listed with the reason.
 
     Args:
         model: .osim file of OpenSim 4.

@@ -1,4 +1,4 @@
-"""Converts wrap objects of an OpenSim model to a scene's obstacles: cylinders and ellipsoids on the bones.
+"""Converts wrap objects of an OpenSim model to a scene's obstacles: cylinders, spheres and ellipsoids on the bones.
 
 Also computes by how much wrapping lengthens a muscle's path.
 """
@@ -30,7 +30,7 @@ class OsimWrap(NamedTuple):
     """An obstacle on a bone."""
 
     name: str  # the model's
-    kind: str  # "cylinder" or "ellipsoid"
+    kind: str  # "cylinder", "sphere" or "ellipsoid"
     body: str
     numbers: dict[str, Floats]  # other fields of a scene's table `wrap`
 
@@ -83,11 +83,11 @@ class Wraps:
     def _why_not(self, element: Element) -> str:
         """Why an object is not supported; empty if it is."""
         side, part = element.words("quadrant").lower(), self._place(element)[0]
-        if element.tag not in ("WrapCylinder", "WrapEllipsoid"):
+        if element.tag not in ("WrapCylinder", "WrapSphere", "WrapEllipsoid"):
             return f"a <{element.tag}>"
         if part not in PARTS:
             return f"on the {part}"
-        if side not in _ALL and (element.tag == "WrapEllipsoid" or side not in _SIDES):
+        if side not in _ALL and (element.tag != "WrapCylinder" or side not in _SIDES):
             return f"of its sides only {side}"
         return ""
 
@@ -99,7 +99,10 @@ class Wraps:
             turn = Rotation.from_matrix(place[:3, :3]).as_quat(scalar_first=True, canonical=True)
             radii = _sizes(element, "dimensions", 3)
             return OsimWrap(element.name, "ellipsoid", part, at | {"radii_m": radii, "quaternion_wxyz": turn})
-        numbers = at | {"axis": place[:3, 2], "radius_m": _sizes(element, "radius", 1)[0]}
+        at["radius_m"] = _sizes(element, "radius", 1)[0]
+        if element.tag == "WrapSphere":
+            return OsimWrap(element.name, "sphere", part, at)
+        numbers = at | {"axis": place[:3, 2]}
         side = element.words("quadrant").lower()
         if side not in _ALL:
             numbers["side"] = place[:3, :3] @ _SIDES[side]
@@ -154,11 +157,14 @@ def _obstacle(over: OsimWrap) -> Obstacle:
     from pftwin.base.spatial import Quaternion
     from pftwin.geometry.wrapping.cylinder import Cylinder
     from pftwin.geometry.wrapping.ellipsoid import Ellipsoid
+    from pftwin.geometry.wrapping.sphere import Sphere
 
     numbers = over.numbers
     center = vector(numbers["center_m"])
     if over.kind == "ellipsoid":
         turn = Quaternion(*(number(v) for v in numbers["quaternion_wxyz"]))
         return Ellipsoid(center, over.body, vector(numbers["radii_m"]), turn)
+    if over.kind == "sphere":
+        return Sphere(center, over.body, number(numbers["radius_m"]))
     side = vector(numbers["side"]) if "side" in numbers else None
     return Cylinder(center, over.body, number(numbers["radius_m"]), vector(numbers["axis"]), side)

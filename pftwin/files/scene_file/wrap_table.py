@@ -73,6 +73,31 @@ class CylinderWrapSection(Section):
         return Cylinder(center, self.body, radius, axis, *side)
 
 
+class SphereWrapSection(Section):
+    """A sphere over which lines of force wrap; lists give each line its own."""
+
+    type: Literal["sphere"] = Field(description="kind of the obstacle")
+    body: Literal["femur", "tibia", "patella"] = Field(description="bone to which it is fixed")
+    center_m: Points = Field(description="centre, the bone's frame [m]")
+    radius_m: Positives = Field(description="radius [m]")
+
+    @property
+    def count(self) -> int:
+        """How many obstacles there are."""
+        return group_size(self, "center_m", "radius_m")
+
+    def _check(self) -> None:
+        _check_sizes("radius_m", np.asarray(self.radius_m))
+        assert self.count
+
+    def build(self, setting: Setting) -> Obstacle:
+        """The obstacle."""
+        from pftwin.geometry.wrapping.sphere import Sphere
+
+        center = vector(member_values(setting.points(self.body, np.asarray(self.center_m)), self.count))
+        return Sphere(center, self.body, number(member_values(np.asarray(self.radius_m), self.count)))
+
+
 class EllipsoidWrapSection(Section):
     """An ellipsoid over which lines of force wrap; lists give each line its own."""
 
@@ -109,10 +134,11 @@ class EllipsoidWrapSection(Section):
         return Ellipsoid(center, self.body, vector(member_values(np.asarray(self.radii_m), n)), turn)
 
 
-Wrap = Annotated[CylinderWrapSection | EllipsoidWrapSection, Field(discriminator="type")] | None
+Wrap = Annotated[CylinderWrapSection | SphereWrapSection | EllipsoidWrapSection, Field(discriminator="type")] | None
 WRAP = Field(
     default=None,
-    description='table: obstacle that the lines wrap over, type = "cylinder" or "ellipsoid"; straight by default',
+    description="table: obstacle that the lines wrap over, "
+    'type = "cylinder", "sphere" or "ellipsoid"; straight by default',
 )
 
 

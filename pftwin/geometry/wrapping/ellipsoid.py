@@ -91,13 +91,10 @@ class Ellipsoid(Obstacle):
 
 
 def _axes(p: Vec3, q: Vec3) -> tuple[Vec3, Vec3, Vec3]:
-    """Unit vectors: x from p to q, and y and z perpendicular to it, after Duff et al. 2017, J Comput Graph Tech 6:1."""
+    """Unit vectors: x from p to q, and y and z perpendicular to it."""
     line = q - p
     x = line * (1 / line.norm())
-    sign = jnp.where(x.z < 0, -1.0, 1.0)
-    a = -1 / (sign + x.z)
-    b = x.x * x.y * a
-    return x, Vec3(1 + sign * x.x * x.x * a, sign * b, -sign * x.x), Vec3(b, sign + x.y * x.y * a, -x.y)
+    return x, *x.perpendiculars()
 
 
 class _Chord(NamedTuple):

@@ -138,7 +138,7 @@ class WithFriction(ButtonSphere):
         lever = self.center - self.radius * patella.rotation.unapply(normal)
         arm = patella.arm(lever)
         slip = now.femur.relative_velocity(patella.velocity_at(arm), patella.position + arm)
-        along = [(t, -t.dot(slip)) for t in tangents(normal)]
+        along = [(t, -t.dot(slip)) for t in normal.perpendiculars()]
         square = along[0][1] * along[0][1] + along[1][1] * along[1][1]
         law, speed = self.friction, safe_sqrt(square)
         per_speed = law.coefficient / jnp.sqrt(square + law.slip_speed * law.slip_speed)
@@ -185,17 +185,3 @@ def normal_force(push: StiffTerm, last: LastPush, now: Instant) -> Scalar:
 def _speed_along(direction: Vec3, moment: Vec3, twist: Twist) -> Scalar:
     """Component of a twist along a wrench direction [m/s]."""
     return direction.dot(twist.linear) + moment.dot(twist.angular)
-
-
-def tangents(normal: Vec3) -> tuple[Vec3, Vec3]:
-    """Orthonormal tangent vectors of a unit normal: Duff et al. 2017, J Comput Graph Tech 6(1):1.
-
-    They are discontinuous where z changes sign, which does not affect a law that is isotropic in the tangent plane.
-    """
-    sign = jnp.where(normal.z < 0, -1.0, 1.0)
-    a = -1 / (sign + normal.z)
-    b = normal.x * normal.y * a
-    return (
-        Vec3(1 + sign * normal.x * normal.x * a, sign * b, -sign * normal.x),
-        Vec3(b, sign + normal.y * normal.y * a, -normal.y),
-    )

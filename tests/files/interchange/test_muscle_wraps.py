@@ -93,12 +93,16 @@ def test_what_counts_between_which_points(tmp_path):
     assert "roll" in said
 
 
-def test_a_line_over_a_ball_is_two_tangents_and_an_arc(tmp_path):
-    """As an ellipsoid of three like radii, both ends as far from its centre, at right angles; at 50 mm it misses."""
-    ball = (
-        '<WrapEllipsoid name="roll"><translation>0.01 0.03 0.005</translation>'
-        f"<dimensions>{RADIUS} {RADIUS} {RADIUS}</dimensions></WrapEllipsoid>"
-    )
+BALLS = {
+    "WrapEllipsoid": f"<dimensions>{RADIUS} {RADIUS} {RADIUS}</dimensions>",
+    "WrapSphere": f"<radius>{RADIUS}</radius>",
+}
+
+
+@pytest.mark.parametrize("tag", BALLS)
+def test_a_line_over_a_ball_is_two_tangents_and_an_arc(tmp_path, tag):
+    """A sphere, or an ellipsoid of three like radii; both ends as far away, at right angles; at 50 mm it misses."""
+    ball = f'<{tag} name="roll"><translation>0.01 0.03 0.005</translation>{BALLS[tag]}</{tag}>'
     ((wrap,), left) = wraps(tmp_path, ball)
     assert not left
     at = np.array([[0.01, 0.03, 0.005]])

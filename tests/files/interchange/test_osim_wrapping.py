@@ -19,6 +19,7 @@ from pftwin.files.interchange import import_osim
 from pftwin.files.scene_file import load_scene
 from pftwin.geometry.wrapping.cylinder import Cylinder
 from pftwin.geometry.wrapping.ellipsoid import Ellipsoid
+from pftwin.geometry.wrapping.sphere import Sphere
 
 SCRIPT = """
 import json, sys
@@ -35,6 +36,9 @@ if of["kind"] == "cylinder":
     wrap = osim.WrapCylinder()
     wrap.set_radius(of["size"])
     wrap.set_length(of["length"])
+elif of["kind"] == "sphere":
+    wrap = osim.WrapSphere()
+    wrap.set_radius(of["size"])
 else:
     wrap = osim.WrapEllipsoid()
     wrap.set_dimensions(osim.Vec3(*of["size"]))
@@ -136,6 +140,21 @@ def test_short_wraps_over_an_ellipsoid_as_in_opensim():
     assert angle.max() < 0.5
 
 
+def test_lines_over_a_sphere_are_opensims():
+    """Ends anywhere around it: lines that wrap, by little and by much, that miss it, and that start inside it."""
+    rng, radius, at = np.random.default_rng(3), 0.02, np.array([0.01, -0.4, 0.02])
+    pairs = at + rng.uniform(-0.05, 0.05, (100, 2, 3))
+    theirs = in_opensim("sphere", radius, pairs, translation=at, rotation=(0.3, -0.2, 0.5))
+    longer, angle = compared(Sphere(vector(at), "femur", number(radius)), pairs, theirs)
+    wraps, inside = theirs[:, 1] > 2, (np.linalg.norm(pairs - at, axis=2) < radius).any(axis=1)
+    more = theirs[:, 0] - np.linalg.norm(pairs[:, 1] - pairs[:, 0], axis=1)
+    assert min(wraps.sum(), (~wraps & ~inside).sum()) > 15
+    assert inside.any()
+    assert more.max() > 5e-3
+    assert np.abs(longer).max() < 1e-9
+    assert angle.max() < 1e-3
+
+
 def wrap_set(*objects: str) -> str:
     return f'<WrapObjectSet name="set"><objects>{"".join(objects)}</objects></WrapObjectSet>'
 
@@ -148,9 +167,14 @@ ELLIPSOID = (
     '<WrapEllipsoid name="ball"><xyz_body_rotation>0.4 0.2 -0.3</xyz_body_rotation><translation>0.02 0 0.01'
     "</translation><quadrant>all</quadrant><dimensions>0.01 0.02 0.015</dimensions></WrapEllipsoid>"
 )
-SPHERE = '<WrapSphere name="sphere"><radius>0.01</radius></WrapSphere>'
+SPHERE = (
+    '<WrapSphere name="sphere"><xyz_body_rotation>0.4 0.2 -0.3</xyz_body_rotation><translation>0.02 0.03 0.01'
+    "</translation><quadrant>all</quadrant><radius>0.012</radius></WrapSphere>"
+)
+TORUS = '<WrapTorus name="torus"><inner_radius>0.01</inner_radius><outer_radius>0.02</outer_radius></WrapTorus>'
 OFF = CYLINDER.replace("KnExt", "off").replace("<active>true", "<active>false")
 HALF = ELLIPSOID.replace("ball", "half").replace(">all<", ">x<")
+HALF_SPHERE = SPHERE.replace('"sphere"', '"dome"').replace(">all<", ">-y<")
 
 
 def scene_of(folder: Path, *lines: tuple[str, str, tuple[str, ...]], side: str = "right"):
@@ -169,7 +193,7 @@ def scene_of(folder: Path, *lines: tuple[str, str, tuple[str, ...]], side: str =
     text = model(forces=forces, meshes=False)
     here = '<Body name="femur_r">'
     assert here in text
-    text = text.replace(here, here + wrap_set(CYLINDER, ELLIPSOID, SPHERE, OFF, HALF), 1)
+    text = text.replace(here, here + wrap_set(CYLINDER, ELLIPSOID, SPHERE, TORUS, OFF, HALF, HALF_SPHERE), 1)
     told = import_osim(write_knee(folder / "model", text), folder / "scene", side=side)
     return load_scene(told.scene), told
 
@@ -183,19 +207,23 @@ def wrap_of(scene: Any, name: str) -> Any:
 ANATOMICAL = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
 
 
-def test_cylinders_and_ellipsoids_are_taken_over(tmp_path):
+def test_cylinders_ellipsoids_and_spheres_are_taken_over(tmp_path):
     scene, told = scene_of(
         tmp_path,
         ("A1", FEMUR, ("KnExt",)),
         ("A2", FEMUR, ("KnExt",)),
         ("B1", TIBIA, ("ball",)),
         ("C1", FEMUR, ("off",)),
+        ("D1", FEMUR, ("sphere",)),
     )
     turn = Rotation.from_euler("XYZ", (0.1, -0.2, 0.3)).as_matrix()
-    a, b, c = (wrap_of(scene, name) for name in "abc")
+    a, b, c, d = (wrap_of(scene, name) for name in "abcd")
     assert c is None
     assert isinstance(a, Cylinder)
     assert isinstance(b, Ellipsoid)
+    assert isinstance(d, Sphere)
+    assert (d.body, float(d.radius)) == ("femur", 0.012)
+    np.testing.assert_allclose(d.center.array(), ANATOMICAL @ [0.02, 0.03, 0.01], atol=1e-9)
     assert (a.body, b.body, float(a.radius)) == ("femur", "femur", 0.02)
     np.testing.assert_allclose(a.center.array(), ANATOMICAL @ [0.01, -0.02, 0.003], atol=1e-9)
     np.testing.assert_allclose(a.axis.array(), ANATOMICAL @ turn[:, 2], atol=1e-9)
@@ -211,10 +239,11 @@ def test_cylinders_and_ellipsoids_are_taken_over(tmp_path):
 
 def test_a_left_knee_has_their_mirror_images(tmp_path):
     """OpenSim's z is to the right in every model: lateral of a right knee, medial of a left one."""
-    lines = ("A1", FEMUR, ("KnExt",)), ("B1", TIBIA, ("ball",))
+    lines = ("A1", FEMUR, ("KnExt",)), ("B1", TIBIA, ("ball",)), ("C1", FEMUR, ("sphere",))
     right, left = (scene_of(tmp_path / side, *lines, side=side)[0] for side in ("right", "left"))
     mirror = np.array([1.0, -1.0, 1.0])
-    (a, b), (mirrored, other) = ([wrap_of(scene, name) for name in "ab"] for scene in (right, left))
+    (a, b, c), (mirrored, other, last) = ([wrap_of(scene, name) for name in "abc"] for scene in (right, left))
+    np.testing.assert_allclose(last.center.array(), mirror * c.center.array(), atol=1e-12)
     assert a.side is not None
     for name in ("center", "axis", "side"):
         seen, expected = (np.asarray(getattr(wrap, name).array()) for wrap in (mirrored, a))
@@ -231,19 +260,21 @@ def test_a_left_knee_has_their_mirror_images(tmp_path):
 def test_what_a_scene_cannot_have_is_told(tmp_path):
     scene, told = scene_of(
         tmp_path,
-        ("A1", FEMUR, ("sphere",)),
-        ("A2", FEMUR, ("sphere",)),
+        ("A1", FEMUR, ("torus",)),
+        ("A2", FEMUR, ("torus",)),
         ("B1", FEMUR, ("nothing",)),
         ("C1", FEMUR, ("half",)),
         ("D1", FEMUR, ("ball", "KnExt")),
+        ("E1", FEMUR, ("dome", "sphere")),
     )
     assert [note for note in told.notes if "not wrapped" in note] == [
-        "A1 to A2 (2 strands): not wrapped over sphere (a <WrapSphere>)",
+        "A1 to A2 (2 strands): not wrapped over torus (a <WrapTorus>)",
         "B1: not wrapped over nothing (the model has no such object)",
         "C1: not wrapped over half (of its sides only x)",
         "D1: not wrapped over KnExt (a line runs over one obstacle, here ball)",
+        "E1: not wrapped over dome (of its sides only -y)",
     ]
-    assert [wrap_of(scene, name) is None for name in "abcd"] == [True, True, True, False]
+    assert [wrap_of(scene, name) is None for name in "abcde"] == [True, True, True, False, False]
 
 
 def test_the_vasti_of_a_published_model_wrap_each_over_their_own(dm_knee, tmp_path):

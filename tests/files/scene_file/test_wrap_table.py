@@ -11,6 +11,7 @@ from toy_scene_files import LIGHT, load, refused
 
 from pftwin.geometry.wrapping.cylinder import Cylinder
 from pftwin.geometry.wrapping.ellipsoid import Ellipsoid
+from pftwin.geometry.wrapping.sphere import Sphere
 
 CYLINDER = (
     'wrap = { type = "cylinder", body = "femur", center_mm = [100, 0, 15], axis = [0, 1, 0.2], radius_mm = 20 }\n'
@@ -19,6 +20,7 @@ ELLIPSOID = (
     'wrap = { type = "ellipsoid", body = "patella", center_mm = [10, 2, -3], radii_mm = [5, 8, 12], '
     "quaternion_wxyz = [0.8, 0.36, 0.48, 0.0] }\n"
 )
+SPHERE = 'wrap = { type = "sphere", body = "femur", center_mm = [100, 4, 15], radius_mm = 20 }\n'
 ENDS = "insertion_mm = [[20, 0, -8], [20, 5, -8]]\norigin_m = [[0.22, 0.012, 0.035], [0.22, 0.02, 0.035]]\n"
 ELASTIC = 'name = "band"\nbody = "femur"\nslack_length_mm = 143\n' + ENDS
 TABLES = {
@@ -59,6 +61,17 @@ def test_each_line_may_have_its_own(toy: Path) -> None:
     np.testing.assert_allclose(wrap.side.array(), [[0, 0, 1], [0, 0.1, 1]])
 
 
+@pytest.mark.parametrize(("radius", "radii"), [("20", 0.02), ("[20, 25]", [0.02, 0.025])])
+def test_a_sphere_has_a_centre_and_a_radius(toy: Path, radius: str, radii: Any) -> None:
+    wrap = strands_over(toy, SPHERE.replace("radius_mm = 20", f"radius_mm = {radius}"))
+    assert isinstance(wrap, Sphere)
+    assert wrap.body == "femur"
+    np.testing.assert_array_equal(wrap.radius, radii)
+    np.testing.assert_allclose(
+        wrap.center.array(), [[0.1, 0.004, 0.015]] * 2 if np.ndim(radii) else [0.1, 0.004, 0.015]
+    )
+
+
 LEFT = 'side = "left"\n'
 
 
@@ -82,10 +95,12 @@ def test_in_a_left_knee_it_is_the_mirror_image(toy: Path) -> None:
         assert np.linalg.det(axes) == pytest.approx(1)
     np.testing.assert_allclose(shapes[0], shapes[1], rtol=1e-9, atol=1e-6)
     np.testing.assert_allclose([getattr(right.orientation, k) for k in "wxyz"], turn, atol=1e-12)
+    ball = strands_over(toy, SPHERE.replace("[100, 4, 15]", "[100, -4, 15]"), both)
+    np.testing.assert_allclose(ball.center.array(), [0.1, 0.004, 0.015], atol=1e-15)
 
 
 MISTAKES = [
-    ('"cylinder"', '"sphere"', "wrap: type is 'sphere'; expected: table: obstacle that the lines wrap over"),
+    ('"cylinder"', '"torus"', "wrap: type is 'torus'; expected: table: obstacle that the lines wrap over"),
     ('type = "cylinder", ', "", "wrap: type is missing"),
     ("radius_mm = 20", "radius_mm = 0", "wrap.radius_mm: found 0; expected: a positive number"),
     ("radius_mm = 20", "radius_mm = [20, 20, 20]", "wrap: 3 obstacles for 2 lines; expected: 1 or 2"),
@@ -106,6 +121,21 @@ def test_mistakes_are_told_with_their_place(toy: Path, old: str, new: str, said:
     assert said in message, message
 
 
+SPHERE_MISTAKES = [
+    ("radius_mm = 20", "radius_mm = -20", "wrap.radius_mm: found -20; expected: a positive number"),
+    ("radius_mm = 20", "radius_m = 28", "radius_m is 28 m; expected: at most 0.2 m"),
+    ("radius_mm = 20", "radius_mm = [20, 20, 20]", "wrap: 3 obstacles for 2 lines; expected: 1 or 2"),
+    ("radius_mm = 20", "radius_mm = 20, axis = [0, 1, 0]", "wrap.axis"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "said"), SPHERE_MISTAKES)
+def test_mistakes_of_a_sphere_are_told(toy: Path, old: str, new: str, said: str) -> None:
+    assert old in SPHERE
+    message = refused(toy, LIGHT + "\n[[strands]]\n" + TABLES["strands"] + SPHERE.replace(old, new))
+    assert said in message, message
+
+
 def test_lists_of_an_ellipsoid_that_do_not_match_are_told(toy: Path) -> None:
     two = ELLIPSOID.replace("[10, 2, -3]", "[[10, 2, -3], [11, 2, -3]]").replace(
         "radii_mm = [", "radii_mm = [[9, 9, 9], [8, 8, 8], ["
@@ -114,8 +144,9 @@ def test_lists_of_an_ellipsoid_that_do_not_match_are_told(toy: Path) -> None:
     assert "center_m has 2 values and radii_m has 3" in message
 
 
-DEEP = {  # by hand: two lines end 5 mm from an axis; one ends in an ellipsoid's middle
+DEEP = {  # by hand: two lines end 5 mm from an axis, or from a sphere's centre; one ends in an ellipsoid's middle
     "15 mm": 'type = "cylinder", body = "femur", center_mm = [220, -7, 30], axis = [0, 3, 0], radius_mm = 20',
+    "14 mm": 'type = "sphere", body = "femur", center_mm = [220, 15, 39], radius_mm = 19',
     "5 mm": 'type = "ellipsoid", body = "patella", center_mm = [20, 5, -8], radii_mm = [5, 8, 12]',
 }
 

@@ -35,7 +35,7 @@ from pftwin.dynamics.integrators import LinearImplicit, SymplecticEuler
 from pftwin.dynamics.state import Guide
 from pftwin.model.effects.base import Ground
 from pftwin.model.effects.contact_law import ContactLaw, Flores, Hertz
-from pftwin.model.effects.friction import Friction, WithFriction, tangents
+from pftwin.model.effects.friction import Friction, WithFriction
 from pftwin.model.effects.gravity import Gravity
 from pftwin.model.effects.sphere_contact import RoughSphereContact
 from pftwin.model.motion import Frame
@@ -218,15 +218,6 @@ def test_a_carpet_takes_a_block_along():
     early, late = carried(start, J(8)), carried(start, J(200))
     assert float(early.velocity.x) == pytest.approx(7e-3 * MU * G, rel=0.1)  # none in the first step
     assert float(late.velocity.x) == pytest.approx(belt, rel=1e-6)
-
-
-def test_tangents_complete_a_right_handed_frame_everywhere():
-    normals = np.random.default_rng(0).normal(size=(500, 3))
-    normals = np.concatenate([normals / np.linalg.norm(normals, axis=1)[:, None], np.eye(3), -np.eye(3)])
-    one, two = tangents(Vec3.from_array(J(normals)))
-    frame = np.stack([np.asarray(one.array()), np.asarray(two.array()), normals], axis=1)
-    np.testing.assert_allclose(frame @ frame.transpose(0, 2, 1), np.broadcast_to(np.eye(3), frame.shape), atol=1e-14)
-    np.testing.assert_allclose(np.linalg.det(frame), 1, atol=1e-14)
 
 
 def test_friction_goes_by_what_the_normal_force_came_to():

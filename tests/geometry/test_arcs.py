@@ -15,6 +15,7 @@ from pftwin.base.spatial import Quaternion
 from pftwin.geometry.wrapping.cylinder import Cylinder
 from pftwin.geometry.wrapping.ellipsoid import Ellipsoid
 from pftwin.geometry.wrapping.obstacle import Obstacle
+from pftwin.geometry.wrapping.sphere import Sphere
 
 R, RADII = 0.03, np.array([0.02, 0.035, 0.013])
 CENTER, TURN = np.array([0.004, -0.003, 0.002]), Rotation.from_rotvec([0.3, -0.5, 0.8])
@@ -49,6 +50,12 @@ def off_cylinder(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return far[..., 0] - R, across / far
 
 
+def off_sphere(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Distances from the surface, and outward normals, by the definition of a sphere."""
+    far = np.linalg.norm(points - CENTER, axis=-1, keepdims=True)
+    return far[..., 0] - R, (points - CENTER) / far
+
+
 def off_ellipsoid(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Distances from the surface to first order, and outward normals, by the equation of an ellipsoid."""
     local = (points - CENTER) @ TURN.as_matrix()
@@ -72,6 +79,7 @@ CASES = {
     "cylinder": (cylinder(), off_cylinder),
     "cylinder's side": (cylinder((1.0, 0.2, 0.1)), off_cylinder),
     "ellipsoid": (ellipsoid(), off_ellipsoid),
+    "sphere": (Sphere(vector(CENTER), "femur", number(R)), off_sphere),
 }
 
 

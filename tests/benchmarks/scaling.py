@@ -115,8 +115,7 @@ def of_sizes(devices: int, sizes: tuple[int, ...]) -> list[Row]:
 def of_parts(size: int) -> list[Row]:
     """Writing parts of so many members, reading them back, and joining them."""
     import pftwin
-    from pftwin.dynamics.batch.part_files import BatchIndex, read_part, write_part
-    from pftwin.dynamics.batch.parts import concatenated_parts
+    from pftwin.dynamics.batch.parts import BatchIndex, concatenated_parts, read_part, write_part
 
     scene = pftwin.rig.case(2, contact="P5")
     members = pftwin.simulate_batch(pftwin.Variants(scene, transferred, amounts(size)), devices=1, **SETTINGS)

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pftwin.base.errors import InputError
+from pftwin.base.leaves import Fixed, split_arguments
 from pftwin.base.program_cache import settings, versions
 from pftwin.base.serialization import fingerprint
 from pftwin.dynamics.batch.batch_dataset import COORDINATES, OWN_NAMES
@@ -119,28 +120,18 @@ def _program(task: Task, row: Any) -> str:
 
 def _traced(function: Callable[..., Any], args: Any) -> tuple[str, Any]:
     """Hash of the function's program for arguments of this kind, and zeros of the shapes of its result."""
-    leaves, structure = jax.tree.flatten(args)
-    kinds = tuple(
-        jax.ShapeDtypeStruct(a.shape, a.dtype, weak_type=getattr(a, "weak_type", False)) if is_array(a) else None
-        for a in leaves
-    )
-    fixed = tuple(None if is_array(a) else (type(a), a) for a in leaves)
-    return _text(function, structure, kinds, fixed, settings())
+    fixed, arrays = split_arguments(args, is_array)
+    kinds = [jax.ShapeDtypeStruct(a.shape, a.dtype, weak_type=getattr(a, "weak_type", False)) for a in arrays]
+    return _text(function, fixed, tuple(kinds), settings())
 
 
 @lru_cache(maxsize=64)  # tracing takes seconds, and similar batches often follow
 def _text(
-    function: Callable[..., Any],
-    structure: Any,
-    kinds: tuple[jax.ShapeDtypeStruct | None, ...],
-    fixed: tuple[tuple[type, Hashable] | None, ...],
-    _: Hashable,
+    function: Callable[..., Any], fixed: Fixed, kinds: tuple[jax.ShapeDtypeStruct, ...], _: Hashable
 ) -> tuple[str, Any]:
     def of(arrays: list[Any]) -> Any:
-        rest = iter(arrays)
-        leaves = [next(rest) if f is None else f[1] for f in fixed]
-        return function(*jax.tree.unflatten(structure, leaves))
+        return function(*fixed.with_arrays(arrays))
 
-    traced = jax.jit(of).trace([k for k in kinds if k is not None])
+    traced = jax.jit(of).trace(list(kinds))
     text = hashlib.sha256(traced.lower().as_text().encode()).hexdigest()
     return text, jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), traced.out_info)

@@ -19,16 +19,16 @@ import numpy as np
 from pftwin.base.errors import InputError, OutputError, PftwinError, PftwinWarning
 from pftwin.dynamics.batch.batch_dataset import dataset
 from pftwin.dynamics.batch.devices import Processes
-from pftwin.dynamics.batch.part_files import (
+from pftwin.dynamics.batch.parts import (
     SHOWN,
     BatchIndex,
     check_seen,
+    concatenated_parts,
     part_file,
     prepare_folder,
     read_part,
     write_part,
 )
-from pftwin.dynamics.batch.parts import concatenated_parts
 from pftwin.dynamics.batch.plan import BatchPlan, batch_features, key_of, some_of
 
 if TYPE_CHECKING:
@@ -86,7 +86,7 @@ class InParts:
                 warnings.warn(text, PftwinWarning, stacklevel=2)
         for unit in asked:
             if unit not in self.done:
-                self.done[unit] = self._read(unit, SHOWN)
+                self.done[unit] = read_part(self.folder, unit, self.index, SHOWN)
         return concatenated_parts([self.done[u] for u in asked])
 
     def _agree(self) -> None:
@@ -118,14 +118,11 @@ class InParts:
         if not path.exists():
             return False
         try:
-            self.done[unit] = self._read(unit)
+            self.done[unit] = read_part(self.folder, unit, self.index)
         except InputError as error:
             warnings.warn(f"{error}; it is computed anew now", PftwinWarning, stacklevel=2)
             return False
         return True
-
-    def _read(self, unit: int, wait: float = 0.0) -> Dataset:
-        return read_part(self.folder, unit, self.index, wait, next(iter(self.done.values()), None))
 
     def _together(self, work: Callable[[], Any]) -> dict[int, Any]:
         """The result of `work` by process. If one fails, all raise an error, so that none waits forever.

@@ -24,7 +24,7 @@ import pftwin
 from pftwin.base.errors import OutputError, PftwinError
 from pftwin.dynamics.batch import plan, resumable
 from pftwin.dynamics.batch.member import FLAGS
-from pftwin.dynamics.batch.part_files import write_part
+from pftwin.dynamics.batch.parts import write_part
 from pftwin.dynamics.batch.plan import BatchPlan
 
 COUNT, UNIT = 600, 120  # five parts

@@ -21,8 +21,7 @@ from fitting.parameters import applied
 from pftwin.base.errors import InputError
 from pftwin.base.program_cache import Program
 from pftwin.base.spatial import Pose, Scalar
-from pftwin.dynamics.batch.batched import batched
-from pftwin.dynamics.batch.sharding import AXIS, SPLIT, shard_over
+from pftwin.dynamics.batch.batched import AXIS, SPLIT, batched, shard_over
 from pftwin.dynamics.frame_states import scan_observations, starting_equilibrium
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.observe import instant_and_frame

@@ -21,8 +21,8 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 
+from pftwin.dynamics.batch.batched import Sharding, piece_for
 from pftwin.dynamics.batch.member import Task, member_equilibrium, member_motion
-from pftwin.dynamics.batch.sharding import Sharding, piece_for
 from pftwin.dynamics.frame_states import frame_states, substeps_for
 from pftwin.model.scene import Scene
 from tests.benchmarks.batches import SETTINGS, amounts, transferred

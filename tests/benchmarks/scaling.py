@@ -72,7 +72,7 @@ def clocked() -> Iterator[list[float]]:
     """The seconds of each run of a compiled program meanwhile, waited for. For batches computed in one thread."""
     import jax
 
-    from pftwin.dynamics.batch.sharding import Sharding
+    from pftwin.dynamics.batch.batched import Sharding
 
     plain, spent = Sharding.run, []
 

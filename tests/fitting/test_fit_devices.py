@@ -18,7 +18,7 @@ import fitting
 from fitting import programs
 from pftwin.base import cache_folder
 from pftwin.base.errors import InputError
-from pftwin.dynamics.batch.sharding import AXIS
+from pftwin.dynamics.batch.batched import AXIS
 from pftwin.model.measured import Measured
 
 

@@ -25,9 +25,9 @@ from pftwin.base.leaves import Fixed, split_arguments
 from pftwin.base.program_cache import settings, versions
 from pftwin.base.serialization import fingerprint
 from pftwin.dynamics.batch.batch_dataset import COORDINATES, OWN_NAMES
+from pftwin.dynamics.batch.batched import Sharding, is_array
 from pftwin.dynamics.batch.member import Task, member_equilibrium, member_motion
 from pftwin.dynamics.batch.retry import Found, all_members, with_care
-from pftwin.dynamics.batch.sharding import Sharding, is_array
 from pftwin.dynamics.batch.variants import Group
 from pftwin.dynamics.status import Status
 

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pftwin.base.errors import InputError
+from pftwin.dynamics.batch.batched import Chunk, Sharding
 from pftwin.dynamics.batch.member import Task, member_equilibrium, member_motion, settled_after_relaxing
-from pftwin.dynamics.batch.sharding import Chunk, Sharding
 from pftwin.dynamics.integrator import Integrator
 from pftwin.dynamics.integrators import LinearImplicit, Newmark
 from pftwin.dynamics.status import FLAGS, Status

@@ -11,11 +11,11 @@ import jax
 import jax.numpy as jnp
 
 from pftwin.base.errors import InputError
+from pftwin.dynamics.batch.batched import Sharding, piece_for
 from pftwin.dynamics.batch.devices import Devices, chosen_devices, feeding_threads
 from pftwin.dynamics.batch.member import Outcome, Task
 from pftwin.dynamics.batch.plan import BatchPlan, check_outcomes
 from pftwin.dynamics.batch.retry import BAD, BAD_BY_DEFAULT
-from pftwin.dynamics.batch.sharding import Sharding, piece_for
 from pftwin.dynamics.batch.variants import Group, Variants, groups_of
 from pftwin.dynamics.frame_states import substeps_for
 from pftwin.dynamics.integrator import Integrator

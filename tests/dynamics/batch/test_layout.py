@@ -12,9 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pftwin.dynamics.batch import sharding as module
-from pftwin.dynamics.batch.batched import PIECE
-from pftwin.dynamics.batch.sharding import Sharding, piece_for
+from pftwin.dynamics.batch import batched as module
+from pftwin.dynamics.batch.batched import PIECE, Sharding, piece_for
 
 
 @pytest.fixture

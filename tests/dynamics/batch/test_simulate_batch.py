@@ -17,8 +17,7 @@ import pftwin
 from pftwin import Variants, simulate_batch
 from pftwin.base.errors import InputError
 from pftwin.dynamics.batch import retry as again
-from pftwin.dynamics.batch.batched import PIECE
-from pftwin.dynamics.batch.sharding import FEW, Sharding, piece_for
+from pftwin.dynamics.batch.batched import FEW, PIECE, Sharding, piece_for
 from pftwin.dynamics.integrators import SymplecticEuler
 
 FRAMES, DT, COUNT = 6, 5e-3, 5

@@ -18,8 +18,7 @@ from pftwin.dynamics.simulate import settle_first_frame
 from pftwin.dynamics.state import State
 from pftwin.model.effects.tendon import StrandGroup
 from pftwin.model.scene import Scene
-from pftwin.studies.audit.account import account
-from pftwin.studies.audit.step import equations, through_frames
+from pftwin.studies.audit.account import account, equations, through_frames
 from pftwin.studies.runs import time_in_turn
 from tests.benchmarks.row import Row
 

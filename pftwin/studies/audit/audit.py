@@ -165,7 +165,7 @@ def _runs(
 
     def run(group: list[Variant]) -> list[VariantRun]:
         if group[0].alike:
-            return run_side_by_side(scene, group, integrator, substeps)
+            return run_side_by_side(group, integrator, substeps)
         return [run_alone(v.scene, v.integrator or integrator, v.refine * substeps) for v in group]
 
     answers = run_each(groups, run, before=before)

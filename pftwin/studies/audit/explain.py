@@ -16,8 +16,8 @@ from pftwin.dynamics.simulate import settle_first_frame, simulate
 from pftwin.dynamics.status import Status, status_facts
 from pftwin.dynamics.trajectory import checked_integrator
 from pftwin.model.scene import Scene, check
-from pftwin.studies.audit.account import Account, EffectPart, PartAccount, account, parts
-from pftwin.studies.audit.step import equations, through_frames
+from pftwin.studies.audit.account import Account, PartAccount, account, equations, through_frames
+from pftwin.studies.audit.variants import EffectPart, parts
 from pftwin.studies.runs import Cost, time_in_turn
 
 

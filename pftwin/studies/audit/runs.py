@@ -8,10 +8,10 @@ from functools import partial
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from pftwin.base.program_cache import Program
+from pftwin.dynamics.batch.variants import groups_of
 from pftwin.dynamics.equilibrium import Solution
 from pftwin.dynamics.frame_states import frame_states, starting_equilibrium
 from pftwin.dynamics.integrator import Integrator
@@ -23,8 +23,6 @@ from pftwin.results.metrics import summed
 from pftwin.results.result import Result
 from pftwin.studies.audit.variants import Variant
 from pftwin.studies.runs import Floats, difference, rms
-
-Leaves = tuple[Any, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,20 +40,16 @@ def _moving(scene: Scene, start: Solution, integrator: Integrator, substeps: int
 
 @Program
 def _side_by_side(
-    scene: Scene, places: tuple[int, ...], values: Leaves, integrator: Integrator, substeps: int
+    scene: Scene, change: Callable[[Scene, Any], Scene], rows: Any, integrator: Integrator, substeps: int
 ) -> tuple[Solution, Observation]:
-    """Runs a batch of scenes whose leaves at these places have these values, along a leading axis."""
-    leaves, structure = jax.tree.flatten(scene)
+    """Runs a batch of the scenes that `change` makes of the rows."""
 
-    def member(values: Leaves) -> tuple[Solution, Observation]:
-        own = list(leaves)
-        for place, value in zip(places, values, strict=True):
-            own[place] = value
-        changed = jax.tree.unflatten(structure, own)
+    def member(row: Any) -> tuple[Solution, Observation]:
+        changed = change(scene, row)
         start = starting_equilibrium(changed)
         return start, observe(changed, frame_states(changed, integrator=integrator, substeps=substeps, start=start))
 
-    return jax.vmap(member)(values)
+    return jax.vmap(member)(rows)
 
 
 def run_alone(scene: Scene, integrator: Integrator, substeps: int) -> VariantRun:
@@ -67,27 +61,19 @@ def run_alone(scene: Scene, integrator: Integrator, substeps: int) -> VariantRun
     return VariantRun(_result(scene, start.answer, again(), relaxed, integrator, substeps), again)
 
 
-def run_side_by_side(
-    base: Scene, variants: Sequence[Variant], integrator: Integrator, substeps: int
-) -> list[VariantRun]:
-    """Runs variants that differ from the base only in parameter values, each from its equilibrium, in one batch.
+def run_side_by_side(variants: Sequence[Variant], integrator: Integrator, substeps: int) -> list[VariantRun]:
+    """Runs variants that differ only in parameter values, each from its equilibrium, in one batch.
 
     A variant whose search for the equilibrium fails runs again alone. Raises as `run_alone` does.
     """
-    for v in variants:
-        check(v.scene)
-    own = jax.tree.leaves(base.unnamed())
-    members = [jax.tree.leaves(v.scene.unnamed()) for v in variants]
-    places = tuple(i for i, leaf in enumerate(own) if any(m[i] is not leaf for m in members))
-    values = tuple(jnp.stack([jnp.asarray(m[i]) for m in members]) for i in places)
-    starts, seen = _side_by_side(base.unnamed(), places, values, integrator, substeps)
-    runs = []
-    for k, v in enumerate(variants):
-        start, observed = jax.tree.map(lambda a, k=k: np.asarray(a)[k], (starts, seen))
-        run = VariantRun(_result(v.scene, start, observed, False, integrator, substeps), None)
-        if not run.result.equilibrium.converged:  # a single run can also use damped relaxation
-            run = replace(run_alone(v.scene, integrator, substeps), again=None)
-        runs.append(run)
+    runs: list[Any] = [None] * len(variants)
+    for group in groups_of([v.scene for v in variants]):
+        found = _side_by_side(group.scene, group.change, group.rows, integrator, substeps)
+        for k, place in enumerate(group.places):
+            scene, (start, seen) = variants[place].scene, jax.tree.map(lambda a, k=k: np.asarray(a)[k], found)
+            runs[place] = VariantRun(_result(scene, start, seen, False, integrator, substeps), None)
+            if not runs[place].result.equilibrium.converged:  # a single run can also use damped relaxation
+                runs[place] = replace(run_alone(scene, integrator, substeps), again=None)
     return runs
 
 

@@ -1,11 +1,11 @@
-"""Variants of a scene for an audit: effects omitted or added, and changed inertia."""
+"""Parts of a scene, and its variants for an audit: effects omitted or added, and changed inertia."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Any, Literal, get_args
 
 import equinox as eqx
 import jax
@@ -18,13 +18,52 @@ from pftwin.base.spatial import Pose, Quaternion, Vec3
 from pftwin.dynamics.integrator import Integrator
 from pftwin.dynamics.integrators import LinearImplicit, QuasiStatic
 from pftwin.files.mocap.poses import PoseSeries
-from pftwin.model.effects.base import Change
+from pftwin.model.effects.base import Change, Effect, Instant, Load
 from pftwin.model.effects.friction import Friction
 from pftwin.model.effects.gravity import Gravity
 from pftwin.model.effects.line_elements import TOE
 from pftwin.model.motion import KneeMotion, SegmentMotion
 from pftwin.model.scene import Scene
-from pftwin.studies.audit.account import parts
+
+Memories = tuple[Any, ...]
+
+
+@dataclass(frozen=True)
+class EffectPart:
+    """An effect, or a part of one."""
+
+    name: str
+    kind: str  # class that computes it
+    index: int  # index of the effect in the scene
+    without: Scene  # the scene without it
+    forgetting: Callable[[Memories], Memories]  # converts the memories of the complete scene to those of `without`
+    of: str | None = None  # the effect of which it is a part
+
+
+def separable(effect: Effect) -> list[tuple[Change, Callable[[Any], Any]]]:
+    """Returns the separable parts of an effect, each with the conversion of its memory to that of the rest."""
+    return [(c, c.memory) for c in effect.simplifications() if c.memory is not None]
+
+
+def parts(scene: Scene) -> list[EffectPart]:
+    """Returns all parts of a scene, each effect before its own parts."""
+    found = []
+    for i, effect in enumerate(scene.effects):
+        less = scene.without(effect.name)
+        found.append(EffectPart(effect.name, type(effect).__name__, i, less, lambda m, i=i: (*m[:i], *m[i + 1 :])))
+        for c, rest in separable(effect):
+            forgetting = lambda m, i=i, rest=rest: (*m[:i], rest(m[i]), *m[i + 1 :])  # noqa: E731
+            name, kind = f"{effect.name}: {c.label}", c.label.capitalize()
+            found.append(EffectPart(name, kind, i, scene.with_effect(c.effect), forgetting, of=effect.name))
+    return found
+
+
+def load_of(part: EffectPart, effect: Effect, now: Instant, memory: Any) -> list[tuple[float, Load]]:
+    """Returns the part's load as a signed sum of loads; `effect` must be prepared by `recentred`."""
+    loads = [(1.0, effect.load(now, memory)[0])]
+    own = [(c, rest) for c, rest in separable(effect) if part.name == f"{part.of}: {c.label}"]
+    return [*loads, *((-1.0, c.effect.load(now, rest(memory))[0]) for c, rest in own)]
+
 
 Kind = Literal["left out", "added", "changed", "yardstick"]
 KINDS: tuple[Kind, ...] = get_args(Kind)  # in the order of tables

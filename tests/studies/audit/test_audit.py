@@ -211,7 +211,7 @@ def test_side_by_side_is_as_alone():
     heavier = eqx.tree_at(lambda s: s.patella.mass, base, 2 * base.patella.mass)
     softer = eqx.tree_at(lambda s: s.effects[1].stiffness, base, 0.9 * base.effects[1].stiffness)
     variants = [Variant(n, "changed", "", s, alike=True) for n, s in (("heavier", heavier), ("softer", softer))]
-    together = run_side_by_side(base, variants, LinearImplicit(), SUBSTEPS)
+    together = run_side_by_side(variants, LinearImplicit(), SUBSTEPS)
     for run, one in zip(together, (heavier, softer), strict=True):
         alone = run_alone(one, LinearImplicit(), SUBSTEPS).result
         np.testing.assert_allclose(run.result.center, alone.center, atol=1e-9)

@@ -19,8 +19,8 @@ from pftwin.model.effects.friction import Friction
 from pftwin.model.effects.tendon import StrandGroup, ToeTendon
 from pftwin.model.effects.viscoelastic_tendon import ViscoelasticTendon
 from pftwin.model.scene import Scene
-from pftwin.studies.audit.account import parts
-from pftwin.studies.audit.step import count, equations
+from pftwin.studies.audit.account import count, equations
+from pftwin.studies.audit.variants import parts
 
 
 @cache
@@ -76,7 +76,7 @@ def test_an_effect_that_has_gone_leaves_the_very_same_program():
 
 
 def _step(s: Scene, step: jax.Array):
-    from pftwin.studies.audit.step import guide_over
+    from pftwin.studies.audit.account import guide_over
 
     state = starting_state(s, start_before_search(s))
     piece = s.motion.between_frames(J(0))

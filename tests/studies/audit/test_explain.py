@@ -15,10 +15,9 @@ from pftwin.model.effects.damping import LinearDamping
 from pftwin.model.effects.friction import Friction
 from pftwin.model.scene import Scene
 from pftwin.studies.audit import explain as module
-from pftwin.studies.audit.account import account
+from pftwin.studies.audit.account import account, equations, rates
 from pftwin.studies.audit.explain import Explanation, explain
 from pftwin.studies.audit.report import explanation_sheet
-from pftwin.studies.audit.step import equations, rates
 from pftwin.studies.runs import Cost, time_in_turn
 
 FRAMES = 21

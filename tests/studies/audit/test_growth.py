@@ -8,7 +8,7 @@ from scenes import knee, look, tendon
 
 from pftwin.model.effects.damping import LinearDamping
 from pftwin.model.scene import Scene
-from pftwin.studies.audit.step import equations
+from pftwin.studies.audit.account import equations
 from tests.benchmarks import growth
 
 

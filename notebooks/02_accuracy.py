@@ -45,8 +45,8 @@ import pftwin
 from pftwin.base.runtime import default_cache_dir, describe
 from pftwin.results.metrics import PAPER_TABLE_1
 from pftwin.results.plots import COLOURS, STYLE
+from pftwin.studies.accuracy.measure import measure_all
 from pftwin.studies.accuracy.programs import MeasuredProgram
-from pftwin.studies.accuracy.run import measure_all
 from pftwin.studies.accuracy.table import advice, described, front, read_csv, recommended, work_precision
 from pftwin.studies.tables import short_number
 

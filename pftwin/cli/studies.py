@@ -19,7 +19,7 @@ from pftwin.cli.scenes import CaseOption, SceneArgument, allow_outside, limits
 if TYPE_CHECKING:
     from pftwin.model.measured import Measured
     from pftwin.model.scene import Scene
-    from pftwin.studies.accuracy.measure import AccuracyRow, SceneOf
+    from pftwin.studies.accuracy.measure import SceneOf
     from pftwin.studies.hard_cases import HardCase
     from pftwin.studies.hard_cases import Selection as Selected
     from pftwin.studies.hard_cases.table import KeptPiece
@@ -55,9 +55,9 @@ def accuracy(
     terminal.check_folder(folder)
     terminal.check_outputs(json)
     terminal.start_computing()
+    from pftwin.studies.accuracy.measure import measure_all
     from pftwin.studies.accuracy.programs import COMMON, FLOATS, chosen, full_table
-    from pftwin.studies.accuracy.run import measure_all, write
-    from pftwin.studies.accuracy.table import advice, overview
+    from pftwin.studies.accuracy.table import advice, overview, write, write_rows
 
     if full and (contact or integrator or dtype):
         raise InputError(
@@ -66,23 +66,13 @@ def accuracy(
     source = _source(scene, case)
     plan = full_table() if full else chosen(contact or [source.own], integrator or COMMON, dtype or FLOATS[:1])
     with report_written_on_interrupt(folder / "accuracy.csv"), terminal.progress("measuring") as shown:
-        keep = functools.partial(_keep, folder=folder)
+        keep = functools.partial(write_rows, folder=folder)
         found = measure_all(plan, source.scene_of, source.measured, _tell, keep, shown)
     synthetic = source.measured is not None and source.measured.synthetic
     about = {**describe(), "scene": source.title, "synthetic_measurements": int(synthetic)}
     paths = write(found, folder, source.title, about)
     facts = {"about": about, "rows": [asdict(r) for r in found.rows], "files": [str(p) for p in paths]}
     terminal.present(facts, overview(found.rows), advice(found.rows), terminal.written_line(paths), json=json)
-
-
-def _keep(rows: list[AccuracyRow], folder: Path) -> None:
-    """Saves the rows so far, in case a later one fails."""
-    from pftwin.base.text_files import write_text
-    from pftwin.studies.accuracy.table import columns
-    from pftwin.studies.tables import to_csv
-
-    folder.mkdir(parents=True, exist_ok=True)
-    write_text(folder / "accuracy.csv", to_csv(columns(rows)))
 
 
 class _Source(NamedTuple):

@@ -216,7 +216,7 @@ def test_accuracy_keeps_the_rows_so_far(toy, tmp_path, monkeypatch):
         keep([])
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("pftwin.studies.accuracy.run.measure_all", measure)
+    monkeypatch.setattr("pftwin.studies.accuracy.measure.measure_all", measure)
     said = interrupted("accuracy", toy, "--out", tmp_path / "acc")
     assert f"saved so far: {tmp_path / 'acc' / 'accuracy.csv'}" in said
 

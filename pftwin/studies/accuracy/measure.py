@@ -1,14 +1,14 @@
-"""Errors and run times of one program at several steps, against the converged run of the same contact model."""
+"""Errors and run times of programs at several steps, against the converged run of the same contact model."""
 
 from __future__ import annotations
 
 import contextlib
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from typing import Any
+from typing import Annotated, Any
 
 import jax
 import jax.numpy as jnp
@@ -19,7 +19,7 @@ from pftwin.dynamics.simulate import settle_first_frame
 from pftwin.dynamics.status import status_facts
 from pftwin.model.measured import Measured
 from pftwin.model.scene import Scene
-from pftwin.results.metrics import validate
+from pftwin.results.metrics import Validation, validate
 from pftwin.results.result import Result
 from pftwin.studies.accuracy.programs import (
     MESHES,
@@ -30,7 +30,7 @@ from pftwin.studies.accuracy.programs import (
     Programs,
     programs,
 )
-from pftwin.studies.runs import Difference, difference, rms, time_in_turn
+from pftwin.studies.runs import Difference, difference, rms, run_each, time_in_turn
 
 SceneOf = Callable[[str], Scene]  # makes a scene from a contact's name, in JAX's current default float type
 GRADIENT_SUBSTEPS = 2
@@ -38,23 +38,25 @@ GRADIENT_SUBSTEPS = 2
 
 @dataclass(frozen=True)
 class AccuracyRow:
-    """A row of the table. NaN: not measured or not applicable."""
+    """A row of the table, with units and long names of its columns. NaN: not measured or not applicable."""
 
     contact: str
     integrator: str
-    order: int  # nominal order of the integrator
+    order: Annotated[int, "1", "order that the integrator declares"]
     dtype: str
-    step_ms: float
-    position_rms_mm: float  # error of the button's centre against the converged run
-    position_max_mm: float
-    tilt_rms_deg: float
-    force_rms_n: float  # error of the total contact force
-    dislocation_ms: float  # time of the first dislocation minus that of the converged run
-    measured_mm: float  # mean distance of the button's centre from the measurements
-    real_time: float  # simulated time over run time, one run with all results, without the equilibrium
-    real_time_batch: float  # total simulated time over run time of 64 variants in a batch
-    compile_s: float  # time to trace and compile one run
-    gradient: float  # time of a run with four forward derivatives, relative to a plain run
+    step_ms: Annotated[float, "ms", "step"]
+    position_rms_mm: Annotated[
+        float, "mm", "button's centre against the converged run of the same contact, rms over the frames"
+    ]
+    position_max_mm: Annotated[float, "mm", "the same, largest"]
+    tilt_rms_deg: Annotated[float, "deg", "tilt against the converged run, rms"]
+    force_rms_n: Annotated[float, "N", "contact force against the converged run, rms"]
+    dislocation_ms: Annotated[float, "ms", "time of the first dislocation, less the converged run's"]
+    measured_mm: Annotated[float, "mm", "mean distance of the button's centre from the measurements"]
+    real_time: Annotated[float, "1", "one run with all results, in times faster than real time"]  # without equilibrium
+    real_time_batch: Annotated[float, "1", "64 variants side by side, in times faster than real time"]
+    compile_s: Annotated[float, "s", "tracing and compiling one run"]
+    gradient: Annotated[float, "1", "a run with four forward derivatives, in plain runs"]
     status: str
     status_frames: dict[str, int] = field(default_factory=dict)  # number of frames with each flag; not in the tables
 
@@ -162,3 +164,52 @@ def _dislocation(result: Result) -> float:
     """Time of the first dislocation [s]; NaN if there is none."""
     outcome = result.dislocations() if np.isfinite(result.center).all() else None
     return outcome.events[0].time if outcome is not None and outcome.events else math.nan
+
+
+@dataclass(frozen=True)
+class AccuracyMeasured:
+    """Results of an accuracy study."""
+
+    rows: list[AccuracyRow]
+    references: dict[str, Converged]  # converged runs by contact
+    models: dict[str, Validation]  # errors of the converged runs by contact; empty without measurements
+
+
+def measure_all(
+    plan: Sequence[MeasuredProgram],
+    scene_of: SceneOf,
+    measured: Measured | None,
+    tell: Callable[[str], None],
+    keep: Callable[[list[AccuracyRow]], Any] = lambda _: None,
+    progress: Callable[[int, int], None] = lambda done, of: None,
+) -> AccuracyMeasured:
+    """Measures all settings of a plan, each against the converged run of its contact and optional measurements.
+
+    `tell` is called with a message before each piece of work, `progress` with the number of settings done and their
+    total, and `keep` with all rows so far after each setting, to store them.
+    """
+    references: dict[str, Converged] = {}
+
+    def before(k: int, setting: MeasuredProgram) -> None:
+        progress(k, len(plan))
+        if setting.contact not in references:
+            tell(f"{setting.contact}: converged run")
+            with jax.enable_x64(True):
+                references[setting.contact] = converged(scene_of(setting.contact), setting.contact)
+        tell(f"{k + 1} of {len(plan)}: {setting.contact}, {setting.integrator}, {setting.dtype}")
+
+    def one(setting: MeasuredProgram) -> list[AccuracyRow]:
+        with jax.enable_x64(setting.dtype == "float64"):
+            return rows(setting, scene_of(setting.contact), references[setting.contact], measured)
+
+    with compiling_anew():
+        found = run_each(plan, one, before=before, after=lambda pieces: keep([r for p in pieces for r in p]))
+    if len(found) < len(plan):
+        raise KeyboardInterrupt  # `keep` has the measured rows
+    models = {} if measured is None else {c: _against(r, measured) for c, r in references.items()}
+    return AccuracyMeasured([row for piece in found for row in piece], references, models)
+
+
+def _against(reference: Converged, measured: Measured) -> Validation:
+    tibial, femoral = (n if n in reference.result.effects else None for n in ("patellar_tendon", "quadriceps"))
+    return validate(reference.result, measured, tibial=tibial, femoral=femoral)

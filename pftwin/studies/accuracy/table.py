@@ -1,21 +1,24 @@
-"""Tables and figures of the accuracy study: all settings, the Pareto front, and recommended settings."""
+"""Tables, figures and files of the accuracy study: all settings, the Pareto front, and recommended settings."""
 
 from __future__ import annotations
 
 import csv
 import os
 from collections.abc import Iterable, Sequence
-from dataclasses import fields
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, get_type_hints
 
 import numpy as np
 
 from pftwin.base.errors import InputError
 from pftwin.base.sheet import Sheet
-from pftwin.base.text_files import read_lines
+from pftwin.base.text_files import read_lines, write_text
+from pftwin.files.result_files import save_dataset
+from pftwin.results.metrics import PAPER_TABLE_1, Validation
+from pftwin.results.plots import save_figure
 from pftwin.results.plots.style import COLOURS, MARKERS, TINY, WIDE, house_style, legend_below
-from pftwin.studies.accuracy.measure import AccuracyRow
-from pftwin.studies.tables import Column, short_number
+from pftwin.studies.accuracy.measure import AccuracyMeasured, AccuracyRow
+from pftwin.studies.tables import Column, short_number, to_csv, to_dataset
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -23,20 +26,6 @@ if TYPE_CHECKING:
 
 LEVELS = (0.2, 0.1, 0.05, 0.01, 0.001)  # rms errors for which settings are recommended [mm]
 ALIKE = 0.9  # ratio of two speeds that counts as equal, because timing is noisy
-ABOUT = {
-    "order": ("1", "order that the integrator declares"),
-    "step_ms": ("ms", "step"),
-    "position_rms_mm": ("mm", "button's centre against the converged run of the same contact, rms over the frames"),
-    "position_max_mm": ("mm", "the same, largest"),
-    "tilt_rms_deg": ("deg", "tilt against the converged run, rms"),
-    "force_rms_n": ("N", "contact force against the converged run, rms"),
-    "dislocation_ms": ("ms", "time of the first dislocation, less the converged run's"),
-    "measured_mm": ("mm", "mean distance of the button's centre from the measurements"),
-    "real_time": ("1", "one run with all results, in times faster than real time"),
-    "real_time_batch": ("1", "64 variants side by side, in times faster than real time"),
-    "compile_s": ("s", "tracing and compiling one run"),
-    "gradient": ("1", "a run with four forward derivatives, in plain runs"),
-}
 _NEEDED = ("contact", "integrator", "dtype", "status", "order", "step_ms", "position_rms_mm", "real_time")
 
 
@@ -50,8 +39,9 @@ class Advice(NamedTuple):
 
 def columns(rows: Sequence[AccuracyRow]) -> list[Column]:
     """Returns all fields of the rows except `status_frames` as columns, with units in the names."""
-    names = [f.name for f in fields(AccuracyRow) if f.name != "status_frames"]
-    return [Column(n, [getattr(r, n) for r in rows], *ABOUT.get(n, ())) for n in names]
+    hints = get_type_hints(AccuracyRow, include_extras=True)
+    names = [name for name in hints if name != "status_frames"]
+    return [Column(n, [getattr(r, n) for r in rows], *getattr(hints[n], "__metadata__", ())) for n in names]
 
 
 def read_csv(path: str | os.PathLike[str]) -> list[AccuracyRow]:
@@ -205,3 +195,60 @@ def _panel(ax: Axes, rows: Sequence[AccuracyRow], speed: str) -> None:
     for axis in (ax.xaxis, ax.yaxis):
         axis.set_major_formatter("{x:g}")
         axis.set_minor_formatter(NullFormatter())
+
+
+def write_rows(rows: Sequence[AccuracyRow], folder: Path) -> Path:
+    """Writes accuracy.csv, also with the rows so far in case a later one fails; returns its path."""
+    folder.mkdir(parents=True, exist_ok=True)
+    write_text(path := folder / "accuracy.csv", to_csv(columns(rows)))
+    return path
+
+
+def write(found: AccuracyMeasured, folder: Path, title: str, about: dict[str, Any]) -> list[Path]:
+    """Writes accuracy.nc, accuracy.csv, accuracy.md and a figure for each contact model; returns the paths."""
+    table = write_rows(found.rows, folder)
+    paths = netcdf, _, markdown = [table.with_suffix(".nc"), table, table.with_suffix(".md")]
+    save_dataset(to_dataset(columns(found.rows), "setting", about), netcdf)
+    write_text(markdown, report(found, title, about))
+    for contact in found.references:
+        figure = work_precision(found.rows, f"{title}, {contact}: what accuracy costs", contact=contact)
+        paths += save_figure(figure, folder / f"accuracy_{contact}")
+    return paths
+
+
+def report(found: AccuracyMeasured, title: str, about: dict[str, Any]) -> str:
+    """Returns the report in Markdown."""
+    doubts = "; ".join(f"{c} {r.doubt_mm:.1g} mm" for c, r in found.references.items())
+    parts = [
+        f"# {title}: what accuracy costs in time",
+        "; ".join(f"{k}: {v}" for k, v in about.items()),
+        "Errors are from the converged run of the same contact model; how far a second integrator's converged run"
+        f" is from it, rms: {doubts}.",
+        "## Recommended settings",
+        advice(found.rows).grid(),
+        *_models(found.models),
+        "## Everything measured",
+        all_figures(found.rows).grid(),
+    ]
+    return "\n\n".join(parts) + "\n"
+
+
+def _models(models: dict[str, Validation]) -> list[str]:
+    """The section with the converged runs in the rows of the paper's Table 1."""
+    if not models:
+        return []
+    synthetic = any(v.synthetic for v in models.values())
+    keep = ("initial_configuration", "real_time_factor")
+    rows = [[r for r in v.to_rows(c if c in PAPER_TABLE_1 else None) if r.key not in keep] for c, v in models.items()]
+    cells = [
+        [("-" if r.value is None else f"{r.value:.3g}") + ("" if r.paper is None else f" ({r.paper:g})") for r in same]
+        for same in zip(*rows, strict=True)
+    ]
+    labels = [f"{r.label}, {r.unit}" for r in rows[0]]
+    sheet = Sheet("", ("", *models), tuple((a, *b) for a, b in zip(labels, cells, strict=True)))
+    return [
+        "## Error of the contact models",
+        f"Converged runs against the {'SYNTHETIC ' if synthetic else ''}measurements; in brackets the paper's means"
+        " over its four cases, with its own rig and measurements (Michaud et al. 2024, Table 1).",
+        sheet.grid(),
+    ]

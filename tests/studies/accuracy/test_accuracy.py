@@ -17,10 +17,9 @@ from pftwin.cli.program import app
 from pftwin.dynamics.status import FLAGS
 from pftwin.files.result_files import load_dataset
 from pftwin.results.metrics import validate
-from pftwin.studies.accuracy.measure import AccuracyRow, compiling_anew, converged, rows
+from pftwin.studies.accuracy.measure import AccuracyMeasured, AccuracyRow, compiling_anew, converged, rows
 from pftwin.studies.accuracy.programs import COMMON, FLOATS, MESHES, SMOOTH, MeasuredProgram, chosen, full_table
-from pftwin.studies.accuracy.run import AccuracyMeasured, report, write
-from pftwin.studies.accuracy.table import advice, columns, front, read_csv, recommended
+from pftwin.studies.accuracy.table import advice, columns, front, read_csv, recommended, report, write
 from pftwin.studies.tables import to_csv
 
 

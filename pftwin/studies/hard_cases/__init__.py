@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from pftwin.studies.hard_cases.case import INTEGRATORS, HardCase, method_named
-from pftwin.studies.hard_cases.catalogue import case_named, catalogue
+from pftwin.studies.hard_cases.case import INTEGRATORS, HardCase, case_named, catalogue, method_named
 from pftwin.studies.hard_cases.contacts import CONTACTS
 from pftwin.studies.hard_cases.matrix import DTYPES, Selection, run_matrix
 from pftwin.studies.hard_cases.table import results

@@ -16,7 +16,7 @@ from pftwin.studies.hard_cases.contacts import MESHES
 from pftwin.studies.hard_cases.programs import CaseRun
 
 if TYPE_CHECKING:
-    from pftwin.studies.hard_cases.catalogue import RigNumbers
+    from pftwin.studies.hard_cases.case import RigNumbers
     from pftwin.studies.hard_cases.knee import KneeNumbers
 
 GEOMETRY = Status.NO_CONTACT | Status.LEFT_PATCH | Status.DEEP_INDENTATION  # flags with separate checks

@@ -18,8 +18,7 @@ import jax
 
 from pftwin.base.runtime import configure, describe
 from pftwin.base.text_files import write_text
-from pftwin.studies.hard_cases.case import CaseIntegrator
-from pftwin.studies.hard_cases.catalogue import catalogue
+from pftwin.studies.hard_cases.case import CaseIntegrator, catalogue
 from pftwin.studies.hard_cases.matrix import Prepared, Selection, cells_of
 from pftwin.studies.hard_cases.table import KeptPiece
 

@@ -14,9 +14,8 @@ from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.results.verdict import Verdict
 from pftwin.results.viewer.knee import REST, gaps_filled
-from pftwin.results.viewer.line_shapes import line_shape
 from pftwin.results.viewer.recorded import Recorded
-from pftwin.results.viewer.shapes import MM, Matrices, Shape, at_points, of_arrows, path, spaced_points
+from pftwin.results.viewer.shapes import MM, Matrices, Shape, at_points, line_shape, of_arrows, path, spaced_points
 
 if TYPE_CHECKING:
     from xarray import Dataset

@@ -9,7 +9,6 @@ import numpy as np
 
 from pftwin.results.plots import COLOURS
 from pftwin.results.viewer import bones, knee, page
-from pftwin.results.viewer.contact_colours import tells_pressure
 from pftwin.results.viewer.knee import k3d, paler, time_series
 from pftwin.results.viewer.recorded import Mesh, Recorded
 from pftwin.results.viewer.shapes import MM
@@ -133,7 +132,7 @@ def _apart(
 ) -> tuple[list[Drawable], list[list[Drawable]]]:
     """No shared objects; each knee has its own bones, coloured where the patella presses on the femur."""
     own = []
-    pressure = tells_pressure(results)
+    pressure = bones.tells_pressure(results)
     for k, (result, code) in enumerate(zip(results, codes, strict=True)):
         parts = [
             *_moving(result, code, newtons),

@@ -17,8 +17,7 @@ import numpy as np
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError, MissingExtraError
 from pftwin.base.output import check_place, written_whole
-from pftwin.results.viewer.bones import BONE
-from pftwin.results.viewer.contact_colours import HOT
+from pftwin.results.viewer.bones import BONE, HOT
 
 if TYPE_CHECKING:
     from k3d.plot import Plot

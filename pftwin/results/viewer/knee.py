@@ -11,8 +11,6 @@ from numpy.typing import NDArray
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import MissingExtraError
 from pftwin.results.viewer import bones
-from pftwin.results.viewer.contact_colours import HOT, depths_on_femur, pressures
-from pftwin.results.viewer.line_shapes import line_shape
 from pftwin.results.viewer.recorded import ContactArrow, Recorded
 from pftwin.results.viewer.shapes import (
     MM,
@@ -21,6 +19,7 @@ from pftwin.results.viewer.shapes import (
     arrow_shape,
     at_points,
     ellipsoid,
+    line_shape,
     of_arrows,
     path,
     spaced_points,
@@ -126,11 +125,11 @@ def femur(result: Recorded, *, pressure: bool) -> list[Any]:
     parts = [bones.femur(result), *bones.femoral_component(result)]
     drawn: list[Any] = [solid(result, part) for part in parts]
     for part, mesh in zip(parts[1:] or parts, drawn[1:] or drawn, strict=True):
-        depths = depths_on_femur(result, part.shape.vertices.astype(np.float64))
+        depths = bones.depths_on_femur(result, part.shape.vertices.astype(np.float64))
         if depths is not None:
-            values = pressures(result, depths) if pressure else depths
+            values = bones.pressures(result, depths) if pressure else depths
             mesh.attribute = time_series(result.times, values.astype(np.float32))
-            mesh.color_map = [0.0, *_rgb(part.colour), *(v for at, code in HOT for v in (at, *_rgb(code)))]
+            mesh.color_map = [0.0, *_rgb(part.colour), *(v for at, code in bones.HOT for v in (at, *_rgb(code)))]
             mesh.color_range = [0.0, float(values.max())]
     return drawn
 

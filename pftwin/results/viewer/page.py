@@ -15,7 +15,7 @@ import numpy as np
 from pftwin.base.output import check_place
 from pftwin.base.text_files import write_text
 from pftwin.results.verdict import INVALID
-from pftwin.results.viewer.contact_colours import tells_pressure
+from pftwin.results.viewer.bones import tells_pressure
 from pftwin.results.viewer.recorded import Recorded
 
 if TYPE_CHECKING:

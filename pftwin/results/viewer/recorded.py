@@ -15,13 +15,12 @@ from numpy.typing import NDArray
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.results.verdict import Verdict, verdict_of_file
-from pftwin.results.viewer.shapes import Matrices, of_poses
+from pftwin.results.viewer.shapes import FEW, Matrices, of_poses
 
 if TYPE_CHECKING:
     from xarray import Dataset
 
 FACETS = ("medial", "lateral")
-FEW = 4  # an effect with at most this many lines is drawn with thick lines
 MOST_FRAMES = 241  # largest number of frames shown; the viewer interpolates between them
 Mesh = tuple[Floats, NDArray[np.int64]]  # vertices [m], triangles
 

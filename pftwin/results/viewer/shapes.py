@@ -3,18 +3,26 @@
 from __future__ import annotations
 
 import math
-from typing import Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pftwin.base.arrays import Floats
+
+if TYPE_CHECKING:
+    from pftwin.results.viewer.recorded import Lines
+
 MM = 1e3  # per metre
+Moving = tuple[NDArray[np.float32], NDArray[np.uint32]]  # vertices (n, v, 3) [mm] at n frames, triangles (m, 3)
 Matrices = NDArray[np.float32]  # (n, 4, 4), row by row, lengths in mm
 ROUND = 48  # sides of a round shape
 MOST_TRIANGLES = 30_000  # of a drawn mesh, which keeps a page far below 8 MB
 CAP = np.radians(58.0)  # half opening angle of a button's dome
+FEW = 4  # an effect with at most this many lines is drawn with thick lines
+CLOSE = 12.0  # largest distance between neighbouring lines of a ribbon [mm]
+THICKNESS = 2.0  # of a ribbon [mm]
 SHELL = 5.0  # drawn thickness of a femoral component of which only the surface is known [mm]
-_TO = {"x": np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]]), "z": np.eye(3)}  # rotations of z to an axis
 
 
 def of_poses(position: ArrayLike, quaternion: ArrayLike) -> Matrices:
@@ -96,24 +104,18 @@ def ellipsoid(center: ArrayLike, half: ArrayLike) -> Shape:
     return as_shape(ball)
 
 
-def solid_of_revolution(
-    profile: ArrayLike, center: ArrayLike, axis: Literal["x", "z"] = "z", flatten: float = 1.0
-) -> Shape:
-    """Returns the solid of revolution of a closed profile about an axis through a point.
+def solid_of_revolution(profile: ArrayLike, center: ArrayLike) -> Shape:
+    """Returns the solid of revolution of a closed profile about the axis along z through a point (3,) [mm].
 
-    Args:
-        profile: radius and height (k, 2) [mm], from the lower end of the axis to the upper.
-        center: point of zero height on the axis (3,) [mm].
-        axis: axis of revolution.
-        flatten: scale factor of the solid in the anterior-posterior direction, z.
+    The profile is radius and height above that point (k, 2) [mm], from the lower end of the axis to the upper.
     """
     from trimesh.creation import revolve
 
     body = revolve(np.asarray(profile, dtype=np.float64), sections=ROUND)
     if body.volume < 0:
         body.invert()
-    points = np.asarray(body.vertices) @ _TO[axis].T * [1.0, 1.0, flatten]
-    return Shape((points + np.asarray(center)).astype(np.float32), np.asarray(body.faces, dtype=np.uint32))
+    body.apply_translation(np.asarray(center, dtype=np.float64))
+    return as_shape(body)
 
 
 def button_cap(center: ArrayLike, radius: float) -> Shape:
@@ -138,7 +140,7 @@ def arrow_shape() -> Shape:
     return solid_of_revolution([[0, 0], [shaft, 0], [shaft, 1 - head], [width, 1 - head], [0, 1]], np.zeros(3))
 
 
-def tubes(lines: NDArray[np.float64], radius: float, sides: int) -> tuple[NDArray[np.float32], NDArray[np.uint32]]:
+def tubes(lines: NDArray[np.float64], radius: float, sides: int) -> Moving:
     """Returns tubes along lines that move.
 
     Args:
@@ -209,3 +211,42 @@ def ring_triangles(a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.int
     """Returns triangles (k, sides, 2, 3) that join rings of vertices (k, sides)."""
     c, d = np.roll(b, -1, axis=1), np.roll(a, -1, axis=1)
     return np.stack([np.stack([a, b, c], axis=2), np.stack([a, c, d], axis=2)], axis=2)
+
+
+def line_shape(lines: Lines) -> Moving:
+    """Returns the shape of one effect's lines at the shown frames, in the femur frame."""
+    paths = MM * lines.paths
+    order = _side_by_side(paths[0])
+    if order is not None:
+        return ribbon(paths[:, order], THICKNESS)
+    return tubes(paths, MM * lines.radius, 10 if len(lines.insertion) <= FEW else 5)
+
+
+def ribbon(lines: Floats, thickness: float) -> Moving:
+    """Returns a sheet through lines that move.
+
+    Args:
+        lines: k lines through m points at n frames, in order across the ribbon (n, k, m, 3) [mm].
+        thickness: thickness of the sheet [mm].
+    """
+    n, k, m, _ = lines.shape
+    across = np.asarray(np.gradient(lines.mean(axis=2), axis=1))
+    half = 0.5 * thickness * units(np.cross(directions(lines), across[:, :, None]))
+    rings = np.concatenate([lines + half, (lines - half)[:, :, ::-1]], axis=2)  # (n, k, 2 m, 3)
+    at = np.arange(k * 2 * m).reshape(k, 2 * m)
+    a = np.arange(m - 1)
+    b, c, d = a + 1, 2 * m - 2 - a, 2 * m - 1 - a
+    edge = np.stack([a, b, c, a, c, d], axis=1).reshape(-1, 3)
+    faces = np.concatenate([ring_triangles(at[1:], at[:-1]).reshape(-1, 3), at[0, ::-1][edge], at[-1][edge]])
+    return rings.reshape(n, -1, 3).astype(np.float32), faces.astype(np.uint32)
+
+
+def _side_by_side(lines: Floats) -> NDArray[np.int64] | None:
+    """Order across the ribbon (k,) of lines (k, m, 3) [mm] with neighbouring ends close together; otherwise None."""
+    if len(lines) < 3:
+        return None
+    ends = lines[:, [0, -1]]
+    middle = ends.sum(axis=1) - ends.sum(axis=1).mean(axis=0)
+    order = np.argsort(middle @ np.linalg.svd(middle)[2][0])
+    gaps = np.linalg.norm(np.diff(ends[order], axis=0), axis=-1)
+    return order if gaps.max() < CLOSE else None

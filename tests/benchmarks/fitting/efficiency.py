@@ -149,7 +149,12 @@ def rows_of(motion: str, found: dict[str, Found], seeds: int) -> list[Row]:
         add(f"{name}, one spring force measured as well, rms error", 100 * forced.errors[i], "%", PERCENT, note)
     for what, one in (("positions", likely), ("with one force", forced)):
         each = ", ".join(f"{n} {100 * c:.0f} %" for n, c in zip(SPRING_PARAMETERS, one.coverage, strict=True))
-        add(f"95 % intervals that contain the true value, least of four, {what}", 100 * one.coverage.min(), "%", note=each)
+        add(
+            f"95 % intervals that contain the true value, least of four, {what}",
+            100 * one.coverage.min(),
+            "%",
+            note=each,
+        )
     for i, name in enumerate(SPRING_PARAMETERS):
         note = f"bound {_percent(paper.relative_bound[i])}"
         add(f"{name}, paper's objective, rms error", 100 * paper.errors[i], "%", note=note)

@@ -12,7 +12,7 @@ from small_scene import small_result
 from pftwin.results.scene_geometry import geometry
 from pftwin.results.viewer import view
 from pftwin.results.viewer.assembly import plot
-from pftwin.results.viewer.contact_colours import depths_on_femur
+from pftwin.results.viewer.bones import depths_on_femur
 from pftwin.results.viewer.recorded import Recorded
 
 pytest.importorskip("k3d", reason="the viewer needs the extra `viewer`")

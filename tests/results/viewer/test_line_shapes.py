@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pftwin.results.viewer.line_shapes import line_shape, ribbon
-from pftwin.results.viewer.shapes import tubes
+from pftwin.results.viewer.shapes import line_shape, ribbon, tubes
 
 
 class Strands:

@@ -13,9 +13,8 @@ import numpy as np
 
 from fitting.calibration.laboratory import Laboratory
 from fitting.calibration.operations import OUTCOMES, Operated, Operation
-from fitting.calibration.plants import PLANTS, Knee, Maker, Plant
+from fitting.calibration.plants import PLANTS, Knee, Maker, Plant, Seen, check_truth, run, truth_of
 from fitting.calibration.result import Answers, Calibration, Plans
-from fitting.calibration.runs import Seen, check_truth, run, truth_of
 from fitting.channel_checks import limits_of
 from fitting.estimate import Estimate
 from fitting.inference.infer import DRAWS

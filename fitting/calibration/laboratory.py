@@ -21,7 +21,7 @@ from pftwin.model.motion import KneeMotion, SegmentMotion
 from pftwin.model.scene import Scene
 
 if TYPE_CHECKING:
-    from fitting.calibration.runs import Seen
+    from fitting.calibration.plants import Seen
 
 
 _CORNERS = np.array([[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]]) / np.sqrt(3)

@@ -11,7 +11,7 @@ from small_scene import small_scene
 
 import pftwin
 from fitting.calibration.laboratory import Laboratory
-from fitting.calibration.runs import Seen
+from fitting.calibration.plants import Seen
 from pftwin.base.errors import InputError
 
 SPRINGS = {"femoral": "quadriceps", "tibial": "patellar_tendon"}

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from small_scene import small_scene
 
-from fitting.calibration.plants import Knee, misplaced, reshaped, sliding, stiffening, twin
-from fitting.calibration.runs import Seen, check_truth, truth_of
+from fitting.calibration.plants import Knee, Seen, check_truth, misplaced, reshaped, sliding, stiffening, truth_of, twin
 from fitting.nuisance import Nuisance
 from fitting.parameters import with_nuisance
 from pftwin.base.errors import InputError

@@ -14,9 +14,8 @@ import fitting
 from fitting.calibration import quick_fit
 from fitting.calibration.calibrate import calibrate, plant_in_trials, with_differences
 from fitting.calibration.laboratory import Laboratory
-from fitting.calibration.plants import PLANTS, Knee, Plant
+from fitting.calibration.plants import PLANTS, Knee, Plant, Seen, truth_of
 from fitting.calibration.quick_fit import QuickFit
-from fitting.calibration.runs import Seen, truth_of
 from fitting.nuisance import Nuisance
 from fitting.set_up import SetUp
 from fitting.trials import free_in_trials

@@ -13,8 +13,7 @@ from small_scene import small_scene, vec
 import fitting
 import pftwin
 from fitting.calibration.laboratory import Laboratory
-from fitting.calibration.plants import Knee, Plant
-from fitting.calibration.runs import Seen
+from fitting.calibration.plants import Knee, Plant, Seen
 from fitting.fit import likelihood_of
 from pftwin.base.errors import InputError
 from pftwin.base.leaves import number

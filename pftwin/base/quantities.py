@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_type_hints
 
 import jax
 import numpy as np
@@ -147,3 +147,9 @@ def shown(value: float, unit: str, digits: int) -> str:
 def about(unit: str, long_name: str) -> dict[str, str]:
     """CF attributes of a dataset's variable: its unit ("1" if dimensionless) and long name."""
     return {"units": unit, "long_name": long_name}
+
+
+def annotated(kind: type) -> dict[str, tuple[Any, ...]]:
+    """What fields of a class are annotated with, by name: `force: Annotated[float, "N", "contact force"]`."""
+    hints = get_type_hints(kind, include_extras=True)
+    return {name: hint.__metadata__ for name, hint in hints.items() if hasattr(hint, "__metadata__")}

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pftwin.base.errors import InputError
-from pftwin.base.quantities import as_read
+from pftwin.base.quantities import annotated, as_read
 from pftwin.model.effects.base import Reported
 from pftwin.model.measured import Measured
 from pftwin.results.skin_markers import QUALITATIVE, SkinMarker
@@ -31,52 +31,25 @@ class ValidationRow(NamedTuple):
     paper: float | None  # value in the paper's table
 
 
-_ROWS = (
-    ("contact_force", "contact force RMSE", "N"),
-    ("tibial_spring", "tibial spring RMSE", "N"),
-    ("femoral_spring", "femoral spring RMSE", "N"),
-    ("internal_rotation", "internal rotation RMSE", "deg"),
-    ("flexion", "flexion RMSE", "deg"),
-    ("tilt", "tilt RMSE", "deg"),
-    ("x", "X RMSE", "mm"),
-    ("y", "Y RMSE", "mm"),
-    ("z", "Z RMSE", "mm"),
-    ("mean_distance", "mean distance", "mm"),
-    ("initial_configuration", "initial configuration", "s"),
-    ("real_time_factor", "faster than real time", "x"),
-)
-
-
-_PAPER = {
-    "CM": (4.90, 1.52, 1.96, 3.72, 2.47, 11.38, 2.36, 2.16, 2.20, 2.98, 2.37, 0.19),
-    "FM": (3.44, 1.39, 2.01, 0.65, 1.49, 4.85, 2.02, 2.10, 2.10, 2.78, 33.29, 0.07),
-    "P2": (4.06, 3.45, 2.27, 0.45, 1.82, 4.46, 4.53, 3.67, 5.81, 7.25, 0.51, 6.00),
-    "P4": (3.38, 1.30, 1.96, 0.74, 1.66, 6.60, 2.71, 1.88, 2.70, 2.99, 0.63, 4.97),
-    "P5": (3.33, 0.89, 2.15, 0.59, 1.38, 4.45, 1.44, 1.36, 1.70, 2.30, 0.72, 4.55),
-}
-# Michaud et al. 2024, Table 1: means over the four cases, by contact model and field of `Validation`.
-PAPER_TABLE_1 = {model: dict(zip((key for key, _, _ in _ROWS), row, strict=True)) for model, row in _PAPER.items()}
-
-
 @dataclass(frozen=True)
 class Validation:
-    """Root mean square errors of forces [N], angles [deg] and positions [mm], mean distance [mm] and timing.
+    """Root mean square errors of forces, angles and positions, mean distance and timing, with label and unit of each.
 
     None: not measured. Errors are NaN if the simulation has frames that are not finite.
     """
 
-    contact_force: float | None
-    tibial_spring: float | None
-    femoral_spring: float | None
-    internal_rotation: float | None
-    flexion: float | None
-    tilt: float | None
-    x: float | None
-    y: float | None
-    z: float | None
-    mean_distance: float | None  # mean distance between the simulated and the measured sphere centre
-    initial_configuration: float | None  # time to find the starting equilibrium [s]
-    real_time_factor: float | None  # times faster than real time, without the starting equilibrium
+    contact_force: Annotated[float | None, "contact force RMSE", "N"]
+    tibial_spring: Annotated[float | None, "tibial spring RMSE", "N"]
+    femoral_spring: Annotated[float | None, "femoral spring RMSE", "N"]
+    internal_rotation: Annotated[float | None, "internal rotation RMSE", "deg"]
+    flexion: Annotated[float | None, "flexion RMSE", "deg"]
+    tilt: Annotated[float | None, "tilt RMSE", "deg"]
+    x: Annotated[float | None, "X RMSE", "mm"]
+    y: Annotated[float | None, "Y RMSE", "mm"]
+    z: Annotated[float | None, "Z RMSE", "mm"]
+    mean_distance: Annotated[float | None, "mean distance", "mm"]  # of the simulated from the measured sphere centre
+    initial_configuration: Annotated[float | None, "initial configuration", "s"]  # search for the starting equilibrium
+    real_time_factor: Annotated[float | None, "faster than real time", "x"]  # without the starting equilibrium
     frames: int
     frames_compared: int  # frames with a measured position
     scene: str = ""
@@ -103,8 +76,20 @@ class Validation:
             known = f"one of: {', '.join(PAPER_TABLE_1)}"
             raise InputError(f"no column {paper!r} in the paper's Table 1", expected=known)
         column = PAPER_TABLE_1[paper] if paper else {}
-        rows = [ValidationRow(key, label, unit, getattr(self, key), column.get(key)) for key, label, unit in _ROWS]
+        rows = [ValidationRow(k, label, unit, getattr(self, k), column.get(k)) for k, (label, unit) in _ROWS.items()]
         return [*rows, *self.readings]
+
+
+_ROWS = annotated(Validation)  # label and unit of each row
+_PAPER = {
+    "CM": (4.90, 1.52, 1.96, 3.72, 2.47, 11.38, 2.36, 2.16, 2.20, 2.98, 2.37, 0.19),
+    "FM": (3.44, 1.39, 2.01, 0.65, 1.49, 4.85, 2.02, 2.10, 2.10, 2.78, 33.29, 0.07),
+    "P2": (4.06, 3.45, 2.27, 0.45, 1.82, 4.46, 4.53, 3.67, 5.81, 7.25, 0.51, 6.00),
+    "P4": (3.38, 1.30, 1.96, 0.74, 1.66, 6.60, 2.71, 1.88, 2.70, 2.99, 0.63, 4.97),
+    "P5": (3.33, 0.89, 2.15, 0.59, 1.38, 4.45, 1.44, 1.36, 1.70, 2.30, 0.72, 4.55),
+}
+# Michaud et al. 2024, Table 1: means over the four cases, by contact model and field of `Validation`.
+PAPER_TABLE_1 = {model: dict(zip(_ROWS, row, strict=True)) for model, row in _PAPER.items()}
 
 
 def validate(
@@ -190,7 +175,7 @@ def mean_of(validations: Sequence[Validation]) -> Validation:
     """Averages validations over cases; a row that a case lacks is None, readings are omitted. InputError if empty."""
     if not validations:
         raise InputError("no validations to take the mean of", where="validations", expected="at least one")
-    columns = {key: [getattr(v, key) for v in validations] for key, _, _ in _ROWS}
+    columns = {key: [getattr(v, key) for v in validations] for key in _ROWS}
     means: dict[str, Any] = {k: None if None in values else float(np.mean(values)) for k, values in columns.items()}
     return Validation(
         **means,

@@ -5,12 +5,14 @@ from __future__ import annotations
 import csv
 import os
 from collections.abc import Iterable, Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, get_type_hints
 
 import numpy as np
 
 from pftwin.base.errors import InputError
+from pftwin.base.quantities import annotated
 from pftwin.base.sheet import Sheet
 from pftwin.base.text_files import read_lines, write_text
 from pftwin.files.result_files import save_dataset
@@ -39,9 +41,8 @@ class Advice(NamedTuple):
 
 def columns(rows: Sequence[AccuracyRow]) -> list[Column]:
     """Returns all fields of the rows except `status_frames` as columns, with units in the names."""
-    hints = get_type_hints(AccuracyRow, include_extras=True)
-    names = [name for name in hints if name != "status_frames"]
-    return [Column(n, [getattr(r, n) for r in rows], *getattr(hints[n], "__metadata__", ())) for n in names]
+    about, names = annotated(AccuracyRow), [f.name for f in fields(AccuracyRow) if f.name != "status_frames"]
+    return [Column(n, [getattr(r, n) for r in rows], *about.get(n, ())) for n in names]
 
 
 def read_csv(path: str | os.PathLike[str]) -> list[AccuracyRow]:

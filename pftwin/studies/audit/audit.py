@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from typing import Annotated, Any
 
 import jax
 
@@ -30,8 +30,9 @@ class Worth:
     kind: Kind
     sentence: str  # description of the change
     changes: Changes | None  # None if the runs cannot be compared
-    cost: float | None  # run time of the effect as a share of the scene's run; None if the variant ran in a batch
-    spread: float | None  # of that share: half the interquartile range of the rounds
+    # Run time of the effect as a share of the scene's run; None if the variant ran in a batch. Columns as in `Changes`.
+    cost: Annotated[float | None, "time_percent", "percent", 100, "time that it takes, of the scene's run"]
+    spread: Annotated[float | None, "time_spread_percent", "percent", 100, "half of the rounds' middle half"]
     outcome: str  # how the outcome differs from the scene's own; empty if it does not
     verdict: str  # whether the effect matters, in a few words
 

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pftwin.base.quantities import annotated
 from pftwin.base.sheet import Sheet
 from pftwin.model.measured import SYNTHETIC
 from pftwin.results.plots import style
 from pftwin.studies.audit.audit import Audit, Worth
 from pftwin.studies.audit.explain import Explanation, PartCost
+from pftwin.studies.audit.runs import Changes
 from pftwin.studies.tables import Column, short_number, to_dataset
 
 if TYPE_CHECKING:
@@ -123,27 +125,13 @@ def _time(cost: float | None, spread: float | None) -> str:
 
 def columns(found: Audit) -> list[Column]:
     """Returns all numeric columns, in mm, deg, N and percent."""
+    return [*_columns(Changes, [row.changes for row in found.rows]), *_columns(Worth, found.rows)]
 
-    changes = [row.changes for row in found.rows]
 
-    def of(key: str, unit: str, long_name: str, field: str, factor: float = 1, rows: Sequence[Any] = changes) -> Column:
-        values = (None if row is None else getattr(row, field) for row in rows)
-        return Column(key, [np.nan if v is None else factor * v for v in values], unit, long_name)
-
-    degrees = float(np.degrees(1.0))
-    return [
-        of("path_rms_mm", "mm", "distance of the tracked point from its own path, rms", "center_rms", 1e3),
-        of("path_max_mm", "mm", "distance of the tracked point from its own path, largest", "center_max", 1e3),
-        of("flexion_rms_deg", "deg", "change of patellar flexion, rms", "flexion", degrees),
-        of("rotation_rms_deg", "deg", "change of patellar rotation, rms", "rotation", degrees),
-        of("tilt_rms_deg", "deg", "change of patellar tilt, rms", "tilt", degrees),
-        of("contact_rms_N", "N", "change of the contact force, rms", "contact_rms"),
-        of("contact_max_N", "N", "change of the contact force, largest", "contact_max"),
-        of("tension_rms_N", "N", "change of the tension that changes most, rms", "tension_rms"),
-        of("tension_max_N", "N", "change of that tension, largest", "tension_max"),
-        of("time_percent", "percent", "time that it takes, of the scene's run", "cost", 100, found.rows),
-        of("time_spread_percent", "percent", "half of the rounds' middle half", "spread", 100, found.rows),
-    ]
+def _columns(kind: type, rows: Sequence[Any]) -> Iterator[Column]:
+    for name, (key, unit, factor, long_name) in annotated(kind).items():
+        values = (None if row is None else getattr(row, name) for row in rows)
+        yield Column(key, [np.nan if v is None else factor * v for v in values], unit, long_name)
 
 
 def table(found: Audit) -> list[Column]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Annotated, Any
 
 import jax
 import numpy as np
@@ -82,22 +82,26 @@ def _result(scene: Scene, start: Solution, seen: Observation, relaxed: bool, int
     return Result.build(scene, start, seen, None, relaxed=relaxed, settings=settings, timing={})
 
 
+_DEGREES = float(np.degrees(1.0))
 LOST = 0.1  # largest plausible distance from the scene's own path [m]
 
 
 @dataclass(frozen=True)
 class Changes:
-    """Differences between a variant's run and the scene's own run, over the frames."""
+    """Differences between a variant's run and the scene's own run, over the frames (SI units).
 
-    center_rms: float  # distance of the tracked point [m]
-    center_max: float  # [m]
-    flexion: float  # rms [rad]
-    rotation: float  # rms [rad]
-    tilt: float  # rms [rad]
-    contact_rms: float | None  # of the button's contact force [N]; None if either run has none
-    contact_max: float | None  # [N]
-    tension_rms: float | None  # of the tension, reported by both, that changes most [N]
-    tension_max: float | None  # [N]
+    Each has its column's name, unit, factor and long name. None: a force that either run lacks.
+    """
+
+    center_rms: Annotated[float, "path_rms_mm", "mm", 1e3, "distance of the tracked point from its own path, rms"]
+    center_max: Annotated[float, "path_max_mm", "mm", 1e3, "distance of the tracked point from its own path, largest"]
+    flexion: Annotated[float, "flexion_rms_deg", "deg", _DEGREES, "change of patellar flexion, rms"]
+    rotation: Annotated[float, "rotation_rms_deg", "deg", _DEGREES, "change of patellar rotation, rms"]
+    tilt: Annotated[float, "tilt_rms_deg", "deg", _DEGREES, "change of patellar tilt, rms"]
+    contact_rms: Annotated[float | None, "contact_rms_N", "N", 1, "change of the contact force, rms"]
+    contact_max: Annotated[float | None, "contact_max_N", "N", 1, "change of the contact force, largest"]
+    tension_rms: Annotated[float | None, "tension_rms_N", "N", 1, "change of the tension that changes most, rms"]
+    tension_max: Annotated[float | None, "tension_max_N", "N", 1, "change of that tension, largest"]
     tension_of: str | None  # the effect with that tension
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pftwin.base.quantities import about
+from pftwin.base.quantities import about, annotated
 from pftwin.geometry.mesh.mesh import SurfaceMesh
 from pftwin.results.plots.style import COLOURS, WIDE, house_style, legend_above
 from pftwin.results.plots.style import title as name_figure
@@ -149,25 +149,15 @@ def dataset(found: ContactMap, button: SurfaceMesh, settings: dict[str, Any]) ->
     """Returns the map and the button's mesh as a dataset in SI units, with vectors along the femur's axes."""
     from xarray import Dataset
 
-    frame, vector, map_ = ("time",), ("time", "axis"), ("time", "triangle")
     flags = {"flag_masks": np.array([1, 2], dtype=np.int32), "flag_meanings": "no_contact too_deep"}
     variables = {
-        "force": (vector, found.force, about("N", "contact force on the patella")),
-        "moment": (vector, found.moment, about("N m", "its moment about the origin of the patella's frame")),
-        "area": (frame, found.area, about("m^2", "contact area")),
-        "mean_pressure": (frame, found.mean_pressure, about("Pa", "mean pressure over the contact area")),
-        "max_pressure": (frame, found.max_pressure, about("Pa", "maximum pressure")),
-        "center_of_pressure": (vector, found.center_of_pressure, about("m", "centre of pressure, femur frame")),
-        "center_on_patella": (vector, found.center_on_patella, about("m", "centre of pressure, patella frame")),
-        "largest_depth": (frame, found.largest_depth, about("m", "depth of the deepest triangle")),
-        "depth": (map_, found.depth, about("m", "depth below the femur's surface; missing: farther off")),
-        "pressure": (map_, found.pressure, about("Pa", "pressure on the triangle")),
-        "status": (frame, status(found), {**about("1", "reservations; 0: none"), **flags}),
+        **{name: (over, getattr(found, name), about(*words)) for name, (over, *words) in annotated(ContactMap).items()},
+        "status": (("time",), status(found), {**about("1", "reservations; 0: none"), **flags}),
         "vertex": (("vertex_number", "axis"), button.vertices, about("m", "button's vertices, patella frame")),
         "face": (("triangle", "corner"), button.faces, about("1", "vertices of the button's triangles")),
     }
     coordinates = {
-        "time": (frame, found.times, about("s", "time")),
+        "time": (("time",), found.times, about("s", "time")),
         "axis": (("axis",), ["x", "y", "z"], about("1", "axes of the frame in question, as in the mesh's file")),
     }
     return Dataset(variables, coordinates, {"title": "contact at given poses", **settings})

@@ -10,6 +10,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from typing import Annotated
 
 import jax
 import jax.numpy as jnp
@@ -30,24 +31,25 @@ from pftwin.studies.runs import run_each
 
 BAND = 1e-3  # largest distance outside the femur at which depths are computed [m]
 
+_FRAME, _VECTOR, _MAP = ("time",), ("time", "axis"), ("time", "triangle")  # dimensions of arrays
 Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, eq=False)
 class ContactMap:
-    """Contact at n frames; vectors have components along the femur's axes."""
+    """Contact at n frames, with dimensions, unit and long name of each array; vectors are along the femur's axes."""
 
     times: Floats  # (n,) [s]
-    force: Floats  # (n, 3) on the patella [N]
-    moment: Floats  # (n, 3) about the origin of the patella's frame [N m]
-    area: Floats  # (n,) contact area [m^2]
-    mean_pressure: Floats  # (n,) over that area [Pa]
-    max_pressure: Floats  # (n,) [Pa]
-    center_of_pressure: Floats  # (n, 3) in the femur frame [m]; NaN without contact
-    center_on_patella: Floats  # (n, 3) the same point in the patella frame [m]
-    largest_depth: Floats  # (n,) largest depth of a triangle's centroid [m]
-    depth: NDArray[np.float32]  # (n, triangles) of the button's triangles [m]; NaN farther outside than the band
-    pressure: NDArray[np.float32]  # (n, triangles) on the button's triangles [Pa]
+    force: Annotated[Floats, _VECTOR, "N", "contact force on the patella"]
+    moment: Annotated[Floats, _VECTOR, "N m", "its moment about the origin of the patella's frame"]
+    area: Annotated[Floats, _FRAME, "m^2", "contact area"]
+    mean_pressure: Annotated[Floats, _FRAME, "Pa", "mean pressure over the contact area"]
+    max_pressure: Annotated[Floats, _FRAME, "Pa", "maximum pressure"]
+    center_of_pressure: Annotated[Floats, _VECTOR, "m", "centre of pressure, femur frame"]  # NaN without contact
+    center_on_patella: Annotated[Floats, _VECTOR, "m", "centre of pressure, patella frame"]
+    largest_depth: Annotated[Floats, _FRAME, "m", "depth of the deepest triangle"]
+    depth: Annotated[NDArray[np.float32], _MAP, "m", "depth below the femur's surface; missing: farther off"]
+    pressure: Annotated[NDArray[np.float32], _MAP, "Pa", "pressure on the triangle"]
 
     @property
     def touching(self) -> NDArray[np.bool_]:

@@ -20,7 +20,7 @@ from pftwin.base.spatial import Pose
 from pftwin.dynamics.batch.batched import Chunk, Sharding, good_sizes
 from pftwin.dynamics.batch.devices import Devices, chosen_devices, feeding_threads
 from pftwin.dynamics.batch.member import frames_with_flags, run_with_error, scene_is_valid
-from pftwin.dynamics.batch.retry import SMALLER
+from pftwin.dynamics.batch.plan import SMALLER
 from pftwin.dynamics.equilibrium import Solution
 from pftwin.dynamics.equilibrium_report import Start, start_offset
 from pftwin.dynamics.frame_states import starting_equilibrium

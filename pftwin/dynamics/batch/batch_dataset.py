@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pftwin.base.quantities import about
-from pftwin.dynamics.batch.retry import WAYS, Found
+from pftwin.dynamics.batch.plan import WAYS, Found
 from pftwin.dynamics.batch.variants import Group
 from pftwin.dynamics.status import FLAGS, Status
 

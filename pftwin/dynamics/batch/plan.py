@@ -1,7 +1,8 @@
-"""A validated batch, ready to be computed as a whole or in units, and the key that identifies it.
+"""A validated batch, its computation as a whole or in units, and the key that identifies it.
 
-User-defined outcomes are checked before any simulation, so that an hour of computing does not end in an error. Two
-processes or runs whose batches have the same key compute the same numbers. The key depends on the code through the
+Variants whose run is unreliable are recomputed with other methods; the other variants do not change.
+
+Two processes or runs whose batches have the same key compute the same numbers. The key depends on the code through the
 program that JAX traces for one variant. That covers the user's change, outcome and effects, which may come from outside
 pftwin, but no file names.
 """
@@ -10,11 +11,10 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Hashable, Sequence
+from collections.abc import Callable, Hashable
 from functools import lru_cache
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -24,12 +24,20 @@ from pftwin.base.errors import InputError
 from pftwin.base.leaves import Fixed, split_arguments
 from pftwin.base.program_cache import settings, versions
 from pftwin.base.serialization import fingerprint
-from pftwin.dynamics.batch.batch_dataset import COORDINATES, OWN_NAMES
-from pftwin.dynamics.batch.batched import Sharding, is_array
-from pftwin.dynamics.batch.member import Task, member_equilibrium, member_motion
-from pftwin.dynamics.batch.retry import Found, all_members, with_care
+from pftwin.dynamics.batch.batched import Chunk, Sharding, is_array
+from pftwin.dynamics.batch.member import Task, member_equilibrium, member_motion, settled_after_relaxing
 from pftwin.dynamics.batch.variants import Group
-from pftwin.dynamics.status import Status
+from pftwin.dynamics.integrator import Integrator
+from pftwin.dynamics.integrators import LinearImplicit, Newmark
+from pftwin.dynamics.status import FLAGS, Status
+
+# Flags of an unreliable run. A patella that leaves its patch or its groove is physics, not an error.
+BAD = (Status.STEP_TOO_LONG, Status.NOT_FINITE, Status.ENERGY_FROM_NOWHERE, Status.START_NOT_IN_EQUILIBRIUM)
+BAD_BY_DEFAULT = (*BAD, Status.INACCURATE)  # if the user gave neither step nor tolerance
+WAYS = ("no", "relaxed_start", "smaller_step", "other_integrator", "in_vain")  # `recomputed` is an index into these
+SMALLER = 4  # factor on the number of steps
+_OTHERS: tuple[Integrator, ...] = (Newmark(), LinearImplicit())
+Found = dict[str, Any]
 
 
 class BatchPlan(NamedTuple):
@@ -58,34 +66,9 @@ class BatchPlan(NamedTuple):
 
 def some_of(group: Group, which: NDArray[np.int64]) -> Group:
     """The group with only the variants of the indices `which`."""
-    rows = jax.tree.map(lambda a: np.asarray(a)[which], group.rows)
-    return group._replace(rows=rows, places=group.places[which], names=[group.names[i] for i in which])
-
-
-def check_outcomes(tasks: Sequence[Task], rows: Sequence[Any]) -> None:
-    """Checks, by tracing, that user-defined outcomes can become variables of the dataset.
-
-    Raises:
-        InputError: an outcome is not a dictionary of numbers or arrays, names or shapes differ between groups, or a
-            name is one of the batch's own.
-    """
-    if not tasks or tasks[0].outcome is None:
-        return
-    found = [_shapes(task, jax.tree.map(lambda a: a[0], some)) for task, some in zip(tasks, rows, strict=True)]
-    if any(other != found[0] for other in found):
-        raise InputError("found other outcomes in other scenes", where="outcome", expected="the same names and shapes")
-    if taken := sorted(OWN_NAMES.union(COORDINATES) & set(found[0])):
-        raise InputError(f"found {taken[0]!r}", where="outcome", expected="names that the batch does not have itself")
-
-
-def _shapes(task: Task, row: Any) -> dict[str, tuple[int, ...]]:
-    def own(task: Task, row: Any) -> Any:
-        return member_motion(task, row, member_equilibrium(task, row))["own"]
-
-    made = eqx.filter_eval_shape(own, task, row)
-    if stray := [n for n, a in made.items() if not (isinstance(n, str) and isinstance(a, jax.ShapeDtypeStruct))]:
-        raise InputError(f"found {stray[0]!r}", where="outcome", expected="names with numbers or arrays")
-    return {name: a.shape for name, a in made.items()}
+    return group._replace(
+        rows=_selected_rows(group.rows, which), places=group.places[which], names=[group.names[i] for i in which]
+    )
 
 
 def batch_features(plan: BatchPlan, unit: int) -> dict[str, str]:
@@ -135,3 +118,86 @@ def _text(
     traced = jax.jit(of).trace(list(kinds))
     text = hashlib.sha256(traced.lower().as_text().encode()).hexdigest()
     return text, jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), traced.out_info)
+
+
+def all_members(
+    spread: Sharding, task: Task, rows: Any, relaxed: bool = False, threads: int = 1, progress: Any = None
+) -> Found:
+    """Computes equilibria and motions of all rows; returns a pytree of arrays (n, ...) on the host.
+
+    With `relaxed`, damped relaxation precedes the search for equilibrium; `threads`, `progress`: see `Sharding.over`.
+    """
+    shared = spread.shared(task)
+
+    def work(chunk: Chunk) -> Found:
+        own = spread.placed(rows, chunk)
+        start = spread.run(settled_after_relaxing if relaxed else member_equilibrium, shared, chunk, (own,))
+        return spread.taken(spread.run(member_motion, shared, chunk, (own, start)), chunk)
+
+    return spread.over(work, len(jax.tree.leaves(rows)[0]), threads, progress)
+
+
+def with_care(
+    spread: Sharding, task: Task, rows: Any, found: Found, bad_ones: tuple[Status, ...] = BAD
+) -> NDArray[np.int8]:
+    """Recomputes variants with bad flags, in place: from a relaxed start, with smaller steps, or another integrator.
+
+    Returns:
+        The method used, (n,), an index into `WAYS`. A variant for which no method helps keeps its first result.
+    """
+    done = np.zeros(len(found["sensible"]), dtype=np.int8)
+    relaxed = np.zeros(done.size, dtype=bool)
+    lost = _flagged(found, (Status.START_NOT_IN_EQUILIBRIUM,)) & found["sensible"]
+    if lost.any():
+        better = all_members(spread, task, _selected_rows(rows, lost), relaxed=True)
+        relaxed = _taken_over(found, better, lost, ~_flagged(better, (Status.START_NOT_IN_EQUILIBRIUM,)))
+        done[lost] = WAYS.index("in_vain")
+        done[relaxed] = WAYS.index("relaxed_start")
+    careful = task._replace(substeps=jnp.asarray(np.asarray(task.substeps) * SMALLER))
+    ways = [(WAYS.index("smaller_step"), careful)]
+    if other := _fallback_integrator(task):
+        ways.append((WAYS.index("other_integrator"), careful._replace(integrator=other)))
+    for way, with_more in ways:
+        bad = _flagged(found, bad_ones) & found["sensible"] & (done != WAYS.index("in_vain"))
+        for group, from_relaxed in ((bad & ~relaxed, False), (bad & relaxed, True)):
+            if group.any():
+                better = all_members(spread, with_more, _selected_rows(rows, group), relaxed=from_relaxed)
+                done[_taken_over(found, better, group, ~_flagged(better, bad_ones))] = way
+    still = _flagged(found, bad_ones) & found["sensible"]
+    done[still] = WAYS.index("in_vain")
+    return done
+
+
+def _fallback_integrator(task: Task) -> Integrator | None:
+    """Another kind of integrator that supports the task's effects; None if there is none."""
+    if not task.integrator.inertia:
+        return None
+    for other in _OTHERS:
+        if other.name != task.integrator.name:
+            try:
+                other.refuse_unfit(task.scene.effects)
+            except InputError:  # it does not support an effect of this scene
+                continue
+            return other
+    return None
+
+
+def _flagged(found: Found, flags: tuple[Status, ...]) -> NDArray[np.bool_]:
+    return (found["status_frames"][:, [FLAGS.index(f) for f in flags]] > 0).any(axis=1)
+
+
+def _selected_rows(rows: Any, which: NDArray[Any]) -> Any:
+    return jax.tree.map(lambda a: np.asarray(a)[which], rows)
+
+
+def _taken_over(found: Found, better: Found, which: NDArray[np.bool_], good: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Copies those recomputed variants that are good into `found`; returns which these are, (n,)."""
+    places = np.flatnonzero(which)[good]
+
+    def put(old: NDArray[Any], new: NDArray[Any]) -> None:
+        old[places] = new[good]
+
+    jax.tree.map(put, found, better)
+    taken = np.zeros(which.size, dtype=bool)
+    taken[places] = True
+    return taken

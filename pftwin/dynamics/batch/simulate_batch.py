@@ -7,15 +7,16 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 
 from pftwin.base.errors import InputError
+from pftwin.dynamics.batch.batch_dataset import COORDINATES, OWN_NAMES
 from pftwin.dynamics.batch.batched import Sharding, piece_for
 from pftwin.dynamics.batch.devices import Devices, chosen_devices, feeding_threads
-from pftwin.dynamics.batch.member import Outcome, Task
-from pftwin.dynamics.batch.plan import BatchPlan, check_outcomes
-from pftwin.dynamics.batch.retry import BAD, BAD_BY_DEFAULT
+from pftwin.dynamics.batch.member import Outcome, Task, member_equilibrium, member_motion
+from pftwin.dynamics.batch.plan import BAD, BAD_BY_DEFAULT, BatchPlan
 from pftwin.dynamics.batch.variants import Group, Variants, groups_of
 from pftwin.dynamics.frame_states import substeps_for
 from pftwin.dynamics.integrator import Integrator
@@ -108,7 +109,7 @@ def simulate_batch(
         Task(g.scene, g.change, jnp.asarray(n), chosen, bool(energy_budget), courses, outcome, bool(estimate))
         for g, n in zip(groups, substeps, strict=True)
     ]
-    check_outcomes(tasks, [g.rows for g in groups])
+    _check_outcomes(tasks, [g.rows for g in groups])
     dt_s = max(float(g.scene.motion.frame_interval) / n for g, n in zip(groups, substeps, strict=True))
     settings = {"integrator": chosen.text, "dt_s": dt_s, **({} if tolerance is None else {"tolerance": str(tolerance)})}
     values = scenes.values if isinstance(scenes, Variants) else None
@@ -179,3 +180,29 @@ def _with_courses(groups: list[Group], wanted: bool | None) -> bool:
         )
     few = sum(n * len(g.places) for n, g in zip(frames, groups, strict=True)) <= _MOST_FRAMES
     return alike and few if wanted is None else bool(wanted)
+
+
+def _check_outcomes(tasks: Sequence[Task], rows: Sequence[Any]) -> None:
+    """Checks, by tracing before anything is simulated, that user-defined outcomes can become variables of the dataset.
+
+    Raises:
+        InputError: an outcome is not a dictionary of numbers or arrays, names or shapes differ between groups, or a
+            name is one of the batch's own.
+    """
+    if not tasks or tasks[0].outcome is None:
+        return
+    found = [_shapes(task, jax.tree.map(lambda a: a[0], some)) for task, some in zip(tasks, rows, strict=True)]
+    if any(other != found[0] for other in found):
+        raise InputError("found other outcomes in other scenes", where="outcome", expected="the same names and shapes")
+    if taken := sorted(OWN_NAMES.union(COORDINATES) & set(found[0])):
+        raise InputError(f"found {taken[0]!r}", where="outcome", expected="names that the batch does not have itself")
+
+
+def _shapes(task: Task, row: Any) -> dict[str, tuple[int, ...]]:
+    def own(task: Task, row: Any) -> Any:
+        return member_motion(task, row, member_equilibrium(task, row))["own"]
+
+    made = eqx.filter_eval_shape(own, task, row)
+    if stray := [n for n, a in made.items() if not (isinstance(n, str) and isinstance(a, jax.ShapeDtypeStruct))]:
+        raise InputError(f"found {stray[0]!r}", where="outcome", expected="names with numbers or arrays")
+    return {name: a.shape for name, a in made.items()}

@@ -16,7 +16,7 @@ from small_scene import small_scene
 import pftwin
 from pftwin import Variants, simulate_batch
 from pftwin.base.errors import InputError
-from pftwin.dynamics.batch import retry as again
+from pftwin.dynamics.batch import plan as again
 from pftwin.dynamics.batch.batched import FEW, PIECE, Sharding, piece_for
 from pftwin.dynamics.integrators import SymplecticEuler
 

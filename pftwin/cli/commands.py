@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pftwin.cli import audit, doctor, exchange, meshes, simulate, studies, view
+from pftwin.cli import doctor, exchange, look, meshes, simulate, studies
 from pftwin.cli.contact_map import contact_map
 from pftwin.cli.doctor_mesh import doctor_mesh
 from pftwin.cli.plugins import Command, Job
@@ -17,9 +17,9 @@ COMMANDS = (
     Command("validate", simulate.validate, "Simulate, and compare with measurements", "Simulate", 30),
     Command("contact-map", contact_map, "Compute contact pressures at recorded poses", "Simulate", 40),
     Command("fit-surface", meshes.fit_surface, "Fit trochlear patches to an implant's mesh", "Fit", 30),
-    Command("view", view.view, "Show results in 3D: a page or a film", "Look", 10),
-    Command("explain", audit.explain, "Show the cost of each effect of a scene", "Look", 30),
-    Command("audit", audit.audit, "Test the influence of each effect", "Look", 40),
+    Command("view", look.view, "Show results in 3D: a page or a film", "Look", 10),
+    Command("explain", look.explain, "Show the cost of each effect of a scene", "Look", 30),
+    Command("audit", look.audit, "Test the influence of each effect", "Look", 40),
     Command("doctor-mesh", doctor_mesh, "Find defects of a mesh; repair where safe", "Check", 10),
     Command("accuracy", studies.accuracy, "Measure errors and run times of settings", "Check", 20),
     Command("hard-cases", studies.hard_cases, "Run scenes that are hard to simulate", "Check", 30),

@@ -17,7 +17,8 @@ from pftwin.files.mocap.filters import butterworth_lowpass
 from pftwin.files.mocap.frames import cluster_poses
 from pftwin.files.mocap.poses import PoseSeries
 from pftwin.model.measured import Measured
-from pftwin.model.motion import KneeMotion, SegmentMotion
+from pftwin.model.motion import KneeMotion
+from pftwin.model.motion_on_host import poses
 from pftwin.model.scene import Scene
 
 if TYPE_CHECKING:
@@ -89,7 +90,7 @@ class Laboratory:
         """
         motion, constant = scene.motion, constant or random.spawn(1)[0]
         times = np.asarray(motion.frame_times())
-        femur, tibia = (_poses(part, times) for part in (motion.femur, motion.tibia))
+        femur, tibia = (poses(part, times) for part in (motion.femur, motion.tibia))
         patella = PoseSeries(times, seen.position, seen.quaternion)
         world = PoseSeries.from_matrices(
             times,
@@ -125,13 +126,13 @@ class Laboratory:
             return KneeMotion.from_poses(None, tibia.relative_to(femur)), measured
         return KneeMotion.from_poses(femur, tibia), measured
 
-    def _poses_of_markers(self, poses: PoseSeries, random: np.random.Generator) -> PoseSeries:
+    def _poses_of_markers(self, true: PoseSeries, random: np.random.Generator) -> PoseSeries:
         places = self.cluster * _CORNERS
-        markers = poses.positions[:, None] + np.einsum("nij,mj->nmi", poses.matrices(), places)
+        markers = true.positions[:, None] + np.einsum("nij,mj->nmi", true.matrices(), places)
         markers = markers + random.normal(0.0, self.marker_noise, markers.shape)
         if self.cutoff is not None:
-            markers = butterworth_lowpass(markers, poses.rate, self.cutoff)
-        return cluster_poses(markers, places, poses.times)
+            markers = butterworth_lowpass(markers, true.rate, self.cutoff)
+        return cluster_poses(markers, places, true.times)
 
     def _read(self, seen: Seen, name: str, random: np.random.Generator) -> Floats:
         owner, _, key = name.rpartition(".")
@@ -139,11 +140,3 @@ class Laboratory:
         if value is None:
             raise InputError(f"{name} is no single number a frame", where="laboratory", expected="another reading")
         return value + random.normal(0.0, self.readings[name], value.shape)
-
-
-def _poses(part: SegmentMotion | None, times: Floats) -> PoseSeries:
-    """Poses of a segment with prescribed motion at the frames; None is fixed in the world."""
-    if part is None:
-        return PoseSeries(times, np.zeros((len(times), 3)), np.tile([1.0, 0.0, 0.0, 0.0], (len(times), 1)))
-    frames = part.frames(times)
-    return PoseSeries.from_matrices(times, np.asarray(frames.origin.array()), np.asarray(frames.rotation.array()))

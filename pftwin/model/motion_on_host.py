@@ -7,6 +7,7 @@ import numpy as np
 from pftwin.base.arrays import Floats
 from pftwin.base.leaves import host_array
 from pftwin.base.spatial import Quaternion
+from pftwin.files.mocap.poses import PoseSeries
 from pftwin.model.motion import KneeMotion, SegmentMotion
 
 
@@ -42,6 +43,14 @@ def first_pose(motion: KneeMotion, body: str) -> tuple[Floats, Floats] | None:
     times = motion.times[:1]
     axes = host_array(_orientation(segment, times).rotation())[0]
     return _spline(segment, segment.position_coefficients, times)[0], axes
+
+
+def poses(segment: SegmentMotion | None, times: Floats) -> PoseSeries:
+    """Poses of a segment at times (n,) [s]; None is fixed in the world."""
+    if segment is None:
+        return PoseSeries(times, np.zeros((len(times), 3)), np.tile([1.0, 0.0, 0.0, 0.0], (len(times), 1)))
+    position = _spline(segment, segment.position_coefficients, times)
+    return PoseSeries(times, position, host_array(_orientation(segment, times)))
 
 
 def _orientation(motion: SegmentMotion, times: Floats) -> Quaternion:

@@ -125,20 +125,9 @@ def compare_runs(scene: Scene, result: Result, own: Result) -> Changes:
         if "tension" in report and "tension" in result.effects.get(name, {})
     }
     most = max(tensions, key=lambda name: rms(tensions[name]), default=None)
-    contact_rms, contact_max = _size(apart.contact)
-    tension_rms, tension_max = _size(None if most is None else tensions[most])
-    return Changes(
-        center_rms=rms(apart.center),
-        center_max=float(apart.center.max()),
-        flexion=rms(apart.flexion),
-        rotation=rms(apart.rotation),
-        tilt=rms(apart.tilt),
-        contact_rms=contact_rms,
-        contact_max=contact_max,
-        tension_rms=tension_rms,
-        tension_max=tension_max,
-        tension_of=most,
-    )
+    turned = (rms(a) for a in (apart.flexion, apart.rotation, apart.tilt))
+    forces = (*_size(apart.contact), *_size(None if most is None else tensions[most]))
+    return Changes(rms(apart.center), float(apart.center.max()), *turned, *forces, tension_of=most)
 
 
 def _size(change: Floats | None) -> tuple[float, float] | tuple[None, None]:

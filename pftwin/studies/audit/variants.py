@@ -9,11 +9,9 @@ from typing import Any, Literal, get_args
 
 import equinox as eqx
 import jax
-import numpy as np
-from jaxtyping import Array
 
 from pftwin.base.errors import InputError
-from pftwin.base.leaves import number
+from pftwin.base.leaves import host_array, number
 from pftwin.base.spatial import Pose, Quaternion, Vec3
 from pftwin.dynamics.integrator import Integrator
 from pftwin.dynamics.integrators import LinearImplicit, QuasiStatic
@@ -22,7 +20,8 @@ from pftwin.model.effects.base import Change, Effect, Instant, Load
 from pftwin.model.effects.friction import Friction
 from pftwin.model.effects.gravity import Gravity
 from pftwin.model.effects.line_elements import TOE
-from pftwin.model.motion import KneeMotion, SegmentMotion
+from pftwin.model.motion import KneeMotion
+from pftwin.model.motion_on_host import tibia_orientation, tibia_position
 from pftwin.model.scene import Scene
 
 Memories = tuple[Any, ...]
@@ -104,7 +103,7 @@ def without_femur_inertia(scene: Scene) -> Variant | NotApplicable:
     if grounded := [name for name, effect in seen.items() if effect is None]:
         return NotApplicable(NAME, "left out", f"fixed to the ground, which would move then: {', '.join(grounded)}")
     motion, first = scene.motion, femur.frames(scene.motion.start_time)
-    tibia = _series(motion.tibia, motion.times).relative_to(_series(femur, motion.times))
+    tibia = PoseSeries(motion.times, tibia_position(motion), host_array(tibia_orientation(motion)))
     turn = Quaternion.from_rotation(first.rotation).conjugate()
     fixed = dataclasses.replace(
         scene,
@@ -113,18 +112,6 @@ def without_femur_inertia(scene: Scene) -> Variant | NotApplicable:
         start=Pose(turn.rotate(scene.start.position - first.origin), turn * scene.start.orientation),
     )
     return Variant(NAME, "left out", "the femur's frame taken for an inertial one, weight turning in it", fixed)
-
-
-def _series(segment: SegmentMotion, times: np.ndarray) -> PoseSeries:
-    """Poses at the recorded times, which the splines interpolate."""
-    origins, matrices = jax.device_get(_origins_and_matrices(segment, times))
-    return PoseSeries.from_matrices(times, origins, matrices)
-
-
-@eqx.filter_jit
-def _origins_and_matrices(segment: SegmentMotion, times: np.ndarray) -> tuple[Array, Array]:
-    frames = segment.frames(times)
-    return frames.origin.array(), frames.rotation.array()
 
 
 def ablations(scene: Scene) -> list[Variant | NotApplicable]:

@@ -9,16 +9,16 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 
 from pftwin.base.errors import InputError
 from pftwin.base.sheet import Sheet
 from pftwin.base.text_files import read_json
 from pftwin.results.result import Result
-from pftwin.studies.hard_cases.batch import batches, built_scene, member, starts_of, steps_of
+from pftwin.studies.hard_cases.batch import built_scene, member, steps_of
 from pftwin.studies.hard_cases.case import HardCase, method_named
+from pftwin.studies.hard_cases.errors import BatchRuns
 from pftwin.studies.hard_cases.knee import RATE
-from pftwin.studies.hard_cases.programs import PARAMETERS, compiled, run
+from pftwin.studies.hard_cases.matrix import EVERYTHING, Prepared
 from pftwin.studies.hard_cases.verdict import Cell
 
 OUTCOMES = ("pass", "fail", "refused")
@@ -186,25 +186,21 @@ def results(
 
     Unlike `pftwin.simulate`, it can release a patella that is not in equilibrium if the case requires it.
     """
-    method, found = method_named(integrator), {}
+    method, prepared, found = method_named(integrator), Prepared(cases, contact, EVERYTHING), {}
     with jax.enable_x64(True):
-        stacks, refused = batches(cases, contact)
-        for batch in stacks:
-            starts = starts_of(batch, "float64").chosen
-            substeps = [steps_of(c, method) for c in batch.cases]
-            forward = compiled(run, True, integrator=method.integrator)
-            nothing = jnp.zeros((len(substeps), len(PARAMETERS)))
-            ran = jax.device_get(forward(batch.scenes, starts, jnp.asarray(substeps), nothing))
+        for batch, starts in prepared.stacks("float64"):
+            runs = BatchRuns(batch, starts.chosen, method.integrator, True)
             for k, case in enumerate(batch.cases):
-                one = member(ran, k)
+                n = steps_of(case, method)
+                one = runs.tried(k, n).run
                 found[case.name] = Result.build(
                     built_scene(case, contact),
-                    member(starts, k),
+                    member(starts.chosen, k),
                     one.seen,
                     one.ledger,
                     relaxed=False,
-                    settings={"integrator": integrator, "dt_s": 1 / RATE / substeps[k], "substeps": substeps[k]},
+                    settings={"integrator": integrator, "dt_s": 1 / RATE / n, "substeps": n},
                     timing={},
                 )
-    found.update(refused)
+        found |= prepared.batches("float64")[1]
     return {c.name: found[c.name] for c in cases if c.name in found}

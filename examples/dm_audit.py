@@ -16,6 +16,7 @@ from dm_knee import build
 
 import pftwin
 from pftwin.base.errors import PftwinError
+from pftwin.base.sheet import to_csv
 from pftwin.base.text_files import write_text
 from pftwin.cli.terminal import show
 from pftwin.files.result_files import save_dataset
@@ -23,7 +24,6 @@ from pftwin.results.plots import save_figure
 from pftwin.studies.audit.audit import audit
 from pftwin.studies.audit.explain import explain
 from pftwin.studies.audit.report import audit_figure, audit_sheet, dataset, explanation_sheet, table
-from pftwin.studies.tables import to_csv
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -43,12 +43,12 @@ from matplotlib.figure import Figure
 
 import pftwin
 from pftwin.base.runtime import default_cache_dir, describe
+from pftwin.base.sheet import short_number
 from pftwin.results.metrics import PAPER_TABLE_1
 from pftwin.results.plots import COLOURS, STYLE
 from pftwin.studies.accuracy.measure import measure_all
 from pftwin.studies.accuracy.programs import MeasuredProgram
 from pftwin.studies.accuracy.table import advice, described, front, read_csv, recommended, work_precision
-from pftwin.studies.tables import short_number
 
 pftwin.configure(cache_dir=default_cache_dir())  # double precision and fast code, kept for the next time
 scene, measured = pftwin.rig.case(1, contact="P5"), pftwin.rig.measured(1)

@@ -149,6 +149,13 @@ def about(unit: str, long_name: str) -> dict[str, str]:
     return {"units": unit, "long_name": long_name}
 
 
+def plain_attribute(value: Any) -> int | float | str:
+    """Converts a value to a type that NetCDF can store: int, float or str."""
+    if isinstance(value, bool):
+        return int(value)
+    return value if isinstance(value, int | float | str) else str(value)
+
+
 def annotated(kind: type) -> dict[str, tuple[Any, ...]]:
     """What fields of a class are annotated with, by name: `force: Annotated[float, "N", "contact force"]`."""
     hints = get_type_hints(kind, include_extras=True)

@@ -1,12 +1,17 @@
-"""A text table that renders to the terminal, to Markdown pages and to reports."""
+"""Tables: text for the terminal, Markdown pages and reports, and columns with units for CSV and NetCDF files."""
 
 from __future__ import annotations
 
+import csv
+import io
+import math
 import textwrap
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
     from rich.table import Table
+    from xarray import Dataset
 
 
 class Sheet(NamedTuple):
@@ -27,7 +32,7 @@ class Sheet(NamedTuple):
         the key columns or, if several of them leave no room, with the row's number instead.
         """
         texts = zip(self.headings, *self.rows, strict=True)
-        columns = [_Column.of(heading, cells, self._left(i)) for i, (heading, *cells) in enumerate(texts)]
+        columns = [_Width.of(heading, cells, self._left(i)) for i, (heading, *cells) in enumerate(texts)]
         if self.keys > 1 and any(_least([*columns[: self.keys], c]) > width for c in columns[self.keys :]):
             return self._numbered().tables(width)
         return [
@@ -44,7 +49,7 @@ class Sheet(NamedTuple):
     def _left(self, column: int) -> bool:
         return self.words is None or column in self.words
 
-    def _table(self, part: list[int], columns: list[_Column], width: int, title: str) -> Table:
+    def _table(self, part: list[int], columns: list[_Width], width: int, title: str) -> Table:
         from rich import box
         from rich.markup import escape
         from rich.table import Table
@@ -76,7 +81,7 @@ class Sheet(NamedTuple):
         return "\n".join([f"**{self.title}**", "", self.grid(), "", *(f"- {note}" for note in self.notes)]) + "\n"
 
 
-class _Column(NamedTuple):
+class _Width(NamedTuple):
     """Width requirements of a column."""
 
     heading: str
@@ -84,11 +89,11 @@ class _Column(NamedTuple):
     whole: int  # width without additional line breaks
 
     @staticmethod
-    def of(heading: str, cells: list[str], words: bool) -> _Column:
+    def of(heading: str, cells: list[str], words: bool) -> _Width:
         texts = [line for text in (heading, *cells) for line in text.splitlines()]
         unbroken = [word for text in (heading, *(cells if words else ())) for word in text.split()]
         unbroken += [] if words else [line for cell in cells for line in cell.splitlines()]
-        return _Column(heading, *(max(map(_letters, listed), default=1) for listed in (unbroken, texts)))
+        return _Width(heading, *(max(map(_letters, listed), default=1) for listed in (unbroken, texts)))
 
 
 def _letters(text: str) -> int:
@@ -102,12 +107,12 @@ def _beside(columns: int) -> int:
     return 2 * columns + 1
 
 
-def _least(columns: list[_Column]) -> int:
+def _least(columns: list[_Width]) -> int:
     """Minimum width of a table with these columns."""
     return sum(c.least for c in columns) + _beside(len(columns))
 
 
-def _parts(columns: list[_Column], keys: int, width: int) -> list[list[int]]:
+def _parts(columns: list[_Width], keys: int, width: int) -> list[list[int]]:
     """Column indices of tables that fit a width, each with the keys; a column too wide for it gets its own table."""
     first = list(range(keys))
     parts = [first]
@@ -120,7 +125,7 @@ def _parts(columns: list[_Column], keys: int, width: int) -> list[list[int]]:
     return parts
 
 
-def _widths(columns: list[_Column], room: int) -> list[int]:
+def _widths(columns: list[_Width], room: int) -> list[int]:
     """Column widths: the minimum, plus the remaining room for the columns that would be wrapped the most."""
     widths = [c.least for c in columns]
     while sum(widths) > room and max(widths) > 1:
@@ -128,3 +133,47 @@ def _widths(columns: list[_Column], room: int) -> list[int]:
     while sum(widths) < room and (most := max(c.whole / w for c, w in zip(columns, widths, strict=True))) > 1:
         widths[next(i for i, c in enumerate(columns) if c.whole / widths[i] == most)] += 1
     return widths
+
+
+class Column(NamedTuple):
+    """One column of a table: numbers or text."""
+
+    key: str  # name in files, including the unit
+    values: Sequence[Any]  # numbers (NaN: missing) or text
+    unit: str = ""  # empty for text
+    long_name: str = ""
+
+
+def to_csv(columns: Sequence[Column]) -> str:
+    """Returns CSV text with units in the column names; NaN becomes an empty cell."""
+    text = io.StringIO()
+    sheet = csv.writer(text, lineterminator="\n")
+    sheet.writerow([c.key for c in columns])
+    sheet.writerows([_cell(v) for v in row] for row in zip(*(c.values for c in columns), strict=True))
+    return text.getvalue()
+
+
+def _cell(value: Any) -> str:
+    if not isinstance(value, float):
+        return str(value)
+    return "" if math.isnan(value) else f"{value:.6g}"
+
+
+def to_dataset(columns: Sequence[Column], dimension: str, attributes: dict[str, Any], names: str = "") -> Dataset:
+    """Returns a dataset of columns along a dimension; `names` is the key of the column to use as its coordinate."""
+    import numpy as np
+    from xarray import Dataset
+
+    from pftwin.base.quantities import about, plain_attribute
+
+    described = {c.key: about(c.unit, c.long_name) if c.unit else {} for c in columns}
+    data = {c.key: (dimension, np.array(c.values), described[c.key]) for c in columns if c.key != names}
+    coordinates = {dimension: list(c.values) for c in columns if c.key == names}  # noqa: B035
+    return Dataset(data, coords=coordinates, attrs={k: plain_attribute(v) for k, v in attributes.items()})
+
+
+def short_number(value: float) -> str:
+    """Formats a number with two digits, or as an integer from about a hundred; a dash if it is not finite."""
+    if not math.isfinite(value):
+        return "-"
+    return f"{value:,.0f}" if abs(value) >= 99.5 else f"{value:.2g}"

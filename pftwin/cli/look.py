@@ -146,11 +146,11 @@ def audit(
 
 def _write(found: Audit, folder: Path) -> list[Path]:
     """Writes tables and figure and returns their paths; after an interrupt only the tables, to end quickly."""
+    from pftwin.base.sheet import to_csv
     from pftwin.base.text_files import write_text
     from pftwin.files.result_files import save_dataset
     from pftwin.results.plots import save_figure
     from pftwin.studies.audit.report import audit_figure, dataset, table
-    from pftwin.studies.tables import to_csv
 
     csv, netcdf, *figures = files = [folder / f"audit.{kind}" for kind in ("csv", "nc", "png", "svg")]
     with report_written_on_interrupt(*files):

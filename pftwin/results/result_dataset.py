@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import jax
 import numpy as np
 
-from pftwin.base.quantities import about
+from pftwin.base.quantities import about, plain_attribute
 from pftwin.dynamics.status import FLAGS
 from pftwin.model.effects.base import Observable
 from pftwin.model.measured import SYNTHETIC
@@ -176,10 +176,3 @@ def _dimensions(result: Result, effect: str, values: np.ndarray) -> tuple[str, .
         last = i == len(rest) - 1
         names.append("axis" if last and size == len(_AXES) else f"{effect}_{i}_{size}")
     return tuple(names)
-
-
-def plain_attribute(value: Any) -> int | float | str:
-    """Converts a value to a type that NetCDF can store: int, float or str."""
-    if isinstance(value, bool):
-        return int(value)
-    return value if isinstance(value, int | float | str) else str(value)

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from small_scene import small_result
 
-from pftwin.base.sheet import Sheet
+from pftwin.base.sheet import Column, Sheet, short_number, to_dataset
 from pftwin.base.spatial import Quaternion
 from pftwin.studies.runs import difference, rms, run_each
-from pftwin.studies.tables import Column, short_number, to_dataset
 
 
 def stopping(at: int):

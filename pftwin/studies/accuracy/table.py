@@ -13,14 +13,13 @@ import numpy as np
 
 from pftwin.base.errors import InputError
 from pftwin.base.quantities import annotated
-from pftwin.base.sheet import Sheet
+from pftwin.base.sheet import Column, Sheet, short_number, to_csv, to_dataset
 from pftwin.base.text_files import read_lines, write_text
 from pftwin.files.result_files import save_dataset
 from pftwin.results.metrics import PAPER_TABLE_1, Validation
 from pftwin.results.plots import save_figure
 from pftwin.results.plots.style import COLOURS, MARKERS, TINY, WIDE, house_style, legend_below
 from pftwin.studies.accuracy.measure import AccuracyMeasured, AccuracyRow
-from pftwin.studies.tables import Column, short_number, to_csv, to_dataset
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

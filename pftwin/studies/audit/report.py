@@ -9,13 +9,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pftwin.base.quantities import annotated
-from pftwin.base.sheet import Sheet
+from pftwin.base.sheet import Column, Sheet, short_number, to_dataset
 from pftwin.model.measured import SYNTHETIC
 from pftwin.results.plots import style
 from pftwin.studies.audit.audit import Audit, Worth
 from pftwin.studies.audit.explain import Explanation, PartCost
 from pftwin.studies.audit.runs import Changes
-from pftwin.studies.tables import Column, short_number, to_dataset
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -13,6 +13,7 @@ from typer.testing import CliRunner
 
 from pftwin import rig
 from pftwin.base.errors import InputError
+from pftwin.base.sheet import to_csv
 from pftwin.cli.program import app
 from pftwin.dynamics.status import FLAGS
 from pftwin.files.result_files import load_dataset
@@ -20,7 +21,6 @@ from pftwin.results.metrics import validate
 from pftwin.studies.accuracy.measure import AccuracyMeasured, AccuracyRow, compiling_anew, converged, rows
 from pftwin.studies.accuracy.programs import COMMON, FLOATS, MESHES, SMOOTH, MeasuredProgram, chosen, full_table
 from pftwin.studies.accuracy.table import advice, columns, front, read_csv, recommended, report, write
-from pftwin.studies.tables import to_csv
 
 
 def row(error: float, speed: float, **more) -> AccuracyRow:

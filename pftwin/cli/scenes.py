@@ -30,22 +30,6 @@ CaseOption = Annotated[
     int | None, Option("--case", metavar="N", min=1, max=4, help="A case of the virtual rig instead of a scene file.")
 ]
 _TROCHLEAE = "normal|A|B|C|D"
-NaturalOption = Annotated[
-    str | None,
-    Option(
-        "--knee",
-        metavar=_TROCHLEAE,
-        help="The natural knee instead of a scene file: normal, or with a trochlea of Dejour type A to D.",
-    ),
-]
-ActivityOption = Annotated[
-    str | None,
-    Option(
-        "--activity",
-        metavar="NAME",
-        help="Activity of the natural knee: squat (the default), or extension, seated against a weight at the ankle.",
-    ),
-]
 # Whether scene files may use files outside their folders (--allow-outside); the program sets it before each command.
 allow_outside: ContextVar[bool] = ContextVar("allow_outside", default=False)
 # Plausibility limits set by name (--allow); the program sets them too.
@@ -65,15 +49,6 @@ ContactOption = Annotated[
         metavar="NAME",
         autocompletion=_complete_contact,
         help="P2, P4, P5 (default) or spline: a patch fitted to the mesh; with --case also meshes: CM, FM, volume.",
-    ),
-]
-IntegratorOption = Annotated[
-    str | None,
-    Option(
-        "--integrator",
-        metavar="NAME",
-        help="linear_implicit_bdf2 (default), linear_implicit, newmark, quasi_static, symplectic_euler, ali3p"
-        " or diffrax:SOLVER.",
     ),
 ]
 
@@ -186,8 +161,22 @@ class SceneOptions:
 
     scene: SceneArgument = None
     case: CaseOption = None
-    natural: NaturalOption = None
-    activity: ActivityOption = None
+    natural: Annotated[
+        str | None,
+        Option(
+            "--knee",
+            metavar=_TROCHLEAE,
+            help="The natural knee instead of a scene file: normal, or with a trochlea of Dejour type A to D.",
+        ),
+    ] = None
+    activity: Annotated[
+        str | None,
+        Option(
+            metavar="NAME",
+            help="Activity of the natural knee: squat (the default), or extension, seated against a weight at the"
+            " ankle.",
+        ),
+    ] = None
     contact: ContactOption = None
 
     def load(self) -> Chosen:
@@ -218,23 +207,18 @@ class RecordingOptions(SceneOptions):
         return chosen_scene(self.scene, self.case, self.contact, self.motion, self.rate, **made_up)
 
 
-TrialsArgument = Annotated[
-    list[Path] | None, Argument(metavar="[SCENE.toml]...", help="Scene file, or files of several trials of one knee.")
-]
-TrialCasesOption = Annotated[
-    list[int] | None,
-    Option(
-        "--case", metavar="N", min=1, max=4, help="A case of the virtual rig instead of scene files; may be repeated."
-    ),
-]
-
-
 @dataclass(frozen=True)
 class TrialsOptions:
     """Options that select one or several trials of one knee."""
 
-    scene: TrialsArgument = None
-    case: TrialCasesOption = None
+    scene: Annotated[
+        list[Path] | None,
+        Argument(metavar="[SCENE.toml]...", help="Scene file, or files of several trials of one knee."),
+    ] = None
+    case: Annotated[
+        list[int] | None,
+        Option(metavar="N", min=1, max=4, help="A case of the virtual rig instead of scene files; may be repeated."),
+    ] = None
     contact: ContactOption = None
 
     def load(self) -> list[Chosen]:
@@ -253,7 +237,14 @@ class TrialsOptions:
 class RunOptions(SceneOptions):
     """`SceneOptions` plus the options of a simulation."""
 
-    integrator: IntegratorOption = None
+    integrator: Annotated[
+        str | None,
+        Option(
+            metavar="NAME",
+            help="linear_implicit_bdf2 (default), linear_implicit, newmark, quasi_static, symplectic_euler, ali3p"
+            " or diffrax:SOLVER.",
+        ),
+    ] = None
     dt: StepOption = None
 
     @property

@@ -13,7 +13,7 @@ from pftwin.base.errors import InputError
 from pftwin.base.quantities import annotated, as_read
 from pftwin.model.effects.base import Reported
 from pftwin.model.measured import Measured
-from pftwin.results.skin_markers import QUALITATIVE, SkinMarker
+from pftwin.results.skin_markers import QUALITATIVE, Reading, SkinMarker
 
 if TYPE_CHECKING:
     from pftwin.results.result import Result
@@ -134,30 +134,14 @@ def validate(
         scene=result.scene_name,
         synthetic=measured.synthetic,
         readings=tuple(_reading_error(result, *of) for of in measured.readings.items() if of[0] not in skin),
-        skin_markers=tuple(_skin_marker(result, name, measured) for name in skin),
+        skin_markers=tuple(SkinMarker.of(n, reading(result, n), measured.readings[n], measured.source) for n in skin),
     )
-
-
-def _skin_marker(result: Result, name: str, measured: Measured) -> SkinMarker:
-    """Compares the measured and the simulated time course of a skin marker's coordinate."""
-    simulated = reading(result, name)
-    measures = simulated.scale * measured.readings[name]
-    return SkinMarker.of(name, simulated.words, simulated.unit, simulated.values, measures, measured.source)
 
 
 def _reading_error(result: Result, name: str, measured: NDArray[np.float64]) -> ValidationRow:
     simulated, present = reading(result, name), np.isfinite(measured)
     error = _rms(simulated.values - simulated.scale * measured, present) if present.any() else None
     return ValidationRow(name, f"{name} RMSE", simulated.unit, error, None)
-
-
-class Reading(NamedTuple):
-    """An observable of an effect over the frames, in a display unit."""
-
-    values: NDArray[np.float64]  # (n,) in the display unit
-    scale: float  # factor from the effect's unit to the display unit
-    unit: str  # display unit
-    words: str  # long name
 
 
 def reading(result: Result, name: str) -> Reading:

@@ -16,6 +16,15 @@ QUALITATIVE = (
 )
 
 
+class Reading(NamedTuple):
+    """An observable of an effect over the frames, in a display unit."""
+
+    values: NDArray[np.float64]  # (n,) in the display unit
+    scale: float  # factor from the effect's unit to the display unit
+    unit: str  # display unit
+    words: str  # long name
+
+
 class SkinMarker(NamedTuple):
     """Agreement of the measured and the simulated time course of one coordinate of a skin marker."""
 
@@ -29,15 +38,8 @@ class SkinMarker(NamedTuple):
     frames: int  # number of measured frames
 
     @staticmethod
-    def of(
-        key: str,
-        words: str,
-        unit: str,
-        simulated: NDArray[np.float64],
-        measured: NDArray[np.float64],
-        source: str,
-    ) -> SkinMarker:
-        """Compares two time courses (n,), both in `unit`; `measured` is NaN in frames without a measurement.
+    def of(key: str, simulated: Reading, measured: NDArray[np.float64], source: str) -> SkinMarker:
+        """Compares two time courses (n,); `measured` is in the effect's unit, NaN in frames without a measurement.
 
         Raises:
             InputError: fewer than three frames were measured.
@@ -46,8 +48,9 @@ class SkinMarker(NamedTuple):
         count = int(np.count_nonzero(present))
         if count < _FEWEST:
             raise InputError(f"{key} was measured in {count} frames", where=source, expected=f"{_FEWEST} or more")
-        ours, theirs = simulated[present], measured[present]
+        ours, theirs = simulated.values[present], simulated.scale * measured[present]
         changing = np.ptp(ours) > 0 and np.ptp(theirs) > 0
         alike = float(np.corrcoef(ours, theirs)[0, 1]) if changing else None
         ranges = float(np.ptp(theirs)), float(np.ptp(ours))
-        return SkinMarker(key, unit, words, alike, *ranges, float(np.std(ours - theirs)), count)
+        off = float(np.std(ours - theirs))
+        return SkinMarker(key, simulated.unit, simulated.words, alike, *ranges, off, count)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import reduce
+from operator import getitem
 from typing import TYPE_CHECKING, Any
 
 import jax
@@ -58,7 +60,8 @@ def dataset(groups: list[Group], parts: list[Found], values: Any, settings: dict
     names = np.array([name for g in groups for name in g.names])[order]
 
     def gathered(*path: str) -> NDArray[Any]:
-        return np.concatenate([_at(part, path) for part in parts])[order]
+        found: list[Any] = [reduce(getitem, path, part) for part in parts]
+        return np.concatenate(found)[order]
 
     frames = gathered("status_frames")
     status = ((frames > 0) @ np.array([int(f) for f in FLAGS])).astype(np.int32)
@@ -143,9 +146,3 @@ def _coordinates(
         out["axis"] = (("axis",), ["x", "y", "z"], axis)
         out["component"] = (("component",), list("wxyz"), about("1", "quaternion component"))
     return out
-
-
-def _at(part: Found, path: tuple[str, ...]) -> NDArray[Any]:
-    for name in path:
-        part = part[name]
-    return part  # pyright: ignore[reportReturnType]

@@ -1,8 +1,9 @@
-"""Batches of hard cases: stacking of scenes, starting states, and a check that runs are independent of their batch."""
+"""Batches of hard cases: stacked scenes, starting states, runs, and a check that these do not depend on their batch."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -13,9 +14,13 @@ import numpy as np
 
 from pftwin.base.errors import InputError
 from pftwin.base.spatial import Pose
-from pftwin.dynamics.equilibrium import Solution, converged_on_host
+from pftwin.dynamics.equilibrium import Solution, converged_on_host, place_unknown
+from pftwin.dynamics.error_estimate import Course
 from pftwin.dynamics.frame_states import relaxed_start, substeps_for
+from pftwin.dynamics.integrator import Integrator
 from pftwin.dynamics.relaxation import ended_far_away
+from pftwin.dynamics.status import Status
+from pftwin.dynamics.tolerance import Choice, Tried, accurate_enough, with_estimate
 from pftwin.dynamics.trajectory import DEFAULT_STEP
 from pftwin.model.scene import Scene, check
 from pftwin.studies.hard_cases import derivatives
@@ -24,6 +29,7 @@ from pftwin.studies.hard_cases.knee import RATE
 from pftwin.studies.hard_cases.programs import (
     OPTIONS,
     PARAMETERS,
+    CaseRun,
     Rest,
     compiled,
     equilibrium_with_derivatives,
@@ -179,3 +185,38 @@ def _failing_equilibria(batch: CaseBatch, found: Rest, scenes: Any, search: Any,
         if words is not None:
             said[batch.cases[k].name] = f"equilibrium: {words}"
     return said
+
+
+class BatchRuns:
+    """Runs of a batch's cases with any number of steps, by one compiled program; each run is cached."""
+
+    def __init__(self, batch: CaseBatch, starts: Any, integrator: Integrator, float64: bool) -> None:
+        """Prepares the program; makes no run yet."""
+        self._program = compiled(run, float64, integrator=integrator)
+        self._batch, self._starts = batch, starts
+        self._kept: dict[tuple[int, int], CaseRun] = {}
+
+    def with_parameters(self, substeps: Sequence[int], p: Any, only: Sequence[int]) -> CaseRun:
+        """Runs the cases `only` with parameters changed by p (4,); returns stacked runs."""
+        n = len(self._batch.cases)
+        steps, changes = np.asarray(substeps, int), np.tile(np.asarray(p), (n, 1))
+        return self._program(self._batch.scenes, self._starts, jnp.asarray(steps), jnp.asarray(changes), only=only)
+
+    def tried(self, k: int, n: int) -> Tried[CaseRun]:
+        """Returns the run of case k with n steps per frame."""
+        if (k, n) not in self._kept:
+            ran = self.with_parameters([n] * len(self._batch.cases), np.zeros(len(PARAMETERS)), [k])
+            self._kept[k, n] = member(ran, 0)
+        found = self._kept[k, n]
+        return Tried(found, Course.of(found.seen, "contact"), not (found.seen.status & int(Status.STEP_TOO_LONG)).any())
+
+    def chosen(self, substeps: Sequence[int], method: CaseIntegrator) -> list[Choice[CaseRun]]:
+        """Returns runs with these steps, or with those that `pftwin.simulate` chooses from there, with error flags."""
+        choose = accurate_enough if method.chooses_steps else with_estimate
+        found = []
+        for k, n in enumerate(substeps):
+            choice = choose(partial(self.tried, k), n, method.integrator.order)
+            error = choice.error.with_start(place_unknown(member(self._starts, k)))
+            flagged = eqx.tree_at(lambda r: r.seen.status, choice.run, choice.run.seen.status | error.flags)
+            found.append(replace(choice, run=flagged, error=error))
+        return found

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from pftwin.base.errors import InputError
 from pftwin.studies.hard_cases import derivatives
 from pftwin.studies.hard_cases.batch import (
+    BatchRuns,
     CaseBatch,
     Starts,
     batch_mates,
@@ -28,10 +29,9 @@ from pftwin.studies.hard_cases.batch import (
 from pftwin.studies.hard_cases.case import INTEGRATORS, CaseIntegrator, HardCase, limit_of
 from pftwin.studies.hard_cases.contacts import CONTACTS, PATCHES
 from pftwin.studies.hard_cases.derivatives import Reference
-from pftwin.studies.hard_cases.errors import BatchRuns, Truth, restitution_remarked, truths
 from pftwin.studies.hard_cases.knee import RATE
 from pftwin.studies.hard_cases.programs import CaseRun, compiled, depths, poses, slopes
-from pftwin.studies.hard_cases.verdict import Cell, Evidence, verdict
+from pftwin.studies.hard_cases.verdict import Cell, Evidence, Truth, restitution_remarked, truths, verdict
 
 DTYPES = ("float64", "float32")
 MOST_LOOKS = 200  # approximate number of frames of a run at which the depth is searched

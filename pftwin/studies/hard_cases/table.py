@@ -14,9 +14,8 @@ from pftwin.base.errors import InputError
 from pftwin.base.sheet import Sheet
 from pftwin.base.text_files import read_json
 from pftwin.results.result import Result
-from pftwin.studies.hard_cases.batch import built_scene, member, steps_of
+from pftwin.studies.hard_cases.batch import BatchRuns, built_scene, member, steps_of
 from pftwin.studies.hard_cases.case import HardCase, method_named
-from pftwin.studies.hard_cases.errors import BatchRuns
 from pftwin.studies.hard_cases.knee import RATE
 from pftwin.studies.hard_cases.matrix import EVERYTHING, Prepared
 from pftwin.studies.hard_cases.verdict import Cell

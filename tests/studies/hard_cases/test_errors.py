@@ -15,7 +15,7 @@ from pftwin.dynamics.error_estimate import Course, apart
 from pftwin.dynamics.status import Status
 from pftwin.studies.hard_cases import case_named, method_named
 from pftwin.studies.hard_cases.batch import built_scene
-from pftwin.studies.hard_cases.errors import Truth, silent_error
+from pftwin.studies.hard_cases.verdict import Truth, silent_error
 
 FRAMES = 40
 

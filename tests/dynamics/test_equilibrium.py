@@ -22,7 +22,7 @@ from pftwin.model.effects.base import Effect, Instant, Load
 from pftwin.model.effects.contact_law import Hertz
 from pftwin.model.effects.damping import LinearDamping
 from pftwin.studies.hard_cases.batch import built_scene
-from pftwin.studies.hard_cases.catalogue import case_named
+from pftwin.studies.hard_cases.case import case_named
 
 
 @eqx.filter_jit

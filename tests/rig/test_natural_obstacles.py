@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import jax
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
@@ -18,16 +19,23 @@ from pftwin.rig.natural.obstacles import beside_condyle, over_trochlea
 KNEES = {"normal": Anatomy(), **{kind: Anatomy.dejour(kind) for kind in "ABCD"}}
 
 
-def strings(body: FemurShape, start: np.ndarray, end: np.ndarray, parts: int, rounds: int) -> np.ndarray:
-    """Lengths (n,) of chains between points (n, 3) that contract outside a body [mm]."""
-    at = start[:, None] + np.linspace(0, 1, parts + 1)[:, None] * (end - start)[:, None]
-    for _ in range(rounds):
-        inner = 0.5 * (at[:, :-2] + at[:, 2:]).reshape(-1, 3)
-        value, slope = body(inner), gradient(body, inner)
-        out = (np.maximum(value, 0) / np.maximum((slope**2).sum(axis=1), 1e-9))[:, None] * -slope
-        size = np.linalg.norm(out, axis=1, keepdims=True)
-        inner = inner + out * np.minimum(1, 1 / np.maximum(size, 1e-9))
-        at[:, 1:-1] = inner.reshape(len(start), -1, 3)
+def strings(body: FemurShape, start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """Lengths (n,) of chains between points (n, 3) that contract outside a body [mm].
+
+    Of 8 parts, then of 16 and of 32: long bends even out while there are few parts. Four thousand rounds with all of
+    them change the lengths by 0.002 mm.
+    """
+    at = start[:, None] + np.linspace(0, 1, 9)[:, None] * (end - start)[:, None]
+    for parts in (8, 16, 32):
+        if at.shape[1] != parts + 1:
+            at = np.insert(at, np.arange(1, at.shape[1]), 0.5 * (at[:, 1:] + at[:, :-1]), axis=1)
+        for _ in range(60):
+            inner = 0.5 * (at[:, :-2] + at[:, 2:]).reshape(-1, 3)
+            value, slope = body(inner), gradient(body, inner)
+            out = (np.maximum(value, 0) / np.maximum((slope**2).sum(axis=1), 1e-9))[:, None] * -slope
+            size = np.linalg.norm(out, axis=1, keepdims=True)
+            inner = inner + out * np.minimum(1, 1 / np.maximum(size, 1e-9))
+            at[:, 1:-1] = inner.reshape(len(start), -1, 3)
     return np.linalg.norm(np.diff(at, axis=1), axis=2).sum(axis=1)
 
 
@@ -43,12 +51,17 @@ def depths(body: FemurShape, points: np.ndarray) -> np.ndarray:
     return np.array([0.0, *np.linalg.norm(at - inside, axis=1)])
 
 
+@jax.jit
+def depths_and_length(obstacle, start, end):
+    return obstacle.depth(start), obstacle.depth(end), obstacle.around(start, end).length
+
+
 def lengths(obstacle, start: np.ndarray, end: np.ndarray) -> np.ndarray:
     """Of taut lines around an obstacle [mm]; their ends are outside it."""
-    first, last = (vector(1e-3 * points) for points in (start, end))
-    assert np.all(np.asarray(obstacle.depth(first)) < 0)
-    assert np.all(np.asarray(obstacle.depth(last)) < 0)
-    return 1e3 * np.asarray(obstacle.around(first, last).length)
+    first, last, length = map(np.asarray, depths_and_length(obstacle, *(vector(1e-3 * p) for p in (start, end))))
+    assert np.all(first < 0)
+    assert np.all(last < 0)
+    return 1e3 * length
 
 
 @pytest.mark.parametrize("name", ["mpfl", "lpfl"])
@@ -60,7 +73,7 @@ def test_ligaments_are_as_long_as_strings_over_the_bone(anatomy, name):
     start = np.concatenate([place + turn.apply(ends.patella) for place, turn in poses])
     end = np.tile(ends.body, (len(poses), 1))
     length = lengths(beside_condyle(anatomy, placing.SIDES[name]), start, end)
-    np.testing.assert_allclose(length, strings(FemurShape(anatomy), start, end, 24, 1000), atol=0.6)
+    np.testing.assert_allclose(length, strings(FemurShape(anatomy), start, end), atol=0.6)
 
 
 @pytest.mark.parametrize("name", ["mpfl", "lpfl"])
@@ -92,7 +105,7 @@ def test_the_vasti_of_a_bent_knee_are_as_long_as_strings_over_the_trochlea(name)
     end = start * [0, 1, 0] + [40.0, 0.0, 27.0]
     length = lengths(over_trochlea(anatomy), start, end)
     assert np.all((length - np.linalg.norm(end - start, axis=1))[:2] > 0)  # medialis and lateralis wrap
-    np.testing.assert_allclose(length, strings(FemurShape(anatomy), start, end, 30, 1500), atol=0.05)
+    np.testing.assert_allclose(length, strings(FemurShape(anatomy), start, end), atol=0.05)
 
 
 @pytest.mark.slow
@@ -102,7 +115,7 @@ def test_ligaments_are_just_slack_on_their_way_over_the_bone_in_full_extension()
     place, turn = placing.rest_pose(normal, 0.0)
     for name in ("mpfl", "lpfl"):
         ends = placing.retinaculum(normal, name)
-        taut = strings(FemurShape(normal), place + turn.apply(ends.patella), ends.body, 24, 1000)
+        taut = strings(FemurShape(normal), place + turn.apply(ends.patella), ends.body)
         np.testing.assert_allclose(1e3 * np.asarray(scene.get(f"{name}.slack_length")), taut, atol=0.4)
     for name in ("mpfl", "lpfl", "quadriceps"):
         line = scene.effect(name).line_element()

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -26,10 +24,15 @@ def _around(obstacle, start, end):
     return obstacle.around(start, end)
 
 
+LINES = 6  # at most, so many that one program serves all tests
+
+
 def around(obstacle, start, end) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Length, direction at the start and at the end."""
-    line = _around(obstacle, vector(start), vector(end))
-    return np.asarray(line.length), np.asarray(line.at_start.array()), np.asarray(line.at_end.array())
+    """Length, direction at the start and at the end, of one line or of several."""
+    line = _around(obstacle, *(vector(np.resize(p, (LINES, 3))) for p in (start, end)))
+    own = slice(len(start)) if np.ndim(start) > 1 else 0
+    out, back = (np.stack([w.x, w.y, w.z], axis=-1)[own] for w in (line.at_start, line.at_end))
+    return np.asarray(line.length)[own], out, back
 
 
 def test_half_way_round_it_is_two_tangents_and_a_helix():
@@ -68,18 +71,23 @@ def test_a_line_behind_it_is_held_over_its_side_all_the_way_round():
     assert held == pytest.approx(sum(tangents) + R * (angle - sum(np.arctan2(t, R) for t in tangents)), rel=1e-13)
 
 
+@jax.jit
+def _slopes(start, end, obstacle):
+    def everything(start, end, obstacle):
+        line = obstacle.around(start, end)
+        return jnp.stack([line.length, *line.at_start.array(), *line.at_end.array()])
+
+    return jax.jacrev(everything, (0, 1, 2))(start, end, obstacle)
+
+
 @pytest.mark.parametrize("inside", [(0, 0, 0), (0.01, -0.02, 0.3), (R, 0, 0)])
 def test_from_inside_it_is_straight_with_finite_derivatives(inside):
     end = np.array([0.05, 0.02, 0.1])
     assert around(cylinder(), inside, end)[0] == pytest.approx(np.linalg.norm(end - inside))
 
-    def everything(start, end, obstacle):
-        line = obstacle.around(start, end)
-        return jnp.stack([line.length, *line.at_start.array(), *line.at_end.array()])
-
     for ends in ((inside, end), (end, inside), (inside, inside)):
         for side in (None, (0, 1, 0)):
-            slopes = jax.jit(jax.jacrev(everything, (0, 1, 2)))(*(vector(p) for p in ends), cylinder(side))
+            slopes = _slopes(*(vector(p) for p in ends), cylinder(side))
             assert all(np.isfinite(s).all() for s in jax.tree.leaves(slopes))
 
 
@@ -140,20 +148,23 @@ def test_many_lines_at_once_and_derivatives_by_the_radius():
     np.testing.assert_allclose(together, [e[0] for e in each], rtol=1e-14)
     np.testing.assert_allclose(out, [e[1] for e in each], atol=1e-14)
 
-    @partial(jax.jit, static_argnums=1)
-    def length(radius, k):
+    @jax.jit
+    @jax.value_and_grad
+    def length(radius, start, end):
         obstacle = Cylinder(vector((0, 0, 0)), "femur", radius, vector((0, 0, 1)))
-        return obstacle.around(vector(starts[k]), vector(ends[k])).length
+        return obstacle.around(start, end).length
 
-    for k in range(2):
-        by_difference = (length(number(R + 1e-6), k) - length(number(R - 1e-6), k)) / 2e-6
-        assert float(jax.grad(length)(number(R), k)) == pytest.approx(float(by_difference), rel=1e-6)
+    for line in zip(starts[:2], ends[:2], strict=True):
+        (above, _), (below, _), (_, slope) = (
+            length(number(R + change), *(vector(p) for p in line)) for change in (1e-6, -1e-6, 0.0)
+        )
+        assert float(slope) == pytest.approx((float(above) - float(below)) / 2e-6, rel=1e-6)
 
 
 def test_depth_is_the_radius_less_the_distance_from_the_axis():
     """Of points whose distances are known, by triangles with sides 3, 4 and 5 across an axis."""
-    c = cylinder(axis=(2, 0, 0), center=(0.01, -0.02, 0.04))
+    c, depth = cylinder(axis=(2, 0, 0), center=(0.01, -0.02, 0.04)), jax.jit(lambda c, p: c.depth(p))
     for along in (-0.5, 0.02):
         inside, outside = (vector((along, -0.02 + 3 * a, 0.04 - 4 * a)) for a in (0.005, 0.01))
-        assert float(c.depth(inside)) == pytest.approx(0.005, abs=1e-15)
-        assert float(c.depth(outside)) == pytest.approx(-0.02, abs=1e-15)
+        assert float(depth(c, inside)) == pytest.approx(0.005, abs=1e-15)
+        assert float(depth(c, outside)) == pytest.approx(-0.02, abs=1e-15)

@@ -11,7 +11,7 @@ from mesh_samples import corners_of, point, random_poses
 from pftwin.base.spatial import Pose, Quaternion, Vec3
 from pftwin.geometry.bvh.tree import build_tree
 from pftwin.geometry.bvh.triangle import Triangle, closest_on_triangle
-from pftwin.geometry.bvh.wide import nearest_wide, wide_tree
+from pftwin.geometry.bvh.wide import WideTree, nearest_wide, wide_tree
 from pftwin.geometry.contact import contour
 from pftwin.geometry.contact.patch_mesh import lateral_of_groove
 from pftwin.geometry.mesh.mesh import SurfaceMesh
@@ -32,6 +32,14 @@ def _foot(corners: jax.Array, p: jax.Array) -> jax.Array:
     return closest_on_triangle(Triangle.of_rows(corners.reshape(9)), point(p)).point.array()
 
 
+_feet = jax.jit(jax.vmap(_foot))
+
+
+@eqx.filter_jit
+def _nearest(wide: WideTree, triangles: jax.Array, places: jax.Array) -> jax.Array:
+    return jax.vmap(lambda p: nearest_wide(wide, triangles, point(p)).place)(places)
+
+
 def on_the_groove(n: int, depth: float, seed: int = 0, least: float = 0.2, mesh: SurfaceMesh | None = None) -> Pose:
     """Poses of a button, turned anyhow, inside the rig's implant by `least` to 1 times some depth [m]."""
     mesh, rng = implant_mesh() if mesh is None else mesh, np.random.default_rng(seed)
@@ -40,11 +48,11 @@ def on_the_groove(n: int, depth: float, seed: int = 0, least: float = 0.2, mesh:
     which = rng.choice(near, n)
     place = middles[which] + RADIUS * normals[which]
     wanted, corners = RADIUS - rng.uniform(least, 1, n) * depth, corners_of(mesh)
-    tree, foot = build_tree(mesh, leaf=1), jax.jit(jax.vmap(_foot))
+    tree = build_tree(mesh, leaf=1)
     wide = wide_tree(tree)
-    find = jax.jit(jax.vmap(lambda p: nearest_wide(wide, tree.triangles, point(p)).place))
     for _ in range(4):  # off the facet that is nearest, until that is as deep as wanted
-        on = np.asarray(foot(corners[tree.source_index()[find(place)]], place))
+        nearest = tree.source_index()[_nearest(wide, tree.triangles, jnp.asarray(place))]
+        on = np.asarray(_feet(corners[nearest], place))
         away = place - on
         place = on + (wanted / np.linalg.norm(away, axis=1))[:, None] * away
     return Pose(Vec3.from_array(jnp.asarray(place)), random_poses(n, seed, 0.0).orientation)

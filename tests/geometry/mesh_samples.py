@@ -29,7 +29,8 @@ def random_poses(n: int, seed: int, reach: float) -> Pose:
     rng = np.random.default_rng(seed)
     q = rng.normal(size=(n, 4))
     q /= np.linalg.norm(q, axis=1, keepdims=True)
-    return Pose(point(jnp.asarray(rng.uniform(-reach, reach, (n, 3)))), Quaternion(*jnp.asarray(q.T)))
+    place = rng.uniform(-reach, reach, (n, 3))
+    return Pose(Vec3(*map(jnp.asarray, place.T)), Quaternion(*map(jnp.asarray, q.T)))
 
 
 def corners_of(mesh: SurfaceMesh, pose: Pose | None = None) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from itertools import pairwise
 
 import brute_force
@@ -48,11 +49,13 @@ def test_queue_takes_what_is_true_in_order_and_counts_what_it_loses():
     rng = np.random.default_rng(0)
     masks = rng.random((40, 16)) < rng.random((40, 1))
 
+    @partial(jax.jit, static_argnums=0)
     def fill(width: int):
-        queue = queue_of(width)
-        for k, mask in enumerate(masks):
-            queue = pushed_where(queue, jnp.asarray(mask), lambda lane, k=k: 16 * k + lane)
-        return queue
+        def push(queue, given):
+            k, mask = given
+            return pushed_where(queue, mask, lambda lane: 16 * k + lane), None
+
+        return jax.lax.scan(push, queue_of(width), (jnp.arange(40, dtype=jnp.int32), jnp.asarray(masks)))[0]
 
     wide, narrow = fill(640), fill(50)
     expected = np.flatnonzero(masks.ravel())
@@ -91,7 +94,7 @@ def test_random_triangles_at_random_poses(seed, sizes):
 
 @pytest.fixture(scope="module")
 def search() -> PairSearch:
-    return pair_search(build_tree(implant_mesh()), build_tree(BUTTON))
+    return eqx.filter_jit(pair_search)(build_tree(implant_mesh()), build_tree(BUTTON))
 
 
 @pytest.mark.slow

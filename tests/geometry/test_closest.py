@@ -105,18 +105,19 @@ def test_distance_and_drift_are_derivatives():
     np.testing.assert_allclose(slope[2], p.drift_v.array(), atol=1e-6)
 
 
+ACROSS = np.linspace(-0.06, 0.06, 24001)
+HEIGHT = np.asarray(jax.jit(lambda v: GROOVE.height(jnp.zeros_like(v), v))(J(ACROSS)))
+
+
 def minima(y: float, z: float) -> np.ndarray:
     """Distances of all local minima from (0, y, z) to the groove, by a fine grid across it."""
-    v = np.linspace(-0.06, 0.06, 24001)
-    h = np.asarray(HEIGHT(J(v)))
-    d2 = (v - y) ** 2 + (h - z) ** 2
+    d2 = (ACROSS - y) ** 2 + (HEIGHT - z) ** 2
     k = np.flatnonzero((d2[1:-1] < d2[:-2]) & (d2[1:-1] <= d2[2:])) + 1
     curve = d2[k - 1] - 2 * d2[k] + d2[k + 1]
     lowest = d2[k] - (d2[k + 1] - d2[k - 1]) ** 2 / (8 * curve)
     return np.sort(np.sqrt(lowest))
 
 
-HEIGHT = jax.jit(lambda v: GROOVE.height(jnp.zeros_like(v), v))
 BOTTOM = next(z for z in np.linspace(0.02, 0.04, 2001) if minima(0.0, z)[0] > RADIUS - 2e-5)  # lightly pressed in
 
 

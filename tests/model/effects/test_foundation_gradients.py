@@ -58,12 +58,15 @@ def side(request) -> str:
 
 def slopes_of(f: Callable[..., jax.Array]) -> Callable[..., tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Values of f(change, *rest), slopes with respect to the changes, and their central differences of a step."""
-    plain, slope = jax.jit(f), jax.jit(jax.jacfwd(f))
+    def twice(*given: jax.Array) -> tuple[jax.Array, jax.Array]:
+        found = f(*given)
+        return found, found
+
+    both = jax.jit(jax.jacfwd(twice, has_aux=True))  # one program for slopes and values
 
     def differentiated(step: float, *rest: jax.Array) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        nothing = jnp.zeros(len(PLACES))
-        value, slopes = plain(nothing, *rest), slope(nothing, *rest)
-        ahead, behind = ([plain(s * e, *rest) for e in jnp.eye(len(PLACES))] for s in (step, -step))
+        slopes, value = both(jnp.zeros(len(PLACES)), *rest)
+        ahead, behind = ([both(J(s * e), *rest)[1] for e in np.eye(len(PLACES))] for s in (step, -step))
         return np.asarray(value), np.asarray(slopes), (np.stack(ahead) - np.stack(behind)).T / (2 * step)
 
     return differentiated

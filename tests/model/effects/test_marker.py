@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
-from small_scene import small_scene, vec
+from small_scene import small_result, small_scene, vec
 
 import pftwin
 from pftwin.base.errors import InputError
@@ -13,11 +13,12 @@ from pftwin.model.effects.marker import Marker
 from pftwin.model.measured import Measured
 
 POINT = (0.021, 0.013, 0.009)
+FRAMES = 41  # as in `small_result`, and in other tests of markers: one program serves them all
 
 
 @pytest.fixture(scope="module")
 def result() -> pftwin.Result:
-    return pftwin.simulate(small_scene(21).with_effect(Marker(vec(*POINT), name="m1")))
+    return pftwin.simulate(small_scene(FRAMES).with_effect(Marker(vec(*POINT), name="m1")))
 
 
 def test_it_is_where_the_pose_says(result: pftwin.Result) -> None:
@@ -27,13 +28,13 @@ def test_it_is_where_the_pose_says(result: pftwin.Result) -> None:
 
 
 def test_it_pulls_at_nothing(result: pftwin.Result) -> None:
-    without = pftwin.simulate(small_scene(21))
+    without = small_result()
     np.testing.assert_allclose(result.center, without.center, rtol=0, atol=1e-12)
     assert result.to_dataset()["m1_x"].attrs["units"] == "m"
 
 
 def test_measurements_of_it_are_compared(result: pftwin.Result) -> None:
-    x = np.array(result.effects["m1"]["x"]) + 0.003 * np.where(np.arange(21) % 2, 1.0, -1.0)
+    x = np.array(result.effects["m1"]["x"]) + 0.003 * np.where(np.arange(FRAMES) % 2, 1.0, -1.0)
     x[4:6] = np.nan
     force = result.effects["contact"]["force_medial"] - 0.75
     measured = Measured(result.times, result.center, readings={"m1.x": x, "contact.force_medial": force})
@@ -44,23 +45,23 @@ def test_measurements_of_it_are_compared(result: pftwin.Result) -> None:
     labels = [ax.get_ylabel() for ax in figure.axes]
     assert any("m1" in label and "[mm]" in label for label in labels)
     drawn = [line.get_ydata() for ax in figure.axes for line in ax.get_lines()]
-    assert any(np.shape(y) == (21,) and np.allclose(y, 1e3 * x, equal_nan=True) for y in drawn)
+    assert any(np.shape(y) == (FRAMES,) and np.allclose(y, 1e3 * x, equal_nan=True) for y in drawn)
 
 
 def test_what_an_effect_does_not_report_is_refused(result: pftwin.Result) -> None:
     for name, said in (("m1.w", "one of: m1.x, m1.y, m1.z"), ("m7.x", "one of: gravity.weight")):
         with pytest.raises(InputError, match=f"(?s)no observable '{name}'.*{said}"):
-            pftwin.validate(result, Measured(result.times, result.center, readings={name: np.zeros(21)}))
+            pftwin.validate(result, Measured(result.times, result.center, readings={name: np.zeros(FRAMES)}))
 
 
 @pytest.mark.parametrize(
     ("changes", "said"),
     [
         ({"readings": {"m1.x": np.zeros(20)}}, r"m1.x of shape \(20,\)"),
-        ({"readings": {"m1.x": np.full(21, np.inf)}}, "row 1 of m1.x is infinite"),
-        ({"weights": np.full(21, -1.0)}, "row 1 of weights is -1"),
-        ({"weights": np.full(21, np.nan)}, "row 1 of weights is nan"),
-        ({"weights": np.ones((21, 1))}, r"weights of shape \(21, 1\)"),
+        ({"readings": {"m1.x": np.full(FRAMES, np.inf)}}, "row 1 of m1.x is infinite"),
+        ({"weights": np.full(FRAMES, -1.0)}, "row 1 of weights is -1"),
+        ({"weights": np.full(FRAMES, np.nan)}, "row 1 of weights is nan"),
+        ({"weights": np.ones((FRAMES, 1))}, r"weights of shape \(41, 1\)"),
     ],
 )
 def test_numbers_that_are_none_are_refused(result: pftwin.Result, changes: dict, said: str) -> None:
@@ -70,12 +71,12 @@ def test_numbers_that_are_none_are_refused(result: pftwin.Result, changes: dict,
 
 def test_measurements_with_other_readings_or_weights_are_others(result: pftwin.Result) -> None:
     plain = {"times": result.times, "center": result.center}
-    same = [Measured(**plain, readings={"m1.x": np.zeros(21)}, weights=np.ones(21)) for _ in range(2)]
+    same = [Measured(**plain, readings={"m1.x": np.zeros(FRAMES)}, weights=np.ones(FRAMES)) for _ in range(2)]
     assert same[0] == same[1]
     for changed in (
-        {"readings": {"m1.x": np.ones(21)}},
-        {"readings": {"m1.y": np.zeros(21)}},
-        {"weights": np.zeros(21)},
+        {"readings": {"m1.x": np.ones(FRAMES)}},
+        {"readings": {"m1.y": np.zeros(FRAMES)}},
+        {"weights": np.zeros(FRAMES)},
     ):
-        given = {"readings": {"m1.x": np.zeros(21)}, "weights": np.ones(21), **changed}
+        given = {"readings": {"m1.x": np.zeros(FRAMES)}, "weights": np.ones(FRAMES), **changed}
         assert Measured(**plain, **given) != same[0]

@@ -104,9 +104,14 @@ def still_guide_at(part: float) -> Guide:
     return still_guide()
 
 
+@eqx.filter_jit
+def _start(sys: System, pose: Pose) -> State:
+    return sys.start(pose, still_guide())
+
+
 def state_at(sys: System, position, velocity=(0, 0, 0), spin=(0, 0, 0), orientation: Quaternion | None = None) -> State:
     turn = Quaternion.identity() if orientation is None else orientation
-    at_rest = sys.start(Pose(vec(*position), turn), still_guide())
+    at_rest = _start(sys, Pose(vec(*position), turn))
     return eqx.tree_at(lambda s: (s.velocity, s.spin), at_rest, (vec(*velocity), vec(*spin)))
 
 

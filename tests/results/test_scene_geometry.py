@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from small_scene import HALF_U, HALF_V, small_result, small_scene, vec
 from toy_mesh_scenes import SCENES
 from toy_scene_files import load
 
+from pftwin.base.leaves import vector
 from pftwin.base.spatial import Vec3
 from pftwin.files.mocap.poses import PoseSeries
 from pftwin.files.result_files import GEOMETRY, load_dataset
@@ -32,13 +34,19 @@ def moving_knee(n: int = 21) -> KneeMotion:
     return KneeMotion.from_poses(*poses)
 
 
+frames = eqx.filter_jit(lambda motion, t: motion.frames(t))
+height_of = eqx.filter_jit(lambda surface, at: surface.height(at.x, at.y))
+point_of = eqx.filter_jit(lambda surface, u, v: surface.chart.point(u, v, surface.height(u, v)).array())
+coordinates = eqx.filter_jit(lambda surface, points: surface.chart.coordinates(Vec3(*points.T)))
+
+
 def rows(v: Vec3) -> np.ndarray:
     return np.asarray(v.array())
 
 
 def test_the_tibia_in_the_femur_is_that_of_the_simulation():
     motion = moving_knee()
-    femur, tibia = motion.frames(motion.times)
+    femur, tibia = frames(motion, motion.times)
     assert femur is not None
     np.testing.assert_allclose(tibia_position(motion), rows(femur.to_local(tibia.origin)), atol=1e-12)
     axis = rows(femur.local_direction(tibia.rotation.ey))
@@ -49,7 +57,7 @@ def test_the_tibia_in_the_femur_is_that_of_the_simulation():
 
 def test_points_of_the_ground_move_in_a_femur_that_moves():
     motion, point = moving_knee(), np.array([[0.1, 0.2, 0.3], [0.0, -0.1, 0.0]])
-    femur, _ = motion.frames(motion.times)
+    femur, _ = frames(motion, motion.times)
     assert femur is not None
     seen = seen_from_femur(motion, point)
     for k, p in enumerate(point):
@@ -79,8 +87,8 @@ def test_a_fitted_surface_is_drawn_where_it_is():
     scene, made = small_scene(), geometry(small_scene())
     surface = scene.surface
     assert surface is not None
-    at = surface.chart.coordinates(Vec3(*jnp.asarray(made["surface_vertices"].values.T, dtype=float)))
-    np.testing.assert_allclose(at.z, surface.height(at.x, at.y), atol=1e-8)
+    at = coordinates(surface, made["surface_vertices"].values.astype(float))
+    np.testing.assert_allclose(at.z, height_of(surface, at), atol=1e-8)
     assert np.abs(at.x).max() == pytest.approx(HALF_U)
     assert np.abs(at.y).max() == pytest.approx(HALF_V)
     assert "continuation_vertices" not in made
@@ -93,18 +101,16 @@ def test_a_surface_goes_on_to_where_it_was_touched():
     scene = small_scene()
     surface = scene.surface
     assert surface is not None
-    u, v = jnp.asarray([0.0, HALF_U + 0.005]), jnp.asarray([0.0, -HALF_V - 0.01])
-    points = rows(surface.chart.point(u, v, surface.height(u, v)))
+    points = np.asarray(point_of(surface, np.array([0.0, HALF_U + 0.005]), np.array([0.0, -HALF_V - 0.01])))
     made = geometry(scene, {"contact": {"point_medial": points, "point_lateral": np.full((2, 3), np.nan)}})
-    beyond = Vec3(*jnp.asarray(made["continuation_vertices"].values.T, dtype=float))
-    at = surface.chart.coordinates(beyond)
-    np.testing.assert_allclose(at.z, surface.height(at.x, at.y), atol=1e-8)
-    assert float(at.x.max()) > HALF_U + 0.005
-    assert float(at.y.min()) < -HALF_V - 0.01
-    assert float(at.x.min()) == pytest.approx(-HALF_U)  # nowhere else
+    at = coordinates(surface, made["continuation_vertices"].values.astype(float))
+    np.testing.assert_allclose(at.z, height_of(surface, at), atol=1e-8)
+    assert np.max(np.asarray(at.x)) > HALF_U + 0.005
+    assert np.min(np.asarray(at.y)) < -HALF_V - 0.01
+    assert np.min(np.asarray(at.x)) == pytest.approx(-HALF_U)  # nowhere else
     corners = made["continuation_vertices"].values[made["continuation_triangles"].values]
-    middle = surface.chart.coordinates(Vec3(*jnp.asarray(corners.mean(axis=1).T, dtype=float)))
-    assert bool(jnp.all((jnp.abs(middle.x) > HALF_U) | (jnp.abs(middle.y) > HALF_V)))
+    middle = coordinates(surface, corners.mean(axis=1).astype(float))
+    assert ((np.abs(middle.x) > HALF_U) | (np.abs(middle.y) > HALF_V)).all()
 
 
 def test_a_surface_that_does_not_say_where_it_ends_is_not_drawn():
@@ -129,16 +135,16 @@ class Endless(eqx.Module):
 def test_groups_and_pulls_from_moving_origins():
     scene = small_scene()
     three, two = jnp.ones(3), jnp.ones(2)
-    ends = Vec3(0.01 * three, jnp.asarray([0.01, 0.012, 0.014]), 0 * three)
-    strands = StrandGroup(three, three, three, three, ends, 2 * ends, "femur", name="mpfl")
-    times = jnp.asarray([0.0, 0.1, 0.2])
-    moving = Vec3(jnp.outer(times, two), jnp.zeros((3, 2)), jnp.zeros((3, 2)))
+    places = np.stack([np.full(3, 0.01), [0.01, 0.012, 0.014], np.zeros(3)], axis=1)
+    strands = StrandGroup(three, three, three, three, vector(places), vector(2 * places), "femur", name="mpfl")
+    times = np.array([0.0, 0.1, 0.2])
+    moving = Vec3(jnp.asarray(np.outer(times, [1, 1])), jnp.zeros((3, 2)), jnp.zeros((3, 2)))
     pull = PrescribedTension(jnp.ones((3, 2)), moving, Vec3(two, two, two), 0.0, 0.1, "femur", name="vasti")
     made = geometry(scene.with_effect(strands).with_effect(pull))
-    np.testing.assert_allclose(made["mpfl_insertion"], rows(ends))
-    np.testing.assert_allclose(made["mpfl_origin"], 2 * rows(ends))
+    np.testing.assert_allclose(made["mpfl_insertion"], places)
+    np.testing.assert_allclose(made["mpfl_origin"], 2 * places)
     assert made["vasti_origin"].dims == ("time", "vasti_line", "axis")
-    expected = [float(pull.at(t)[1].x[1]) for t in scene.motion.times]
+    expected = jax.jit(jax.vmap(lambda t: pull.at(t)[1].x[1]))(scene.motion.times)
     np.testing.assert_allclose(made["vasti_origin"][:, 1, 0], expected, atol=1e-12)
 
 

@@ -62,12 +62,16 @@ def cut(mesh: SurfaceMesh, axis: int, level: float) -> np.ndarray:
 def axial(anatomy: Anatomy) -> dict[str, np.ndarray]:
     """Groove and ridges (y, z) in the axial cut through the trochlear axis: lowest point, and the highest beside it.
 
-    Of a slice of the femur with triangles of 0.4 mm: on a rounded ridge coarse ones miss the highest place.
+    Of the front of a slice of the femur with triangles of 0.4 mm: on a rounded ridge coarse ones miss the highest place.
     """
     body = FemurShape(anatomy)
     low, high = (list(corner) for corner in body.box())
-    low[0], high[0] = -2.4, 2.4
-    femur = mesh_of(lambda p: np.minimum(body(p), 1.5 - np.abs(p[:, 0])), tuple(low), tuple(high), 0.4, "slice")
+    low[0], high[0], low[2] = -2.4, 2.4, 3.0
+
+    def slice_of(p: np.ndarray) -> np.ndarray:
+        return np.min([body(p), 1.5 - np.abs(p[:, 0]), p[:, 2] - 4], axis=0)
+
+    femur = mesh_of(slice_of, tuple(low), tuple(high), 0.4, "slice")
     section = cut(femur, 0, 1e-4)
     front = section[section[:, 2] > 5][:, 1:]
     groove = front[np.abs(front[:, 0]) < 2.5]

@@ -58,6 +58,7 @@ def side(request) -> str:
 
 def slopes_of(f: Callable[..., jax.Array]) -> Callable[..., tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Values of f(change, *rest), slopes with respect to the changes, and their central differences of a step."""
+
     def twice(*given: jax.Array) -> tuple[jax.Array, jax.Array]:
         found = f(*given)
         return found, found

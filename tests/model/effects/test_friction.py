@@ -58,6 +58,10 @@ def slope(angle: float, inertia=BLOCK, **kind: Any):
     return system(pull, rough(**kind), inertia=inertia)
 
 
+guess_of = eqx.filter_jit(lambda effect, now: effect.guess(now))
+load_of = eqx.filter_jit(lambda effect, now, memory: effect.load(now, memory)[0])
+
+
 def resting(sys, angle=0.0, velocity=(0, 0, 0)):
     depth = (MASS * G * np.cos(angle) / 2e8) ** (2 / 3)
     return state_at(sys, (0, 0, RADIUS - depth), velocity)
@@ -177,9 +181,9 @@ def test_a_contact_that_has_opened_lets_go_at_once():
     def forces(z):
         now = look((0, 0, z), (0.3, 0, 0))
         now = eqx.tree_at(lambda n: (n.step, n.lookahead), now, (J(1e-3), J(1e-3)))
-        memory = effect.guess(now)
+        memory = guess_of(effect, now)
         pressed = eqx.tree_at(lambda m: [p.unchanged for p in m.last], memory, [J(10.0), J(10.0)])
-        return [float(t.force) for t in effect.load(now, pressed)[0].stiff if not t.unilateral]
+        return [float(t.force) for t in load_of(effect, now, pressed).stiff if not t.unilateral]
 
     assert sum(abs(f) for f in forces(RADIUS - 1e-6)) == pytest.approx(2 * MU * 10, rel=1e-4)
     assert sum(abs(f) for f in forces(RADIUS + 1e-6)) == 0
@@ -189,7 +193,7 @@ def test_the_force_is_the_laws_and_opposes_sliding():
     effect = rough().recentred(vec(0, 0, 0))
     for v in ((0.0, 0.0), (3e-4, 4e-4), (0.3, -0.4)):
         now = look((0, 0, RADIUS - DEEP), (*v, 0))
-        load, _ = effect.load(now, effect.guess(now))
+        load = load_of(effect, now, guess_of(effect, now))
         normal = MASS * G
         force = load.total().force.array()
         expected = [-MU * normal * x / np.sqrt(v[0] ** 2 + v[1] ** 2 + CREEP**2) for x in v]
@@ -321,7 +325,7 @@ def test_what_a_result_shows_of_it():
     effect = rough(surface=flat_patch())
     now = look((0, 0, RADIUS - DEEP), (0.3, 0, 0))
     assert isinstance(now.femur, Ground)
-    report = effect.observe(now, effect.guess(now))
+    report = eqx.filter_jit(lambda: effect.observe(now, effect.guess(now)))()
     assert set(report) == set(effect.observables)
     borne = {name: float(report[f"force_{name}"]) for name in ("medial", "lateral")}
     assert sum(borne.values()) == pytest.approx(MASS * G)  # a single contact is one facet's

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from mesh_samples import corners_of, point, random_poses
+from scipy.spatial.transform import Rotation
 
 from pftwin.base.spatial import Pose, Quaternion, Vec3
 from pftwin.geometry.bvh.tree import build_tree
@@ -64,5 +65,7 @@ def member(poses: Pose, k: int) -> Pose:
 
 
 def at(x: float, y: float, z: float, turn: tuple[float, float, float] = (0.1, 0.2, 0.3)) -> Pose:
-    q = Quaternion.from_rotation_vector(Vec3(*(jnp.asarray(t) for t in turn)))
-    return Pose(Vec3(*(jnp.asarray(float(c)) for c in (x, y, z))), q)
+    q = Rotation.from_rotvec(turn).as_quat(scalar_first=True)
+    return Pose(
+        *(kind(*(jnp.asarray(float(c)) for c in given)) for kind, given in ((Vec3, (x, y, z)), (Quaternion, q)))
+    )

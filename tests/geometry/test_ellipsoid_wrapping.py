@@ -232,7 +232,9 @@ def test_depth_has_the_sign_of_the_equation_and_is_no_more_than_the_distance():
     surface = rng.normal(size=(100_000, 3))
     surface = TURN.apply(surface / np.linalg.norm(surface, axis=1, keepdims=True) * RADII)
     places, signs = rng.normal(size=(40, 3)) * 0.012, []
-    *depths, deepest = np.asarray(jax.jit(lambda e, p: e.depth(p))(e, vector(CENTER + [*places, np.zeros(3)])))
+    *depths, deepest = np.asarray(
+        jax.jit(lambda e, p: e.depth(p))(e, vector(CENTER + np.array([*places, np.zeros(3)])))
+    )
     for p, depth in zip(places, depths, strict=True):
         signs.append(depth > 0)
         assert signs[-1] == (np.sum((TURN.inv().apply(p) / RADII) ** 2) < 1)

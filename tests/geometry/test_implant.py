@@ -148,7 +148,7 @@ def test_anatomy_of_the_rig_implant():
     lateral, medial = facets(-40)
     assert lateral > medial > 2e-3
     assert sum(facets(25)) < sum(facets(-40)) < sum(facets(-75))  # shallow on the flange, deepening to the notch
-    assert float(c.groove_line(jnp.asarray(0.01))) > 0
+    assert float(c.groove_line(0.01)) > 0
 
 
 def test_a_sphere_rests_on_two_facets():
@@ -243,8 +243,9 @@ def test_the_coarse_mesh_gives_nearly_the_same_patch(fine):
     a, b = (
         fit_patch(mesh, degree="P5", chart="plane", region=rig_region(mesh), weights="area") for mesh in (coarse, fine)
     )
-    u, v = (g.ravel() for g in jnp.meshgrid(jnp.linspace(-0.015, 0.015, 20), jnp.linspace(-0.018, 0.018, 20)))
-    assert float(jnp.abs(a.patch.height(u, v) - b.patch.height(u, v)).max()) < 0.2e-3
+    u, v = (g.ravel() for g in np.meshgrid(np.linspace(-0.015, 0.015, 20), np.linspace(-0.018, 0.018, 20)))
+    heights = [np.asarray(_height(fit.patch, u, v)) for fit in (a, b)]
+    assert np.abs(heights[0] - heights[1]).max() < 0.2e-3
     assert len(fine.faces) > 10 * len(coarse.faces)
 
 

@@ -62,7 +62,7 @@ def cut(mesh: SurfaceMesh, axis: int, level: float) -> np.ndarray:
 def axial(anatomy: Anatomy) -> dict[str, np.ndarray]:
     """Groove and ridges (y, z) in the axial cut through the trochlear axis: lowest point, and the highest beside it.
 
-    Of the front of a slice of the femur with triangles of 0.4 mm: on a rounded ridge coarse ones miss the highest place.
+    Of the front of a slice of the femur, in triangles of 0.4 mm: coarse ones miss the highest place of a rounded ridge.
     """
     body = FemurShape(anatomy)
     low, high = (list(corner) for corner in body.box())

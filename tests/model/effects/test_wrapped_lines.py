@@ -198,8 +198,10 @@ def test_frames_in_which_an_end_is_within_the_obstacle_are_flagged():
     """The tibia carries the end of the patellar tendon through a thin cylinder on the femur, which it then leaves."""
     scene = knee(31)
     line: Any = scene.effect("patellar_tendon")
-    tibia = scene.motion.tibia.frames(scene.motion.frame_times())
-    path = np.asarray(jax.vmap(lambda f: f.point(line.origin).array())(tibia))
+    times = scene.motion.frame_times()
+    path = np.asarray(
+        eqx.filter_jit(lambda m, t, p: m.frames(t).point(p).array())(scene.motion.tibia, times, line.origin)
+    )
     middle, radius = path[12], 0.5 * np.linalg.norm(path[15] - path[9])
     post = Cylinder(vector(middle), "femur", J(radius), vec(0, 1, 0))
     away = path - middle
@@ -215,6 +217,11 @@ def test_frames_in_which_an_end_is_within_the_obstacle_are_flagged():
     assert equilibrium(scene.with_effect(over(there, line))).status == Status.END_WITHIN_WRAP
 
 
+@eqx.filter_jit
+def status_at_rest(scene: Any) -> jax.Array:
+    return status_of_lines(System.of(scene), patella_at_rest(first_guide(scene), scene.center_of_mass_pose()))
+
+
 def test_insertions_are_looked_for_where_they_are_and_not_from_the_centre_of_mass():
     """A post of 3 mm on the insertion, and one beside it by the centre of mass, which is 4.1 mm from the origin."""
     scene = knee(5)
@@ -226,6 +233,5 @@ def test_insertions_are_looked_for_where_they_are_and_not_from_the_centre_of_mas
     found = []
     for place in (there, there - com, there + com):
         post = Cylinder(place, "femur", J(0.003), along)
-        at = System.of(scene.with_effect(over(post, line)))
-        found.append(int(status_of_lines(at, patella_at_rest(first_guide(scene), scene.center_of_mass_pose()))))
+        found.append(int(status_at_rest(scene.with_effect(over(post, line)))))
     assert found == [Status.END_WITHIN_WRAP, Status.OK, Status.OK]

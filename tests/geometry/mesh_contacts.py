@@ -66,6 +66,5 @@ def member(poses: Pose, k: int) -> Pose:
 
 def at(x: float, y: float, z: float, turn: tuple[float, float, float] = (0.1, 0.2, 0.3)) -> Pose:
     q = Rotation.from_rotvec(turn).as_quat(scalar_first=True)
-    return Pose(
-        *(kind(*(jnp.asarray(float(c)) for c in given)) for kind, given in ((Vec3, (x, y, z)), (Quaternion, q)))
-    )
+    place, orientation = ([jnp.asarray(float(c)) for c in given] for given in ((x, y, z), q))
+    return Pose(Vec3(*place), Quaternion(*orientation))

@@ -94,10 +94,10 @@ def misread(objective: Objective, trials: Floats, limits: Limits) -> list[str]:
                 f"{said}? Read like this, the values lie {r.times:.3g} times closer to what the scene can do",
                 where=objective.source,
                 expected=_expected(r.channels, objective.readings),
-                remedy=f"correct the file; or {_PRESUMED} in the scene; or, if both are right, "
+                remedy=f"correct the file, or the scene's {_PRESUMED}; if all are right, "
                 + raised("reading", limits, r.times),
             )
-        found.append(f"{said} ({r.times:.2g} times closer to the twin; this presumes {_PRESUMED} of the scene)")
+        found.append(f"{said} ({r.times:.2g} times closer to the twin; if the scene's {_PRESUMED} are right)")
     return found
 
 
@@ -241,9 +241,9 @@ def _more_than_an_offset(
 ) -> Iterator[tuple[str, Floats]]:
     """Omits readings of positions where a constant offset explains the values better.
 
-    Positions in a frame far away come closer with any reading that shrinks them. Other axes or signs that come closer
-    by their mean place alone, and follow the course of the trial motions worse, mean a twin that stands elsewhere. A
-    course within the distance that counts as equal says nothing.
+    Positions in a frame far away come closer with any reading that halves them or more: it has to come closer than they
+    do after an offset. One of at least twice their size is kept. One in other axes or signs that comes closer by its
+    mean place alone, and follows the course of the trial motions worse, means a twin that stands elsewhere.
     """
 
     def set_off(values: Floats) -> float:

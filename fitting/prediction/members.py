@@ -109,11 +109,11 @@ def _member_outcomes(recipe: Recipe, a: Array, theta: Array, start: Solution) ->
     return measure(at, recipe.threshold), flags, scene_is_valid(scene), courses
 
 
-class Batch:
+class MemberPrograms:
     """Programs for all variants of a recipe, and the devices that run them.
 
-    A chunk holds up to `chunk` variants per device; a smaller study, of `count` variants, and a repetition, is one
-    smaller chunk, padded to `fewest`, as compiling another size takes longer than idle lanes.
+    A chunk holds up to `chunk` variants per device. Fewer variants (`count`) and repetitions are one chunk of at least
+    `fewest`, filled to a power of two: idle lanes cost less than compiling another size.
     """
 
     def __init__(self, recipe: Recipe, count: int, chunk: int, devices: Devices = "all", fewest: int = _FEWEST) -> None:
@@ -127,7 +127,7 @@ class Batch:
     def settled(self, amounts: Floats, thetas: Floats, starts: Pose | None = None) -> tuple[Pose, Start]:
         """Equilibria, searched for from `starts` (n,): poses of the patella's frame (n,), and what is judged of them.
 
-        None: the scene's own start.
+        Without `starts` searches begin at the scene's own start.
         """
         shared = self._sharding.shared(self.recipe)
 
@@ -163,7 +163,7 @@ class Batch:
 
 
 def run(
-    batch: Batch,
+    programs: MemberPrograms,
     amounts: Floats,
     thetas: Floats,
     progress: Callable[[int, int], None] | None = None,
@@ -173,18 +173,18 @@ def run(
 
     With `care`, variants whose estimated error is large are simulated again with a quarter of the step.
     """
-    starts = _starts(batch, amounts, thetas)
-    found = batch.simulated(amounts, thetas, starts, progress)
+    starts = _starts(programs, amounts, thetas)
+    found = programs.simulated(amounts, thetas, starts, progress)
 
     def again(which: NDArray[np.bool_], smaller: int = 1) -> None:
         if which.any():
             chosen = None if starts is None else jax.tree.map(lambda a: a[which], starts)
-            better = batch.simulated(amounts[which], thetas[which], chosen, smaller=smaller)
+            better = programs.simulated(amounts[which], thetas[which], chosen, smaller=smaller)
             jax.tree.map(lambda old, new: old.__setitem__(which, new), found, better)
 
     if starts is not None:
         lost = _flagged(found, Status.START_NOT_IN_EQUILIBRIUM)
-        starts = jax.tree.map(lambda a, own: np.where(lost, np.asarray(own), a), starts, batch.recipe.scene.start)
+        starts = jax.tree.map(lambda a, own: np.where(lost, np.asarray(own), a), starts, programs.recipe.scene.start)
         again(lost)
     if care:
         again(_flagged(found, Status.INACCURATE), SMALLER)
@@ -195,7 +195,7 @@ def _flagged(found: Members, flag: Status) -> NDArray[np.bool_]:
     return found.flags[:, FLAGS.index(flag)] > 0
 
 
-def _starts(batch: Batch, amounts: Floats, thetas: Floats) -> Pose | None:
+def _starts(programs: MemberPrograms, amounts: Floats, thetas: Floats) -> Pose | None:
     """For each variant the pose from which to search for equilibrium, (n,); None: the scene's own."""
     if len(amounts) <= _NEAR:
         return None
@@ -203,7 +203,7 @@ def _starts(batch: Batch, amounts: Floats, thetas: Floats) -> Pose | None:
     spread = np.ptp(points, axis=0)
     points = points[:, spread > 0] / spread[spread > 0]
     chosen, nearest = _spread_out(points, _NEAR)
-    poses, start = batch.settled(amounts[chosen], thetas[chosen])
+    poses, start = programs.settled(amounts[chosen], thetas[chosen])
     if not start.converged.any():
         return None
     if not start.converged.all():  # no variant starts from a search that failed

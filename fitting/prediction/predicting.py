@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from fitting.coverage import NOT_KNOWN, Coverage
-from fitting.prediction.members import Batch, Members, Recipe, run
+from fitting.prediction.members import MemberPrograms, Members, Recipe, run
 from fitting.prediction.outcomes import MEASURES, Groove
 from fitting.prediction.untreated import untrusted_starts
 from fitting.prediction.variants import VariantBatch, batches
@@ -156,7 +156,7 @@ def predict(
         recipe = Recipe(scene, batch.treatment, fitted, groove, substeps, float(threshold), trajectories)
         amounts = np.repeat(batch.amounts, len(thetas), axis=0)  # variants by samples, samples varying fastest
         members = np.tile(thetas, (len(batch.amounts), 1))
-        programs = Batch(recipe, len(amounts), chunk, devices)
+        programs = MemberPrograms(recipe, len(amounts), chunk, devices)
         invalid.append(untrusted_starts(programs, scene, thetas))
         found.append(run(programs, amounts, members, counted, care=care))
         done += len(amounts)

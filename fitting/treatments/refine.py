@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Array
 from numpy.typing import NDArray
 
-from fitting.prediction.members import Batch, Recipe, run
+from fitting.prediction.members import MemberPrograms, Recipe, run
 from fitting.prediction.outcomes import MEASURES, Groove, measure
 from fitting.prediction.predicting import STEP, Fitted
 from fitting.prediction.untreated import untrusted_starts
@@ -90,7 +90,7 @@ class Search:
         fitted = None if estimate is None else estimate.apply
         prepared = treatment.prepared(scene)
         self._recipe = Recipe(scene.unnamed(), prepared, fitted, Groove.of(scene), substeps, threshold, False)
-        self._batch = Batch(self._recipe, CHUNK, CHUNK)  # with the programs that simulated the grid
+        self._programs = MemberPrograms(self._recipe, CHUNK, CHUNK)  # with the programs that simulated the grid
         self._scene = scene
         self._thetas = jnp.asarray(thetas, dtype=float)
         self._limits, self._draws = limits, len(thetas) - 1
@@ -119,7 +119,7 @@ class Search:
             if self.alone:
                 every, thetas = np.array(self._fixed), np.asarray(self._thetas)
                 every[list(self._places)] = amounts
-                members = run(self._batch, np.tile(every, (len(thetas), 1)), thetas, care=self._care)
+                members = run(self._programs, np.tile(every, (len(thetas), 1)), thetas, care=self._care)
                 self._known[key] = members.outcomes, None, members.flags
             else:
                 numbers = (self._fixed, self._thetas, jnp.asarray(amounts, dtype=float))
@@ -145,7 +145,7 @@ class Search:
     @cached_property
     def _lost(self) -> NDArray[np.bool_]:
         """Which rows of parameters (1 + draws,) start INVALID untreated; they meet no limit."""
-        return np.array([bool(why) for why in untrusted_starts(self._batch, self._scene, np.asarray(self._thetas))])
+        return np.array([bool(why) for why in untrusted_starts(self._programs, self._scene, np.asarray(self._thetas))])
 
     def share(self, amounts: Floats) -> float:
         """Share of the draws that meet all limits."""

@@ -11,7 +11,7 @@
 | BODY_bone_vertices, BODY_bone_triangles | BODY | surface of femur, patella or tibia, if the scene has it |
 | NAME_insertion | patella | insertions of the lines of a tendon, ligament or muscle |
 | NAME_origin | its attribute `body` | origins of those lines; with a time axis if they move |
-| NAME_arc | its attribute `body` | where they run over their obstacle, at all frames, if they ever do; else NaN |
+| NAME_arc | its attribute `body` | points on their obstacle, NaN where straight; absent if none touches |
 
 Lengths are in metres. Nothing is added or smoothed: the viewer itself adds schematic bones.
 """

@@ -11,7 +11,7 @@ import pytest
 from small_scene import small_scene
 
 from fitting.prediction import predicting
-from fitting.prediction.members import Batch, Members, Recipe
+from fitting.prediction.members import MemberPrograms, Members, Recipe
 from fitting.prediction.outcomes import MEASURES, Groove, outcomes
 from fitting.prediction.plots import draws_failed
 from fitting.prediction.predicting import STEP, Fitted, predict
@@ -169,7 +169,7 @@ def test_a_draw_without_untreated_equilibrium_is_lost_without_limits_too(knee):
     recipe = Recipe(knee, treatment, Estimated().apply, Groove.of(knee), jnp.asarray(2), 0.01, False)
     thetas = np.array([[160.0, 0.0715], [1e-6, 0.0715], [161.0, 0.0715]])
     assert [equilibrium(Estimated().apply(knee, t)).converged for t in thetas] == [True, False, True]
-    assert untrusted_starts(Batch(recipe, 3, 16, 1), knee, thetas) == [(), (NO_EQUILIBRIUM,), ()]
+    assert untrusted_starts(MemberPrograms(recipe, 3, 16, 1), knee, thetas) == [(), (NO_EQUILIBRIUM,), ()]
 
 
 @pytest.mark.slow

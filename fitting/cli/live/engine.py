@@ -63,7 +63,7 @@ class Engine:
         self._tracing = threading.Lock()  # only one thread may trace at a time
         self._first = load(contacts[0])
         self._draws = () if estimate is None else estimate.samples(DRAWS)[:, : estimate.shared]
-        self._untreated: dict[tuple[str, int], tuple[str, ...]] = {}  # as `LiveModel.start`, by contact and draw
+        self._untreated: dict[tuple[str, int], tuple[str, ...]] = {}  # why its start is INVALID, by contact and draw
 
     def ready(self, contact: str) -> bool:
         """Whether the model of this contact is compiled."""

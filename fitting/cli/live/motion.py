@@ -170,7 +170,7 @@ class Shown:
             if arrow.forces is not None:
                 along = gaps_filled(arrow.forces, here) * (10 / newtons)
                 self.tracks[f"on {arrow.name}"] = ShownTrack.of(of_arrows(points, along), here)
-        self.lines = {name: line_shape(lines) for name, lines in recorded.lines.items()}
+        self.lines = {name: line_shape(lines.paths, lines.radius) for name, lines in recorded.lines.items()}
         schematic = recorded.mesh("tibia_bone") is None
         on_tibia = {n: lines for n, lines in recorded.lines.items() if lines.body == "tibia" and schematic}
         self.origins = {n: MM * lines.origin.reshape(-1, 3).mean(axis=0) for n, lines in on_tibia.items()}

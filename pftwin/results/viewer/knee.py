@@ -165,7 +165,7 @@ def tendons(result: Recorded, code: str) -> list[Drawable]:
     """Draws tendons, ligaments and muscles, and a tendon's origin on a schematic tibia."""
     drawn = []
     for name, lines in result.lines.items():
-        vertices, triangles = line_shape(lines)
+        vertices, triangles = line_shape(lines.paths, lines.radius)
         tube = body(Shape(vertices[0], triangles), paler(code, 0.3), name=name.replace("_", " "), group=result.name)
         tube.vertices = time_series(result.times, vertices)
         drawn.append(tube)

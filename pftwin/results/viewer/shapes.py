@@ -1,17 +1,14 @@
-"""Meshes to draw and the 4 x 4 model matrices that move them: input in metres, vertices and matrices in mm."""
+"""Meshes to draw [mm], and the 4 x 4 model matrices that move them; poses and meshes of scenes are in metres."""
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pftwin.base.arrays import Floats
-
-if TYPE_CHECKING:
-    from pftwin.results.viewer.recorded import Lines
 
 MM = 1e3  # per metre
 Moving = tuple[NDArray[np.float32], NDArray[np.uint32]]  # vertices (n, v, 3) [mm] at n frames, triangles (m, 3)
@@ -213,13 +210,13 @@ def ring_triangles(a: NDArray[np.int64], b: NDArray[np.int64]) -> NDArray[np.int
     return np.stack([np.stack([a, b, c], axis=2), np.stack([a, c, d], axis=2)], axis=2)
 
 
-def line_shape(lines: Lines) -> Moving:
-    """Returns the shape of one effect's lines at the shown frames, in the femur frame."""
-    paths = MM * lines.paths
+def line_shape(lines: Floats, radius: float) -> Moving:
+    """Returns the shape of one effect's k lines through m points at n frames (n, k, m, 3), of a radius [m]."""
+    paths = MM * lines
     order = _side_by_side(paths[0])
     if order is not None:
         return ribbon(paths[:, order], THICKNESS)
-    return tubes(paths, MM * lines.radius, 10 if len(lines.insertion) <= FEW else 5)
+    return tubes(paths, MM * radius, 10 if paths.shape[1] <= FEW else 5)
 
 
 def ribbon(lines: Floats, thickness: float) -> Moving:

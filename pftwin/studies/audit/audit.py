@@ -99,7 +99,7 @@ def audit(
     # Limits are removed, because variants need not be plausible knees.
     listed = _selected_variants(replace(scene, limits=None), integrator, only)
     wanted = sorted((v for v in listed if isinstance(v, Variant)), key=lambda v: KINDS.index(v.kind))
-    alike = [v for v in wanted if v.alike]  # they differ only in parameter values, so they run in one batch
+    alike = [v for v in wanted if v.alike]  # they differ only in parameter values, so they run in batches
     groups = [alike] * bool(alike) + [[v] for v in wanted if not v.alike]
     of = len(groups) + 3  # plus `simulate`, the scene's own run, and timing
     progress(0, of, "the scene itself")
@@ -162,7 +162,7 @@ def _runs(
     substeps: int,
     before: Callable[[int, list[Variant]], None],
 ) -> dict[tuple[str, Kind], VariantRun]:
-    """Runs each group, in one batch if its variants are alike; after Ctrl-C, returns the finished runs."""
+    """Runs each group, in batches if its variants are alike; after Ctrl-C, returns the finished runs."""
 
     def run(group: list[Variant]) -> list[VariantRun]:
         if group[0].alike:

@@ -1,4 +1,4 @@
-"""Runs variants singly, or in one batch if only parameter values differ, and compares each with the scene's own run."""
+"""Runs variants singly, or in batches if only parameter values differ, and compares each with the scene's own run."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def run_alone(scene: Scene, integrator: Integrator, substeps: int) -> VariantRun
 
 
 def run_side_by_side(variants: Sequence[Variant], integrator: Integrator, substeps: int) -> list[VariantRun]:
-    """Runs variants that differ only in parameter values, each from its equilibrium, in one batch.
+    """Runs variants that differ only in parameter values, each from its equilibrium, in batches of one structure.
 
     A variant whose search for the equilibrium fails runs again alone. Raises as `run_alone` does.
     """

@@ -1,4 +1,4 @@
-"""The verdict on one cell of the matrix: pass, fail or refused, with the reason, also by errors from a converged run.
+"""The verdict on one cell of the matrix: pass, fail or refused, with the reason; and errors against a converged run.
 
 The converged run uses BDF2 in float64 with steps of 1/64 ms (1/32 ms on meshes, where a step costs more). Its own
 uncertainty is its difference from a run with twice the step, as the maximum up to each frame. Errors within twice that

@@ -47,7 +47,7 @@ def test_a_flat_ribbon_is_a_plate():
 
 def test_strands_side_by_side_are_one_ribbon_in_their_order_across():
     strands = fan(0.006)
-    vertices, triangles = line_shape(strands)
+    vertices, triangles = line_shape(strands.paths, strands.radius)
     assert closed(vertices[0], triangles).volume > 0
     middles = vertices.reshape(2, 4, 4, 3)[:, :, [0, 3]].mean(axis=2)  # of either side of each strand, at its insertion
     order = np.argsort(middles[0, :, 1])
@@ -58,7 +58,7 @@ def test_strands_side_by_side_are_one_ribbon_in_their_order_across():
 @pytest.mark.parametrize("strands", [fan(0.013), Strands(np.eye(3)[:2] * 0.005, np.eye(3)[:2] * 0.05)])
 def test_muscles_apart_and_pairs_are_tubes(strands):
     expected = tubes(1e3 * strands.paths, 0.55, 10)
-    for one, other in zip(line_shape(strands), expected, strict=True):
+    for one, other in zip(line_shape(strands.paths, strands.radius), expected, strict=True):
         np.testing.assert_array_equal(one, other)
 
 

@@ -229,7 +229,7 @@ class _Runs:
         timing = {
             "equilibrium_s": self._start.run,
             "run_s": choice.run.run,
-            "estimate_s": max(0.0, self._time - choice.run.run),  # of runs with other steps, as far as not simultaneous
+            "estimate_s": max(0.0, self._time - choice.run.run),
             "compile_s": self._ahead + self._start.preparation + self._preparation,
         }
         start, impact = self._start.answer, None

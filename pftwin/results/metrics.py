@@ -49,7 +49,7 @@ class Validation:
     z: Annotated[float | None, "Z RMSE", "mm"]
     mean_distance: Annotated[float | None, "mean distance", "mm"]  # of the simulated from the measured sphere centre
     initial_configuration: Annotated[float | None, "initial configuration", "s"]  # search for the starting equilibrium
-    real_time_factor: Annotated[float | None, "faster than real time", "x"]  # without the starting equilibrium
+    real_time_factor: Annotated[float | None, "faster than real time", "x"]  # from `run_s` of the result's timing
     frames: int
     frames_compared: int  # frames with a measured position
     scene: str = ""

@@ -127,7 +127,7 @@ def readings(objective: Objective, trials: Floats) -> Iterator[Reading]:
         size = 1.0 if channel in _FLOOR else max(float(_rms(seen).mean()), 1e-300)
         floor = _FLOOR.get(channel, _FORCE_FLOOR)
         if channel == POSITION:
-            tried = _more_than_an_offset(data, tried, seen)
+            tried = _not_just_smaller(data, tried, seen)
         off = {words: max(float(_distance(channel, values, seen).min()) / size, floor) for words, values in tried}
         best = min(off.values())
         words = next(w for w, value in off.items() if value <= _SIMPLER * best)  # the simplest comes first
@@ -236,27 +236,15 @@ def _distance(channel: str, data: Floats, seen: Floats) -> Floats:
     return _rms(data - seen)
 
 
-def _more_than_an_offset(
-    data: Floats, tried: Iterator[tuple[str, Floats]], seen: Floats
-) -> Iterator[tuple[str, Floats]]:
-    """Omits readings of positions where a constant offset explains the values better.
+def _not_just_smaller(data: Floats, tried: Iterator[tuple[str, Floats]], seen: Floats) -> Iterator[tuple[str, Floats]]:
+    """Omits readings of positions that only shrink the values and fit worse than the values with a constant offset.
 
-    Positions in a frame far away come closer with any reading that halves them or more: it has to come closer than they
-    do after an offset. One of at least twice their size is kept. One in other axes or signs that comes closer by its
-    mean place alone, and follows the course of the trial motions worse, means a twin that stands elsewhere.
+    Positions in a frame far away come closer with any reading that shrinks them; an offset explains them better.
     """
-
-    def set_off(values: Floats) -> float:
-        apart = values - seen
-        return float(_rms(apart - apart.mean(axis=1, keepdims=True)).min())
-
-    size, own = _rms(data), set_off(data)
+    apart = data - seen
+    set_off = float(_rms(apart - apart.mean(axis=1, keepdims=True)).min())
     for words, values in tried:
-        if _rms(values) <= 0.5 * size:
-            kept = _SIMPLER * _distance(POSITION, values, seen).min() < own
-        else:
-            kept = _rms(values) > 2 * size or set_off(values) <= _SIMPLER * max(own, _FLOOR[POSITION])
-        if kept:
+        if not words or _rms(values) > 0.5 * _rms(data) or _SIMPLER * _distance(POSITION, values, seen).min() < set_off:
             yield words, values
 
 

@@ -26,6 +26,7 @@ from pftwin.base.spatial import Quaternion
 from pftwin.dynamics.batch.simulate_batch import simulate_batch
 from pftwin.dynamics.batch.variants import Variants
 from pftwin.dynamics.equilibrium_report import Start, invalid_start
+from pftwin.dynamics.status import FLAGS, Status
 from pftwin.model.measured import Measured
 from pftwin.model.scene import Scene, check
 from pftwin.model.scene_parameters import find
@@ -78,10 +79,11 @@ def predict_motion(
     frames = scene.motion.times.size
     counts = found["status_frames"].values
     good = ~(found["failed"].values | is_invalid(counts, frames))
-    moved, turned = found["start_shift"].values, np.radians(found["start_turn"].values)
+    settled = counts[:, FLAGS.index(Status.START_NOT_IN_EQUILIBRIUM)] == 0
+    each_start = zip(settled, found["start_shift"].values, np.radians(found["start_turn"].values), strict=True)
     starts = [
-        invalid_start(estimate.apply(scene, thetas[k]), Start(True, moved[k], turned[k])) if good[k] or k == 0 else ()
-        for k in range(len(thetas))
+        invalid_start(estimate.apply(scene, theta), Start(*start)) if k == 0 or good[k] else ()
+        for k, (theta, start) in enumerate(zip(thetas, each_start, strict=True))
     ]
     good[1:] &= [not why for why in starts[1:]]
     paths = _coordinates(found["sphere_center"].values, found["patella_quaternion"].values)

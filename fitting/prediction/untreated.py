@@ -35,7 +35,8 @@ def untrusted_start(scene: Scene, neutral: Scene | None = None) -> tuple[str, ..
 def untrusted_starts(programs: MemberPrograms, scene: Scene, thetas: Floats) -> list[tuple[str, ...]]:
     """As `reasons_of`, for the estimate's values and its draws (1 + draws, p), with the programs of a batch.
 
-    Where the search of a draw fails, it is repeated from the equilibrium of another row.
+    Where the search of a draw fails, it is repeated from the equilibrium of another row; unlike on the live page and in
+    `pftwin.simulate`, damped relaxation is tried for the estimate's values alone.
     """
     poses, starts = programs.untreated(thetas)
     lost, settled = np.flatnonzero(~starts.converged), np.flatnonzero(starts.converged)

@@ -1,9 +1,9 @@
 """Cache of compiled programs and of values derived from files for later processes (`configure(cache_dir=...)`).
 
 A program is stored in the format of `jax.export`, so that another process need not trace it; its machine code is in
-JAX's compilation cache. The key consists of the source files of pftwin and of the function's package, the versions of
-the libraries, and the arguments. The source files do not reflect monkey-patching of these modules at run time: do not
-use a cache folder with it.
+JAX's compilation cache. The key consists of the source files of pftwin, and of the packages of the function and of its
+arguments' types, the versions of the libraries, and the arguments. The source files do not reflect monkey-patching of
+these modules at run time: do not use a cache folder with it.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ class Program:
         """Runs the program, waits for the result, and returns it with the times."""
         kind, arrays = _kind_of(args)
         began = prepared = time.perf_counter()
-        if any(getattr(jax.config, name) for name in _DEBUGGING) or any(isinstance(a, Tracer) for a in arrays):
+        if _debugging() or any(isinstance(a, Tracer) for a in arrays):
             return Timed(jax.block_until_ready(self._jitted(*args)), time.perf_counter() - began, 0.0)
         if kind not in self._ready:
             self.prepare(*args)
@@ -182,12 +182,14 @@ def settings() -> tuple[Any, ...]:
 
 
 def shares_settings(threads: Executor) -> bool:
-    """Whether JAX's settings are the same in these threads; a local change applies to one thread only."""
+    """Whether programs run in these threads as in this one: a local change of JAX's settings applies to one thread, and
+    for debugging programs are traced anew, which only one thread may do at a time."""
 
-    def all_settings() -> tuple[Any, ...]:
-        return settings(), *(getattr(jax.config, name) for name in _DEBUGGING)
+    return threads.submit(settings).result() == settings() and not _debugging()
 
-    return threads.submit(all_settings).result() == all_settings()
+
+def _debugging() -> bool:
+    return any(getattr(jax.config, name) for name in _DEBUGGING)
 
 
 @functools.cache
@@ -206,8 +208,10 @@ def _key(function: Callable[..., Any], args: Any, files: Sequence[Path] = ()) ->
         if any(file.is_file() and file.stat().st_size > MESH_BYTES for file in files):
             return None
         contents = [hashlib.sha256(file.read_bytes()).hexdigest() for file in files]
-        sources = [_source(p) for p in sorted({"pftwin", package})]
-        return fingerprint([sources, versions(), name, contents, args])
+        body = to_bytes(args)
+        types = (p for p in PACKAGES if f'"{p}.'.encode() in body)  # packages of types among the arguments
+        sources = [_source(p) for p in sorted({"pftwin", package, *types})]
+        return fingerprint([sources, versions(), name, contents, hashlib.sha256(body).hexdigest()])
     except (NotPlainError, OSError):
         return None
 

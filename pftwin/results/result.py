@@ -115,8 +115,8 @@ class Result:
         Args:
             scene, start, seen, ledger: simulated scene, starting equilibrium, observation and energy account.
             relaxed: whether damped relaxation was needed to find the starting equilibrium.
-            settings, timing: "integrator", "dt_s", "substeps"; "equilibrium_s", "run_s" (of the chosen run, while another
-                may have run at the same time), "estimate_s" (more time that other runs took), "compile_s".
+            settings, timing: "integrator", "dt_s", "substeps"; "equilibrium_s", "run_s" (of the chosen run, beside
+                which another may have run), "estimate_s" (additional time of other runs), "compile_s".
             error, impact: see the fields; frames with a large error are flagged.
         """
         seen, ledger, start = on_host((seen, ledger, start))

@@ -13,7 +13,7 @@ from small_scene import small_scene
 
 import fitting
 from fitting import programs
-from pftwin.base import cache_folder
+from pftwin.base import cache_folder, program_cache
 from pftwin.base.program_cache import Program
 
 
@@ -54,3 +54,8 @@ def test_another_process_does_not_trace_what_one_has_kept(kept, monkeypatch):
     assert run("quadriceps")[0].shape == (3, 6, 1)  # another program, which is traced
     assert len(traced) > count
     assert len(list(kept.iterdir())) == 2
+    count = len(traced)
+    source = program_cache._source
+    monkeypatch.setattr(program_cache, "_source", lambda package: source(package) + package.removeprefix("pftwin"))
+    run("position")  # after a change of fitting alone
+    assert len(traced) > count

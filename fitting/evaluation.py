@@ -101,6 +101,15 @@ class Evaluator:
             threads = _PARTS if self._count == 1 and widest >= _PARTS * _FEWEST else 1
             self.chunk = -(-widest // max(-(-widest // (_WIDEST * self._count)), threads))
 
+    def begin(self) -> Callable[[], None]:
+        """Traces the program that a fit needs first; the returned function compiles it. Call `prepare` before."""
+        slopes = not self._with_plain
+        width = self._call_width(self.slope_chunk if slopes else self.chunk)
+        theta = jnp.asarray(np.zeros((width, len(self.parameters))), dtype=float)
+        guesses = _selected(jax.tree.map(lambda a: np.asarray(a)[None], self.scene.start), np.zeros(width, int))
+        program = programs.with_slopes if slopes else programs.predictions
+        return program.begin(self._program, self._plain_scene, jnp.asarray(0), theta, guesses)
+
     @property
     def scenes(self) -> tuple[Scene, ...]:
         """The nominal scene of every trial: here one."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -34,6 +35,10 @@ class TrialsEvaluator:
         """As `Evaluator.prepare`."""
         for each in self.evaluators:
             each.prepare(widest)
+
+    def begin(self) -> Callable[[], None]:
+        """As `Evaluator.begin`, of the first trial; those of others differ only if their numbers of frames do."""
+        return self.evaluators[0].begin()
 
     def scenes_at(self, theta: Floats) -> tuple[Scene, ...]:
         """The scene of every trial with parameters (p,)."""

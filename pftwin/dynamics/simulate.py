@@ -80,10 +80,16 @@ def prepare_relaxation(scene: Scene) -> None:
     _relaxed.prepare(scene.unnamed())
 
 
-def compiled_aside(scene: Scene, integrator: Integrator | None = None, energy: bool = True) -> Callable[[], object]:
+def compiled_aside(
+    scene: Scene,
+    integrator: Integrator | None = None,
+    energy: bool = True,
+    before: Callable[[], Callable[[], None]] | None = None,
+) -> Callable[[], object]:
     """Traces the programs of `simulate` and compiles them in other threads; the returned function waits for them.
 
-    If the first program is already compiled, so are the others as a rule, and this does nothing.
+    If the first program is already compiled, so are the others as a rule, and this does nothing. `before` traces a
+    program that is needed earlier, and returns a function that compiles it.
     """
     if _solve.at_hand(scene):
         return lambda: None
@@ -92,6 +98,8 @@ def compiled_aside(scene: Scene, integrator: Integrator | None = None, energy: b
     try:
         if not shares_settings(threads):
             return lambda: None
+        if before is not None:
+            threads.submit(before())
         longer = threads.submit(_run.begin(scene, start, integrator or BDF2(), jnp.asarray(1), energy))
         other = threads.submit(_solve.begin(scene))
         return lambda: (longer.result(), other.result())

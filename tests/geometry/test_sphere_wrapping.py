@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from taut_line_slopes import STEP, slopes
 
 from pftwin.base.leaves import number, vector
 from pftwin.base.spatial import Quaternion
@@ -90,14 +91,12 @@ def test_what_holds_of_every_taut_line(start, end):
         check_slopes(obstacle, start, end, out, back)
 
 
-def check_slopes(obstacle, start, end, out, back, h=1e-7):
+def check_slopes(obstacle, start, end, out, back):
     """Its length shortens as either end goes along the line, whatever the line touches."""
-    moves = h * np.concatenate([np.eye(3), -np.eye(3)])
-    for which, way in enumerate((out, back)):
-        ends = [np.broadcast_to(p, (6, 3)) + (moves if k == which else 0) for k, p in enumerate((start, end))]
-        lengths = around(obstacle, *ends)[0]
-        if min_distance(np.array([start]), np.array([end]))[0] > 10 * h:  # else it jumps to the other side
-            np.testing.assert_allclose((lengths[3:] - lengths[:3]) / (2 * h), way, atol=2e-5)
+    found = slopes(lambda *ends: around(obstacle, *ends)[0], start, end)
+    for (_, slope), way in zip(found, (out, back), strict=True):
+        if min_distance(np.array([start]), np.array([end]))[0] > 10 * STEP:  # else it jumps to the other side
+            np.testing.assert_allclose(slope, way, atol=2e-5)
 
 
 def sinking(depths) -> tuple[np.ndarray, np.ndarray]:

@@ -49,8 +49,8 @@ _UNITS: dict[str, dict[float, str]] = {  # factor for a channel, and what is wro
     },
 }
 _AXES = "xyz"
+_CLEARLY = 1.1  # how many times closer than with a constant offset values that a reading shrinks must lie
 _FRAMES = 200  # most frames used to compare readings, spread evenly over the recording
-_SIMPLER = 1.1  # a simpler reading is preferred if it is at most this many times farther away
 _FLOOR = {POSITION: 1e-3, ORIENTATION: 0.02}  # distance below which all readings count as equally good [m], [rad]
 _FORCE_FLOOR = 0.01  # the same for a force, as a share of the twin's
 _PRESUMED = "gravity, loads and frame"  # a twin with wrong ones may lie closer to another reading of right data
@@ -87,7 +87,7 @@ def misread(objective: Objective, trials: Floats, limits: Limits) -> list[str]:
     """Doubts: what channels look like, in words, if another reading lies closer to one of the trial motions (N, n, c).
     Raises InputError if another reading is closer by more than the limit allows."""
     found, (named, refused) = [], limits["reading"]
-    for r in alike((r for r in readings(objective, trials) if r.times >= named), objective.readings):
+    for r in alike((r for r in readings(objective, trials, named) if r.times >= named), objective.readings):
         said = f"{_listed(r.channels)} {r.words}"
         if r.times >= refused:
             raise InputError(
@@ -113,8 +113,12 @@ def alike(found: Iterable[Reading], units: Mapping[str, str]) -> list[Reading]:
     return sorted(together.values(), key=lambda r: -r.times)
 
 
-def readings(objective: Objective, trials: Floats) -> Iterator[Reading]:
-    """The best other reading of each channel, and pairs of forces that fit better swapped."""
+def readings(objective: Objective, trials: Floats, closer: float) -> Iterator[Reading]:
+    """The best other reading of each channel, and pairs of forces that fit better swapped.
+
+    Another reading has to lie `closer` times closer to the twin than any simpler one: positions in millimetres are not
+    called mirrored too because a twin with other loads happens to lie a little nearer to their mirror image.
+    """
     for channel, at, rows in objective.columns():
         keep = _frames_compared(objective.present[:, rows.start])
         if not keep.size:
@@ -130,7 +134,7 @@ def readings(objective: Objective, trials: Floats) -> Iterator[Reading]:
             tried = _not_just_smaller(data, tried, seen)
         off = {words: max(float(_distance(channel, values, seen).min()) / size, floor) for words, values in tried}
         best = min(off.values())
-        words = next(w for w, value in off.items() if value <= _SIMPLER * best)  # the simplest comes first
+        words = next(w for w, value in off.items() if value <= closer * best)  # the simplest comes first
         if words:
             yield Reading((channel,), words, off[""] / off[words])
     single = [(channel, at.start, rows.start) for channel, at, rows in objective.columns() if channel not in _FLOOR]
@@ -244,7 +248,7 @@ def _not_just_smaller(data: Floats, tried: Iterator[tuple[str, Floats]], seen: F
     apart = data - seen
     set_off = float(_rms(apart - apart.mean(axis=1, keepdims=True)).min())
     for words, values in tried:
-        if not words or _rms(values) > 0.5 * _rms(data) or _SIMPLER * _distance(POSITION, values, seen).min() < set_off:
+        if not words or _rms(values) > 0.5 * _rms(data) or _CLEARLY * _distance(POSITION, values, seen).min() < set_off:
             yield words, values
 
 

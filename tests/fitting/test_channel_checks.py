@@ -29,7 +29,7 @@ def target(channels, measured, widths):
 
 def read(channels, measured, truth, widths):
     trials = np.stack([truth * s if widths[-1] == 1 else truth for s in SCALES])
-    return [(r.channels, r.words, r.times) for r in readings(target(channels, measured, widths), trials)]
+    return [(r.channels, r.words, r.times) for r in readings(target(channels, measured, widths), trials, LIMITS["reading"][0])]
 
 
 @pytest.mark.parametrize(
@@ -57,6 +57,15 @@ def test_positions_as_they_are_and_a_millimetre_off_have_no_other_reading():
         assert read(("position",), POSITION + off, POSITION, (3,)) == []
 
 
+def test_positions_in_millimetres_are_not_called_mirrored_too_because_the_twin_happens_to_be_nearer_to_that():
+    """With other loads the twin's patella is 9.5 mm from the measured one, and 7.1 mm from its mirror image."""
+    elsewhere = POSITION - [0.0, 0.0095, 0.0]
+    [(_, said, times)] = read(("position",), 1000 * POSITION, elsewhere, (3,))
+    assert said == "1000 times too large: in millimetres"
+    assert times > 100
+    assert read(("position",), POSITION, elsewhere, (3,)) == []
+
+
 def test_positions_of_zero_are_no_other_reading():
     assert read(("position",), 0 * POSITION, POSITION, (3,)) == []
 
@@ -70,11 +79,11 @@ def test_a_trial_whose_tendon_hangs_slack_is_resembled_by_nothing():
     """Its force is as good as zero, as is that of any numbers in smaller units."""
     force = FORCES[:, :1]
     trials = np.stack([1.4 * force, 0.7 * force, 1e-3 * force])
-    assert list(readings(target(("quadriceps",), force, (1,)), trials)) == []
-    [reading] = readings(target(("quadriceps",), 1e3 * force, (1,)), trials)
+    assert list(readings(target(("quadriceps",), force, (1,)), trials, 1.1)) == []
+    [reading] = readings(target(("quadriceps",), 1e3 * force, (1,)), trials, 1.1)
     assert "1000 times too large" in reading.words
     wide = np.stack([force, 20 * force, 30 * force, 1e-3 * force])
-    assert list(readings(target(("quadriceps",), 1.02 * force, (1,)), wide)) == []
+    assert list(readings(target(("quadriceps",), 1.02 * force, (1,)), wide, 1.1)) == []
 
 
 def test_orientations_the_other_way_round_or_with_the_scalar_last():

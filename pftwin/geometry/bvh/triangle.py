@@ -38,6 +38,14 @@ class Triangle(eqx.Module):
         """Outward normal times twice the area [m^2]."""
         return (self.b - self.a).cross(self.c - self.a)
 
+    def weights(self, p: Vec3) -> tuple[Scalar, Scalar, Scalar]:
+        """Barycentric coordinates of a point in the triangle's plane; a degenerate triangle is its first corner."""
+        normal, arm = self.area_vector(), p - self.a
+        square = normal.squared_norm()
+        over = jnp.where(square > 0, 1 / jnp.where(square > 0, square, 1), 0)
+        b, c = over * arm.cross(self.c - self.a).dot(normal), over * (self.b - self.a).cross(arm).dot(normal)
+        return 1 - b - c, b, c
+
 
 class OnTriangle(NamedTuple):
     """The nearest point of a triangle."""

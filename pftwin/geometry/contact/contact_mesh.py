@@ -18,12 +18,15 @@ import numpy as np
 from jaxtyping import Array
 from numpy.typing import ArrayLike, NDArray
 
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.geometry.bvh.corners import CornerTree, corner_tree
 from pftwin.geometry.bvh.pairs import LEAF
 from pftwin.geometry.bvh.tree import MeshTree, build_tree, depth_for, joined_tree
 from pftwin.geometry.mesh.mesh import SurfaceMesh, summed_at
 from pftwin.geometry.mesh.topology import Edges, edges_of
+
+_PER_EDGE = 9  # points of each edge of a border from which distances are measured
 
 
 class ContactMesh(eqx.Module):
@@ -131,3 +134,20 @@ def border_edges(mesh: SurfaceMesh, label: NDArray) -> tuple[NDArray[np.float64]
     marked = _label_borders(edges, label), edges.count == 1
     seam, rim = (mesh.vertices[edges.corners[m]].reshape(-1, 6) for m in marked)
     return seam, rim
+
+
+def distances_from_border(mesh: SurfaceMesh, lateral: NDArray[np.bool_]) -> Floats:
+    """Distances (m, 3) of the triangles' corners from the border between the facets, positive on the lateral one [m].
+
+    Where there is no border, as on a mesh that is one facet, they are 1 m.
+    """
+    from scipy.spatial import cKDTree
+
+    sign = np.where(lateral, 1.0, -1.0)[:, None]
+    seam, _ = border_edges(mesh, lateral.astype(np.int64))
+    if not len(seam):
+        return np.repeat(sign, 3, axis=1)
+    share = np.linspace(0.0, 1.0, _PER_EDGE)[:, None, None]
+    points = (1.0 - share) * seam[:, :3] + share * seam[:, 3:]
+    away = np.asarray(cKDTree(points.reshape(-1, 3)).query(mesh.vertices)[0])
+    return sign * away[mesh.faces]

@@ -25,7 +25,7 @@ from pftwin.geometry.bvh.loops import member_by_member
 from pftwin.geometry.bvh.tree import check_searchable
 from pftwin.geometry.bvh.triangle import Triangle, closest_on_triangle
 from pftwin.geometry.bvh.walk import Fans, SearchTree, fans_of, rows_of
-from pftwin.geometry.contact.contact_mesh import features_of
+from pftwin.geometry.contact.contact_mesh import distances_from_border, features_of
 from pftwin.geometry.contact.depth_search import TouchingLeaves, touching_leaves
 from pftwin.geometry.mesh.mesh import SurfaceMesh
 
@@ -42,7 +42,7 @@ class Below(NamedTuple):
     normal: Vec3  # unit, outward: minus the depth's gradient
     bend: Vec3  # gradient by the point of the normal's component along a given vector; within a table only
     rim: Array  # bool: whether the nearest point is on the rim of an open surface
-    facet: Array | None  # int32 label of the nearest triangle; None if the mesh has no labels
+    lateral: Scalar | None  # distance from the facets' border, positive laterally [m]; None if there are no facets
 
 
 class PressedSurface(eqx.Module):
@@ -54,7 +54,7 @@ class PressedSurface(eqx.Module):
     triangle: Array  # (leaves * lanes,) int32: index of the mesh's triangle in each place
     outward: Array  # (7 triangles, 3) unit outward pseudo-normals at each triangle's face, edges and corners
     rim: Array  # (7 triangles,) whether the feature is on the boundary of an open mesh
-    label: Array | None  # (triangles,) int32, facet
+    border: Array | None  # (leaves * lanes, 3) of the corners in each place: see `Below.lateral`
 
     def leaf(self, number: Array) -> Triangle:
         """The triangles of a leaf, one per lane."""
@@ -101,9 +101,16 @@ class PressedSurface(eqx.Module):
         sign = jnp.where(stop_gradient(away.dot(outward)) < 0, -1.0, 1.0)
         scale = sign / jnp.where(apart, size, 1.0)
         normal = jax.tree.map(lambda a, n: jnp.where(apart, scale * a, n), away, outward)
-        facet = None if self.label is None else self.label[self.triangle[place]]
         flat = jax.tree.map(jnp.zeros_like, vector)
-        return Below(-normal.dot(away), normal, flat, self.rim[feature], facet)
+        return Below(-normal.dot(away), normal, flat, self.rim[feature], self.lateral(place, on.point))
+
+    def lateral(self, place: Array, point: Vec3) -> Scalar | None:
+        """Distance from the facets' border of points on the triangles in some places: see `Below`."""
+        if self.border is None:
+            return None
+        corners = gathered(self.border[place])
+        weights = Triangle.of_rows(gathered(self.corners[place])).weights(point)
+        return sum((w * corners[..., k] for k, w in enumerate(weights)), jnp.zeros_like(point.x))
 
 
 class PressingSurface(eqx.Module):
@@ -143,7 +150,7 @@ def pressed_surface(mesh: SurfaceMesh, labels: ArrayLike | None = None) -> Press
         InputError: no triangles, too many, or coordinates that are not finite; labels that do not match the mesh.
     """
     check_searchable(mesh)
-    facets = None
+    border = None
     if labels is not None:
         facets = np.asarray(labels)
         if facets.shape != (len(mesh.faces),) or not np.isin(facets, (0, 1)).all():
@@ -152,7 +159,7 @@ def pressed_surface(mesh: SurfaceMesh, labels: ArrayLike | None = None) -> Press
                 where=mesh.source,
                 expected=f"({len(mesh.faces)},): 0 (medial) or 1 (lateral) for each triangle",
             )
-        facets = facets.astype(np.int32)
+        border = distances_from_border(mesh, facets == 1)
     fans, outward, rim = cached(_fans_and_features, mesh.vertices, mesh.faces, files=())
     source = _originals(fans.places)
     corners = mesh.vertices[mesh.faces][source].reshape(*source.shape, 9)
@@ -164,7 +171,7 @@ def pressed_surface(mesh: SurfaceMesh, labels: ArrayLike | None = None) -> Press
         "triangle": source.ravel(),
         "outward": outward.astype(own),
         "rim": rim,
-        "label": facets,
+        "border": None if border is None else border[source.ravel()].astype(own),
     }
     return PressedSurface(**jax.device_put(parts))
 

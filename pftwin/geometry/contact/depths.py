@@ -36,7 +36,7 @@ class Depths(NamedTuple):
     area: Scalar  # of the triangle, projected along the normal [m^2]
     tilting: Vec3  # minus the area's derivative by the button's rotation, in the button's frame [m^2/rad]
     sliding: Vec3  # minus its derivative by the centroid's position; zero if normals are constant on faces [m]
-    facet: Array | None  # int32: the label of the femur's nearest triangle
+    lateral: Scalar | None  # share of the triangle on the lateral facet, 0 to 1; None if there are no facets
 
 
 def depths(
@@ -85,7 +85,7 @@ def depths_in(
     own = Triangle.of_rows(jnp.moveaxis(rows, 1, -1).reshape(-1, 9))
     local, vector = centroid(own), own.area_vector()
     point = position + rotation.apply(local)
-    depth, normal, bend, rim, facet = femur.below(place.reshape(-1), point, rotation.apply(vector))
+    depth, normal, bend, rim, lateral = femur.below(place.reshape(-1), point, rotation.apply(vector))
     along = rotation.unapply(normal)
     projected = 0.5 * vector.dot(along)
     facing = jnp.where(stop_gradient(projected) < 0, -1.0, 1.0)  # independent of the mesh's orientation
@@ -100,5 +100,11 @@ def depths_in(
         area=facing * projected,
         tilting=(0.5 * facing) * along.cross(vector),
         sliding=(-0.5 * facing) * bend,
-        facet=facet,
+        lateral=None if lateral is None else _share(lateral, vector),
     )
+
+
+def _share(lateral: Scalar, vector: Vec3) -> Scalar:
+    """Shares of triangles beyond a straight border: each as if it were a square across it, of the same area."""
+    width = jnp.sqrt(jnp.maximum(0.5 * vector.norm(), 1e-30))
+    return jnp.clip(0.5 + lateral / width, 0.0, 1.0)

@@ -31,12 +31,11 @@ from pftwin.geometry.mesh.mesh import SurfaceMesh
 
 _AROUND = 12e-3  # [m] margin of the table around the surface: more than the depths that are searched for
 _BEYOND = 6e-3  # [m] distance beyond the rim up to which the depth is continued
-_MOST_NODES = 5_000_000  # 108 bytes each
+_MOST_NODES = 5_000_000  # 113 bytes each
 _ALLOWED = 5e-5  # [m] largest rms error of a table's depths on the surface
 _SHARPEST = 100.0  # [1/m] largest curvature of a joint's surface
 _FLAT = 1e-6  # smallest square of a slope by which it is divided
 _OFF = 0.1  # largest error of a table's depth, as a share of a cube's edge
-_LATERAL, _RIM = 1, 2  # bits of a node's code
 # The quadratic spline's polynomial (power, neighbour) from -1/2 to 1/2 around a node, from it and its neighbours.
 _SPLINE = np.array([[1 / 8, 3 / 4, 1 / 8], [-1 / 2, 0, 1 / 2], [1 / 2, -1, 1 / 2]])
 
@@ -46,7 +45,8 @@ class DistanceGrid(eqx.Module):
 
     exact: PressedSurface  # the surface that the table approximates
     cells: Array  # (nodes, 27) float32: polynomial coefficients [m], for coordinates in the cube from -1/2 to 1/2
-    codes: Array  # (nodes,) int8: bit 1: the nearest triangle is on the lateral facet; bit 2: the rim is nearest
+    rim: Array  # (nodes,) bool: whether the rim is nearest
+    border: Array  # (nodes,) float32: `Below.lateral` at the nearest point
     low: Array  # (3,) position of the first node [m]
     spacing: Array  # () [m]
     shape: tuple[int, int, int] = eqx.field(static=True)  # nodes along each axis
@@ -77,9 +77,25 @@ class DistanceGrid(eqx.Module):
         # d(n.v)/dp = -(H v - (n.v) H n) / |slope|, with H the depth's second derivative.
         along = jnp.where(steep > _FLAT, normal.dot(vector), 0.0)
         bend = -over * (near.bent(vector) - near.bent(normal) * along)
-        code = self.codes[near.node]
-        facet = None if self.exact.label is None else (code & _LATERAL).astype(jnp.int32)
-        return Below(near.depth, normal, bend, (code & _RIM) > 0, facet)
+        lateral = None if self.exact.border is None else self._between(point)
+        return Below(near.depth, normal, bend, self.rim[near.node], lateral)
+
+    def _between(self, point: Vec3) -> Scalar:
+        """Distances of points (k,) from the facets' border, linear in each coordinate between the nodes."""
+        number, found = jnp.int32(0), []
+        for i, p in enumerate((point.x, point.y, point.z)):
+            most = self.shape[i] - 1
+            at = jnp.clip((p - self.low[i]) / self.spacing, 0.0, float(most))
+            first = jnp.minimum(jnp.floor(stop_gradient(at)), float(most - 1))
+            number = number * jnp.int32(self.shape[i]) + first.astype(jnp.int32)
+            found.append(at - first)
+        _, ny, nz = self.shape
+        corners = [(i * ny + j) * nz + k for i in range(2) for j in range(2) for k in range(2)]
+        values = [gathered(self.border[number + jnp.int32(n)]).astype(point.x.dtype) for n in corners]
+        for u in found:
+            half = len(values) // 2
+            values = [a + u * (b - a) for a, b in zip(values[:half], values[half:], strict=True)]
+        return values[0]
 
     def _near(self, point: Vec3) -> _Near:
         """The polynomials of points (k,), evaluated from the innermost coordinate outwards."""
@@ -158,26 +174,27 @@ def distance_grid(mesh: SurfaceMesh, spacing: float, labels: ArrayLike | None = 
         found = f"{1e3 * spacing:.3g} mm: {nodes:,.0f} nodes about {mesh.source}"
         raise InputError(found, where="distance_grid", expected=f"at least {least:.2f} mm")
     shape = cubes.astype(int) + 1
-    facets = np.zeros(len(mesh.faces), np.int32) if labels is None else np.asarray(labels, np.int32)
+    facets = np.zeros(len(mesh.faces), bool) if labels is None else np.asarray(labels).astype(bool)
     nx, ny, nz = shape.tolist()
-    cells, codes, off = cached(_tables, mesh.vertices, mesh.faces, facets, low, spacing, (nx, ny, nz), files=())
+    cells, rim, border, off = cached(_tables, mesh.vertices, mesh.faces, facets, low, spacing, (nx, ny, nz), files=())
     if off > _ALLOWED:
         found = f"{1e3 * spacing:.3g} mm: depths have an error of {1e3 * off:.2g} mm (rms) on {mesh.source}"
         most = f"at most {1e3 * _ALLOWED:.2g} mm"
         raise InputError(found, where="distance_grid", expected=most, remedy="a finer one")
     own = canonicalize_dtype(float)
     numbers = jnp.asarray(low, own), jnp.asarray(spacing, own)
-    return DistanceGrid(exact, jax.device_put(cells), jax.device_put(codes), *numbers, (nx, ny, nz))
+    tables = jax.device_put(cells), jax.device_put(rim), jax.device_put(border)
+    return DistanceGrid(exact, *tables, *numbers, (nx, ny, nz))
 
 
 def _tables(
-    vertices: Floats, faces: NDArray[np.int64], facets: NDArray[np.int32], low: Floats, spacing: float, shape: Any
-) -> tuple[NDArray[np.float32], NDArray[np.int8], float]:
-    """Polynomials (nodes, 27) and codes of all nodes, and the rms error of depths [m]."""
+    vertices: Floats, faces: NDArray[np.int64], facets: NDArray[np.bool_], low: Floats, spacing: float, shape: Any
+) -> tuple[NDArray[np.float32], NDArray[np.bool_], NDArray[np.float32], float]:
+    """Polynomials (nodes, 27), `rim` and `border` of all nodes, and the rms error of depths [m]."""
     points = low + spacing * np.indices(shape).reshape(3, -1).T
     with jax.enable_x64(True), jax.default_device(jax.devices("cpu")[0]):  # the same table for every caller
-        exact = pressed_surface(SurfaceMesh(vertices, faces))
-        depth, triangle, rim = (np.asarray(a) for a in _at_nodes(exact, jnp.asarray(points)))
+        exact = pressed_surface(SurfaceMesh(vertices, faces), facets)
+        depth, lateral, rim = (np.asarray(a) for a in _at_nodes(exact, jnp.asarray(points)))
     depth = depth.reshape(shape).astype(np.float64)
     for axis in range(3):  # second-order accurate coefficients from neighbours alone: no ringing
         bend = np.diff(np.moveaxis(depth, axis, 0), n=2, axis=0)
@@ -187,31 +204,31 @@ def _tables(
         near = np.stack([np.take(terms, range(a, a + n), axis=axis) for a in range(3)], axis=-1)
         terms = near @ _SPLINE.T.astype(np.float32)
     cells = terms.reshape(-1, 27)
-    codes = _LATERAL * (facets[triangle] == 1) + _RIM * rim
     at = (vertices[faces].mean(axis=1) - low) / spacing  # on the surface, where the depth is zero
     node = np.round(at).astype(int)
     powers = (at - node)[:, :, None] ** np.arange(3)
     own = cells[np.ravel_multi_index(tuple(node.T), shape)].reshape(-1, 3, 3, 3)
     off = np.einsum("iabc,ia,ib,ic->i", own, powers[:, 0], powers[:, 1], powers[:, 2])
-    return cells, codes.astype(np.int8), float(np.sqrt(np.mean(off**2)))
+    return cells, rim, lateral.astype(np.float32), float(np.sqrt(np.mean(off**2)))
 
 
 @jax.jit
-def _at_nodes(exact: PressedSurface, points: Array) -> tuple[Array, Array, Array]:
-    """Depths at points (n, 3), the nearest triangles, and whether the rim is nearest.
+def _at_nodes(exact: PressedSurface, points: Array) -> tuple[Array, Array | None, Array]:
+    """Depths at points (n, 3), the nearest points' distances from the facets' border, and whether the rim is nearest.
 
     Just beyond the rim the depth is that below the tangent plane, so that cells across the rim are accurate up to it;
     farther away it is minus the distance.
     """
 
-    def one(place: Array, row: Array) -> tuple[Array, tuple[Array, Array, Array]]:
-        point = Vec3.from_array(row)
-        place = nearest_triangle(exact, point, place).place
-        on = closest_on_triangle(Triangle.of_rows(exact.corners[place]), point)
-        feature = 7 * exact.triangle[place] + on.feature
-        plane = (on.point - point).dot(Vec3.from_array(exact.outward[feature]))
-        size, rim = jnp.sqrt(on.square), exact.rim[feature]
-        beyond = jnp.where(size < _BEYOND, plane, -size)
-        return place, (jnp.where(rim, beyond, jnp.where(plane < 0, -size, size)), exact.triangle[place], rim)
+    def nearest(place: Array, row: Array) -> tuple[Array, Array]:
+        place = nearest_triangle(exact, Vec3.from_array(row), place).place
+        return place, place
 
-    return jax.lax.scan(one, jnp.int32(0), points)[1]
+    place, point = jax.lax.scan(nearest, jnp.int32(0), points)[1], Vec3.from_array(points)
+    on = closest_on_triangle(Triangle.of_rows(exact.corners[place]), point)
+    feature = 7 * exact.triangle[place] + on.feature
+    plane = (on.point - point).dot(Vec3.from_array(exact.outward[feature]))
+    size, rim = jnp.sqrt(on.square), exact.rim[feature]
+    beyond = jnp.where(size < _BEYOND, plane, -size)
+    depth = jnp.where(rim, beyond, jnp.where(plane < 0, -size, size))
+    return depth, exact.lateral(place, on.point), rim

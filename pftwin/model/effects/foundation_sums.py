@@ -179,10 +179,10 @@ def _lanes_of_leaves(at: Bedded, found: TouchingLeaves, start: Array) -> Lanes:
     tilting = (*nothing, d.tilting.x, d.tilting.y, d.tilting.z)
     turning = [kept * (m + t) for m, t in zip(_wrench(at, d, d.sliding), tilting, strict=True)]
     touching = d.listed & (d.depth > 0)
-    facet = jnp.zeros_like(d.triangle) if d.facet is None else d.facet
+    lateral = jnp.zeros_like(d.depth) if d.lateral is None else d.lateral
     push = force * d.normal + kept * d.sliding
-    on = [facet == k for k in range(2)]
-    borne_on = [jnp.where(here, borne, 0.0) for here in on]
+    on = (1 - lateral, lateral)
+    borne_on = [share * borne for share in on]
     stiff = [stiffness * r for r in row]
     return Lanes(
         force=[r * force + t for r, t in zip(row, turning, strict=True)],
@@ -193,7 +193,7 @@ def _lanes_of_leaves(at: Bedded, found: TouchingLeaves, start: Array) -> Lanes:
         area=jnp.where(touching, d.area, 0.0),
         borne=borne_on,
         moment=[[b * d.point.x, b * d.point.y, b * d.point.z] for b in borne_on],
-        facets=[[jnp.where(here, a, 0.0) for a in (push.x, push.y, push.z)] for here in on],
+        facets=[[share * a for a in (push.x, push.y, push.z)] for share in on],
         most=pressure,
         deepest=jnp.where(touching, d.depth, 0.0),
     )

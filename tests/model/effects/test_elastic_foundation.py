@@ -59,6 +59,27 @@ def test_a_ball_on_a_plate_bears_what_the_displaced_volume_says(effect, d):
     assert float(report["too_deep"]) == 0
 
 
+def test_a_ball_that_slides_across_the_facets_border_leaves_one_as_it_comes_onto_the_other(effect):
+    """Each triangle passes from facet to facet as its width crosses the border, not at once as its middle does."""
+    d, step = 5e-4, 1e-6
+    wide = np.sqrt(d * (2 * RADIUS - d))  # of the contact
+    at = np.linspace(-wide, wide, 4001)
+    half = np.sqrt(wide**2 - at**2)  # of the contact's chords along the border
+    depth = np.sqrt(np.maximum(RADIUS**2 - at**2 - (np.linspace(-1, 1, 201)[:, None] * half) ** 2, 0)) - (RADIUS - d)
+    strips = 2 * half * np.trapezoid(depth, axis=0) / 200
+    beyond = np.cumsum(strips) / strips.sum()  # share of the force at less than `at` from the middle
+    steepest = strips.max() / (strips.sum() * (at[1] - at[0]))
+    orientation = Quaternion.from_rotation_vector(vec(0.3, 0.2, -0.1))
+    places = np.array([-2.2e-3, -4e-4, 9e-4])[:, None] + step * np.arange(80)
+    reports = [seen(effect, look((x, 0, RADIUS - d), orientation=orientation))[1] for x in places.ravel()]
+    medial, lateral = (
+        np.array([r[f"force_{f}"] for r in reports]).reshape(places.shape) for f in ("medial", "lateral")
+    )
+    share = lateral / (medial + lateral)
+    np.testing.assert_allclose(share, np.interp(places, at, beyond), atol=2e-3)
+    assert np.abs(np.diff(share)).max() < 1.5 * steepest * step
+
+
 @pytest.mark.slow
 def test_the_force_is_minus_the_energys_gradient_and_the_stiffness_its_slope(effect):
     now = at_depth(0.0)

@@ -98,15 +98,15 @@ def test_a_batch_in_a_loop_has_the_values_and_slopes_of_its_members(side):
     def force(depth):
         return contact.load(look((0.002, -0.003, -depth), orientation=TILT), None)[0].bed.force
 
-    def differentiated(function, depth):
+    def differentiated(function):
         def in_loop(d):
             return jax.lax.scan(lambda _, n: (function(d), None), function(0 * d), jnp.arange(1))[0]
 
-        return jax.jit(lambda d: jax.jvp(in_loop, (d,), (jnp.ones_like(d),)))(depth)
+        return jax.jit(lambda d: jax.jvp(in_loop, (d,), (jnp.ones_like(d),)))
 
-    depths = jnp.linspace(1e-4, 6e-4, 6)
-    together = differentiated(jax.vmap(force), depths)
-    alone = [differentiated(force, depth) for depth in depths]
+    depths = J(np.linspace(1e-4, 6e-4, 6))
+    together = differentiated(jax.vmap(force))(depths)
+    alone = list(map(differentiated(force), depths))
     assert np.asarray(together[0])[:, 2].min() > 1
     for both, each in zip(together, zip(*alone, strict=True), strict=True):
         np.testing.assert_allclose(both, np.stack(each), rtol=1e-12, atol=1e-9)

@@ -175,14 +175,17 @@ class Uncertain(Fitted):
         return np.linspace(-1e-3, 1e-3, count)[:, None]
 
 
+UNCERTAIN = Uncertain()  # one, as programs know an estimate by its identity
+
+
 def test_draws_that_start_invalid_meet_no_limit():
     """Two of eleven turn further at the start than the limit allows, by the equilibria that `pftwin` reports."""
-    knee, draws = small_scene(5), Uncertain().samples(11)
-    turned = np.degrees([equilibrium(Uncertain().apply(knee, d)).turned for d in (Uncertain().values, *draws)])
+    knee, draws = small_scene(5), UNCERTAIN.samples(11)
+    turned = np.degrees([equilibrium(UNCERTAIN.apply(knee, d)).turned for d in (UNCERTAIN.values, *draws)])
     second, third = np.sort(turned[1:])[[-2, -3]]
     assert turned[0] < third
     near = knee.with_limits(most_start_turn_deg=float(0.5 * (second + third)))
-    options = {"estimate": Uncertain(), "samples": 11, "confidence": 0.5, "dt": DT}
+    options = {"estimate": UNCERTAIN, "samples": 11, "confidence": 0.5, "dt": DT}
     plan = optimise_treatment(near, Limit("peak_contact_force", at_most=1e4), {"medialisation": (0.0, 0.02)}, **options)
     assert plan.met
     assert plan.share == pytest.approx(9 / 11)
@@ -192,7 +195,7 @@ def test_draws_that_start_invalid_meet_no_limit():
 def test_limits_hold_for_the_share_of_draws_that_was_asked_for(knee, bound):
     """Draws displace the tuberosity itself, so that it has to be moved as far more as the worst draw that counts."""
     limit, reach = Limit("largest_offset", at_most=bound), {"medialisation": (0.0, 0.02)}
-    options = {"estimate": Uncertain(), "samples": 11, "dt": DT}
+    options = {"estimate": UNCERTAIN, "samples": 11, "dt": DT}
     plan = optimise_treatment(knee, limit, reach, **options, confidence=0.9)
     assert plan.met
     assert plan.share == pytest.approx(10 / 11)
@@ -209,7 +212,7 @@ def test_no_treatment_is_sure_enough(knee, bound):
     """Two points of the grid are left to the draws: 34 members, which the grid's own program of 64 holds."""
     limit = Limit("largest_offset", at_most=bound)
     found = optimise_treatment(
-        knee, limit, {"medialisation": (0.0, 7.5e-3)}, estimate=Uncertain(), samples=16, confidence=1.0, dt=DT
+        knee, limit, {"medialisation": (0.0, 7.5e-3)}, estimate=UNCERTAIN, samples=16, confidence=1.0, dt=DT
     )
     assert not found.met
     assert 0.5 < found.share < 1
@@ -257,13 +260,13 @@ def test_limits_that_are_none(text, message):
 def test_interrupted_after_the_draws_it_is_the_smallest_amount_that_enough_of_them_meet(monkeypatch):
     """And says that no separate simulation confirmed it. The estimate's coverage is the plan's."""
     knee, reach, grid_step = small_scene(5), {"medialisation": (0.0, 0.02)}, 0.02 / 40
-    told = predict(knee, grid(TRANSFER, medialisation=grid_step * np.arange(41)), Uncertain(), samples=11, dt=DT)
+    told = predict(knee, grid(TRANSFER, medialisation=grid_step * np.arange(41)), UNCERTAIN, samples=11, dt=DT)
     tilt = np.radians(told["mean_tilt"].values)
     limit = Limit("mean_tilt", at_least=float(tilt[14, 0]))
     enough = (tilt[:, 1:] >= limit.at_least).mean(axis=1) >= 0.9
     expected = grid_step * np.flatnonzero(enough & (tilt[:, 0] >= limit.at_least))[0]
     monkeypatch.setattr("fitting.treatments.refine.Search.room", interrupt)
-    plan = optimise_treatment(knee, limit, reach, estimate=Uncertain(), samples=11, confidence=0.9, dt=DT)
+    plan = optimise_treatment(knee, limit, reach, estimate=UNCERTAIN, samples=11, confidence=0.9, dt=DT)
     assert plan.interrupted
     assert float(plan.treatment.values[0]) == pytest.approx(expected)
     assert plan.share >= 0.9

@@ -14,14 +14,15 @@ from fitting.prediction import predicting
 from fitting.prediction.members import MemberPrograms, Members, Recipe
 from fitting.prediction.outcomes import MEASURES, Groove, outcomes
 from fitting.prediction.plots import draws_failed
-from fitting.prediction.predicting import STEP, Fitted, predict
+from fitting.prediction.predicting import CHUNK, STEP, Fitted, predict
 from fitting.prediction.untreated import NO_EQUILIBRIUM, untrusted_starts
-from fitting.prediction.variants import grid
+from fitting.prediction.variants import batches, grid
 from fitting.treatments import Treatment, tibial_tuberosity_transfer
 from pftwin import BDF2, equilibrium, rig, simulate
 from pftwin.base.errors import InputError
 from pftwin.dynamics.status import FLAGS, Status
 from pftwin.model.measured import SYNTHETIC
+from pftwin.results.tracking import DISLOCATED
 
 TRANSFER = "tibial_tuberosity_transfer"
 MEDIAL = f"{TRANSFER}_medialisation"
@@ -93,6 +94,7 @@ class Estimated(Fitted):
         return self.values + np.array([3.0, 1e-4]) * random.standard_normal((count, 2))
 
 
+ESTIMATED = Estimated()  # one, as programs know an estimate by its identity
 VARIANTS = [
     grid(TRANSFER, medialisation=np.linspace(0, 0.012, 4), distalisation=[0.0, 0.003]),
     Treatment.of("quadriceps_lengthening", lengthening=0.004),
@@ -104,7 +106,7 @@ TRANSFERS = [VARIANTS[0], VARIANTS[2]]
 @pytest.fixture(scope="module")
 def sampled(knee):
     """The variants of one form: one program."""
-    return predict(knee, TRANSFERS, Estimated(), samples=6, seed=3, dt=DT, devices=1)
+    return predict(knee, TRANSFERS, ESTIMATED, samples=6, seed=3, dt=DT, devices=1)
 
 
 def test_variants_stand_in_the_order_they_were_given(knee, monkeypatch):
@@ -116,7 +118,7 @@ def test_variants_stand_in_the_order_they_were_given(knee, monkeypatch):
         return Members(dict.fromkeys(MEASURES, found), flags, np.ones(len(amounts), bool), {})
 
     monkeypatch.setattr(predicting, "run", run)
-    found = predict(knee, VARIANTS, Estimated(), samples=6, seed=3, dt=DT)
+    found = predict(knee, VARIANTS, ESTIMATED, samples=6, seed=3, dt=DT, devices=1)
     assert found.sizes["variant"] == 10
     assert found.sizes["sample"] == 7
     assert found["treatment"].values[8] == "quadriceps tendon 4 mm longer"
@@ -128,33 +130,33 @@ def test_variants_stand_in_the_order_they_were_given(knee, monkeypatch):
     assert found[MEDIAL].attrs["units"] == "m"
     assert found.attrs["synthetic"] == 1
     assert found.attrs["note"] == "the parameters were estimated from synthetic measurements"
-    stiffness = [160.0, *Estimated().samples(6, 3)[:, 0]]
+    stiffness = [160.0, *ESTIMATED.samples(6, 3)[:, 0]]
     expected = np.add.outer(3 * (medially + distally) + 7 * longer, stiffness)
     np.testing.assert_allclose(found["mean_contact_force"].values, expected)
 
 
 def test_a_knee_that_starts_invalid_has_no_valid_variant(sampled, knee):
     """As `simulate` says of it: the small knee's equilibrium is 17.1 deg from where its search begins."""
-    found = predict(knee.with_limits(), TRANSFERS, Estimated(), samples=6, seed=3, dt=DT, devices=1)
-    turned = np.degrees(equilibrium(Estimated().apply(knee)).turned)
+    found = predict(knee.with_limits(), TRANSFERS, ESTIMATED, samples=6, seed=3, dt=DT, devices=1)
+    turned = np.degrees(equilibrium(ESTIMATED.apply(knee)).turned)
     said = f"INVALID: the equilibrium is {turned:.1f} deg from the recorded start (at most 15: most_start_turn_deg)"
     assert set(found["verdict"].values) == {said}
     assert found["failed"].values.all()
     assert np.isnan(found["mean_contact_force"].values).all()
     near = knee.with_limits(most_start_turn_deg=20)
-    found = predict(near, TRANSFERS, Estimated(), samples=6, seed=3, dt=DT, devices=1)
+    found = predict(near, TRANSFERS, ESTIMATED, samples=6, seed=3, dt=DT, devices=1)
     np.testing.assert_array_equal(found["failed"], sampled["failed"])
     assert not found["failed"].values.all()
 
 
 def test_draws_that_start_invalid_are_in_no_band(sampled, knee):
     """Whatever their treatment; the equilibrium of each, as `pftwin.equilibrium` reports it, says which they are."""
-    turned = np.degrees([equilibrium(Estimated().apply(knee, t)).turned for t in Estimated().samples(6, 3)])
+    turned = np.degrees([equilibrium(ESTIMATED.apply(knee, t)).turned for t in ESTIMATED.samples(6, 3)])
     third, second = np.sort(turned)[-3:-1]
-    estimated = np.degrees(equilibrium(Estimated().apply(knee)).turned)
+    estimated = np.degrees(equilibrium(ESTIMATED.apply(knee)).turned)
     assert estimated < second
     near = knee.with_limits(most_start_turn_deg=float(0.5 * (max(third, estimated) + second)))
-    found = predict(near, TRANSFERS, Estimated(), samples=6, seed=3, dt=DT, devices=1)
+    found = predict(near, TRANSFERS, ESTIMATED, samples=6, seed=3, dt=DT, devices=1)
     out = np.array([False, *(turned >= second)])
     assert not sampled["failed"].values.any()
     np.testing.assert_array_equal(found["failed"].values, np.tile(out, (found.sizes["variant"], 1)))
@@ -165,11 +167,12 @@ def test_draws_that_start_invalid_are_in_no_band(sampled, knee):
 
 def test_a_draw_without_untreated_equilibrium_is_lost_without_limits_too(knee):
     """Nothing holds a patella whose quadriceps has no stiffness."""
-    treatment = Treatment.of(TRANSFER, medialisation=0.0, distalisation=0.0).prepared(knee)
-    recipe = Recipe(knee, treatment, Estimated().apply, Groove.of(knee), jnp.asarray(2), 0.01, False)
+    (batch,) = batches([knee], TRANSFERS)
+    recipe = Recipe(knee, batch.treatment, ESTIMATED.apply, Groove.of(knee), jnp.asarray(2), DISLOCATED, False)
     thetas = np.array([[160.0, 0.0715], [1e-6, 0.0715], [161.0, 0.0715]])
-    assert [equilibrium(Estimated().apply(knee, t)).converged for t in thetas] == [True, False, True]
-    assert untrusted_starts(MemberPrograms(recipe, 3, 16, 1), knee, thetas) == [(), (NO_EQUILIBRIUM,), ()]
+    assert [equilibrium(ESTIMATED.apply(knee, t)).converged for t in thetas] == [True, False, True]
+    programs = MemberPrograms(recipe, 7 * len(batch.amounts), CHUNK, 1)  # those of `sampled`
+    assert untrusted_starts(programs, knee, thetas) == [(), (NO_EQUILIBRIUM,), ()]
 
 
 @pytest.mark.slow
@@ -181,11 +184,11 @@ def test_samples_spread_around_the_estimate(sampled, knee):
     np.testing.assert_allclose(sampled["parameters"].values[0], [160.0, 0.0715])
     force = sampled["mean_contact_force"].values
     assert np.ptp(force, axis=1).min() > 0.01  # N
-    treated = Treatment.of(TRANSFER, medialisation=0.004, distalisation=0.003)(Estimated().apply(knee))
+    treated = Treatment.of(TRANSFER, medialisation=0.004, distalisation=0.003)(ESTIMATED.apply(knee))
     assert force[3, 0] == pytest.approx(
         outcomes(simulate(treated, dt=DT, integrator=BDF2()))["mean_contact_force"], rel=1e-7
     )
-    draw = Estimated().apply(knee, Estimated().samples(6, 3)[1])
+    draw = ESTIMATED.apply(knee, ESTIMATED.samples(6, 3)[1])
     treated = Treatment.of(TRANSFER, medialisation=0.5e-3, distalisation=0.001)(draw)
     assert force[8, 2] == pytest.approx(
         outcomes(simulate(treated, dt=DT, integrator=BDF2()))["mean_contact_force"], rel=1e-7
@@ -194,10 +197,8 @@ def test_samples_spread_around_the_estimate(sampled, knee):
 
 @pytest.mark.slow
 def test_chunks_do_not_change_the_answer(knee):
-    sampled, calls = predict(knee, VARIANTS, Estimated(), samples=6, seed=3, dt=DT, devices=1), []
-    small = predict(
-        knee, VARIANTS, Estimated(), samples=6, seed=3, dt=DT, chunk=16, progress=lambda *a: calls.append(a)
-    )
+    sampled, calls = predict(knee, VARIANTS, ESTIMATED, samples=6, seed=3, dt=DT, devices=1), []
+    small = predict(knee, VARIANTS, ESTIMATED, samples=6, seed=3, dt=DT, chunk=16, progress=lambda *a: calls.append(a))
     for name in MEASURES:
         np.testing.assert_allclose(small[name], sampled[name], rtol=1e-7, atol=1e-9, err_msg=name)
     np.testing.assert_array_equal(small["status_frames"], sampled["status_frames"])

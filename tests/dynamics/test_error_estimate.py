@@ -139,7 +139,7 @@ def test_steps_that_were_asked_for_are_kept(n, sound_from, made):
 
 def stiff() -> pftwin.Scene:
     """A small knee whose contact is ten thousand times as stiff as usual, without damping of its tendons."""
-    scene = small_scene(31)
+    scene = small_scene()
     button = scene.contact
     scene = scene.with_effect(
         eqx.tree_at(lambda c: c.law.contact_stiffness, button, button.law.contact_stiffness * 1e4)
@@ -176,7 +176,7 @@ def test_a_result_that_is_off_is_flagged(true):
 
 def test_by_default_steps_follow_the_error(true):
     """The small knee is right at 1 ms; the stiff one is not, and gets a quarter."""
-    plain = pftwin.simulate(small_scene(31))
+    plain = pftwin.simulate(small_scene())
     assert (plain.settings["integrator"], plain.settings["substeps"]) == (BDF2().text, 10)
     assert plain.status == Status.OK
     found = pftwin.simulate(stiff())
@@ -187,7 +187,7 @@ def test_by_default_steps_follow_the_error(true):
 
 
 def test_results_show_the_estimate(tmp_path):
-    found = pftwin.simulate(small_scene(31), dt=5e-3)
+    found = pftwin.simulate(small_scene(), dt=5e-3)
     found.save(tmp_path / "found.nc")
     data = load_dataset(tmp_path / "found.nc")
     np.testing.assert_array_equal(data["estimated_error_path"], found.error.path)
@@ -222,7 +222,7 @@ def test_little_damping_by_default():
 
 def test_a_tolerance_of_force_is_held():
     """The largest error of all frames, against steps of 1/64 ms."""
-    scene = small_scene(31)
+    scene = small_scene()
     found = pftwin.simulate(scene, tolerance="0.02 N")
     assert found.settings["tolerance_held"]
     assert found.settings["estimated_error_N"] <= found.settings["tolerance_N"] == 0.02

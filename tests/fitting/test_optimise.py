@@ -180,7 +180,7 @@ UNCERTAIN = Uncertain()  # one, as programs know an estimate by its identity
 
 def test_draws_that_start_invalid_meet_no_limit():
     """Two of eleven turn further at the start than the limit allows, by the equilibria that `pftwin` reports."""
-    knee, draws = small_scene(5), UNCERTAIN.samples(11)
+    knee, draws = small_scene(6), UNCERTAIN.samples(11)
     turned = np.degrees([equilibrium(UNCERTAIN.apply(knee, d)).turned for d in (UNCERTAIN.values, *draws)])
     second, third = np.sort(turned[1:])[[-2, -3]]
     assert turned[0] < third

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import partial
 
 import equinox as eqx
@@ -25,11 +24,12 @@ from scenes import (
 )
 
 from pftwin.base.errors import InputError
+from pftwin.dynamics.equilibrium import Solution
 from pftwin.dynamics.frame_states import first_guide, frame_states, starting_state
-from pftwin.dynamics.integrator import Diagnostics
+from pftwin.dynamics.integrator import Diagnostics, Integrator
 from pftwin.dynamics.integrators import Newmark, integrator_from_text, newmark
 from pftwin.dynamics.observe import observe
-from pftwin.dynamics.state import System
+from pftwin.dynamics.state import State, System
 from pftwin.dynamics.status import Status
 from pftwin.model.effects.friction import Friction
 from pftwin.model.scene import Scene
@@ -223,27 +223,30 @@ def test_a_step_whose_equations_are_not_solved_says_so(held, monkeypatch):
     assert (np.asarray(cut_off(scene)) & int(Status.STEP_TOO_LONG)).any()
 
 
+def begun(chosen: Integrator, scene: Scene, start: Solution) -> State:
+    """The first state, with what an integrator carries."""
+    return chosen.begin(System.of(scene), starting_state(scene, start), first_guide(scene), J(1e-3))
+
+
 def test_what_an_integrator_carries_it_knows(held):
     """Whoever shows a motion asks the integrator, not what its fields are called."""
-    scene, start = held
-    state, guide = starting_state(scene, start), first_guide(scene)
     for name in (*NAMES, "quasi_static", "diffrax:Tsit5"):
         chosen = integrator_from_text(name)
-        carried = chosen.begin(System.of(scene), state, guide, J(1e-3)).carried
+        state = eqx.filter_eval_shape(begun, chosen, *held)
+        carried, told = state.carried, eqx.filter_eval_shape(chosen.diagnostics, state)
         fields = set(getattr(carried, "_fields", ())) & set(Diagnostics._fields)
-        told = chosen.diagnostics(replace(state, carried=carried))
         assert {n for n, value in told._asdict().items() if value is not None} == fields
         assert chosen.inertia is (name != "quasi_static")
 
 
 def test_a_frame_tells_of_the_worst_of_its_steps(held):
-    scene, start = held
-    chosen, guide = integrator_from_text("newmark"), first_guide(scene)
-    state = chosen.begin(System.of(scene), starting_state(scene, start), guide, J(1e-3))
+    chosen = integrator_from_text("newmark")
+    state = eqx.filter_jit(begun)(chosen, *held)
     bad = eqx.tree_at(lambda s: s.carried.residual, state, J(0.3))
     assert float(chosen.diagnostics(chosen.with_worst_residual(state, bad)).residual) == 0.3
     assert float(chosen.diagnostics(chosen.with_residual_cleared(bad)).residual) == 0
-    alone, state = integrator_from_text("linear_implicit"), starting_state(scene, start)
+    alone = integrator_from_text("linear_implicit")
+    state = eqx.filter_jit(starting_state)(*held)
     assert alone.with_residual_cleared(state) is state
     assert alone.diagnostics(state).residual is None
 

@@ -96,13 +96,23 @@ def test_a_second_process_gives_the_same_bits_without_compiling(tmp_path, packag
     assert second == first
 
 
+@pytest.fixture(scope="module")
+def filled(tmp_path_factory, package) -> Path:
+    """The cache folder of a first process, and a copy beside it."""
+    cache = tmp_path_factory.mktemp("filled") / "cache"
+    assert process(TINY, cache, package) == [True, 1, [2.0, 3.0]]
+    shutil.copytree(cache, cache.with_name("kept"))
+    return cache
+
+
 class TestChanges:
     """A small program in processes of its own."""
 
     @pytest.fixture
-    def cache(self, tmp_path, package):
-        assert process(TINY, tmp_path / "cache", package) == [True, 1, [2.0, 3.0]]
-        return tmp_path / "cache"
+    def cache(self, filled):
+        """As the first process left it, at the same place, which is part of the keys of JAX's cache."""
+        shutil.rmtree(filled)
+        return shutil.copytree(filled.with_name("kept"), filled)
 
     def test_nothing_changed(self, cache, package):
         assert process(TINY, cache, package) == [False, 0, [2.0, 3.0]]

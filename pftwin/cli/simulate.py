@@ -168,10 +168,12 @@ def validate(
             result.save(path)
     facts = {**_facts(result, chosen, first, files), **found.to_dict(), "rows": shown}
     facts["side_as_given"] = chosen.side_as_given
-    first_line = "" if result.verdict.valid else result.verdict.describe()
+    first_lines = [*([] if result.verdict.valid else [result.verdict.describe()]), *found.doubts]
     skin = _skin_sheet(found) if found.skin_markers else ("", "")
-    present(facts, first_line, sheet, *skin, chosen.side_as_given, written_line(files), json=json)
+    present(facts, "\n".join(first_lines), sheet, *skin, chosen.side_as_given, written_line(files), json=json)
     check_trust(result)
+    if found.doubts:
+        exit_flagged(f"{found.doubts[0]} ({result.scene_name})")
 
 
 def _skin_sheet(found: Validation) -> tuple[Sheet, str]:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.base.quantities import annotated, as_read
 from pftwin.model.effects.base import Reported
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
     from pftwin.results.result import Result
 
 _SAME_TIME = 0.1  # tolerance of times as a share of the frame interval, because files hold rounded times
+_UNLIKE = 3.0  # ratio of two forces' sizes (rms) beyond which the unit is doubtful: a pound-force is 4.4 N
+_FAR = 30.0  # mean distance of the sphere's centres beyond which unit, axes or frame are doubtful [mm]
 
 
 class ValidationRow(NamedTuple):
@@ -56,6 +59,7 @@ class Validation:
     synthetic: bool = False  # whether the measurements are synthetic
     readings: tuple[ValidationRow, ...] = ()  # other observables of effects that were measured
     skin_markers: tuple[SkinMarker, ...] = ()  # skin markers, whose absolute position is not compared
+    doubts: tuple[str, ...] = ()  # measurements that look as if they had another unit, sign or frame
 
     def to_dict(self) -> dict[str, Any]:
         """Returns plain values that can be written as JSON."""
@@ -119,21 +123,25 @@ def validate(
             and there is no skin marker; a force or reading belongs to an effect that the scene does not have.
     """
     _check_times(result, measured)
+    contact = _forces(result, result.contact, "force", measured.contact_force, measured)
+    tibia = _forces(result, tibial, "tension", measured.tibial_spring_force, measured)
+    femur = _forces(result, femoral, "tension", measured.femoral_spring_force, measured)
     offsets = 1e3 * (result.center - measured.center)
     present = np.asarray(np.isfinite(measured.center).all(axis=1))
     placed = bool(present.any())
     if not (placed or measured.skin_markers):
         raise InputError("no frame has a measured position", where=measured.source, expected="at least one")
+    distance = float(np.mean(np.linalg.norm(offsets[present], axis=1))) if placed else None
     skin = [name for name in measured.readings if name.rpartition(".")[0] in measured.skin_markers]
     return Validation(
-        contact_force=_force_error(result, result.contact, "force", measured.contact_force, measured),
-        tibial_spring=_force_error(result, tibial, "tension", measured.tibial_spring_force, measured),
-        femoral_spring=_force_error(result, femoral, "tension", measured.femoral_spring_force, measured),
+        contact_force=_force_error(contact),
+        tibial_spring=_force_error(tibia),
+        femoral_spring=_force_error(femur),
         internal_rotation=_angle_error(result, measured, "rotation"),
         flexion=_angle_error(result, measured, "flexion"),
         tilt=_angle_error(result, measured, "tilt"),
         **{axis: _rms(offsets[:, i], present) if placed else None for i, axis in enumerate("xyz")},
-        mean_distance=float(np.mean(np.linalg.norm(offsets[present], axis=1))) if placed else None,
+        mean_distance=distance,
         initial_configuration=result.timing.get("equilibrium_s"),
         real_time_factor=result.real_time_factor if "run_s" in result.timing else None,
         frames=result.times.size,
@@ -142,10 +150,11 @@ def validate(
         synthetic=measured.synthetic,
         readings=tuple(_reading_error(result, *of) for of in measured.readings.items() if of[0] not in skin),
         skin_markers=tuple(SkinMarker.of(n, reading(result, n), measured.readings[n], measured.source) for n in skin),
+        doubts=tuple(_doubts({"contact force": contact, "tibial spring": tibia, "femoral spring": femur}, distance)),
     )
 
 
-def _reading_error(result: Result, name: str, measured: NDArray[np.float64]) -> ValidationRow:
+def _reading_error(result: Result, name: str, measured: Floats) -> ValidationRow:
     simulated, present = reading(result, name), np.isfinite(measured)
     error = _rms(simulated.values - simulated.scale * measured, present) if present.any() else None
     return ValidationRow(name, f"{name} RMSE", simulated.unit, error, None)
@@ -174,6 +183,7 @@ def mean_of(validations: Sequence[Validation]) -> Validation:
         frames_compared=sum(v.frames_compared for v in validations),
         scene=f"mean of {len(validations)}",
         synthetic=any(v.synthetic for v in validations),
+        doubts=tuple(f"{v.scene}: {doubt}" for v in validations for doubt in v.doubts),
     )
 
 
@@ -199,9 +209,10 @@ def _check_times(result: Result, measured: Measured) -> None:
         )
 
 
-def _force_error(
-    result: Result, effect: str | None, observable: str, force: NDArray[np.float64] | None, measured: Measured
-) -> float | None:
+def _forces(
+    result: Result, effect: str | None, observable: str, force: Floats | None, measured: Measured
+) -> tuple[Floats, Floats] | None:
+    """A simulated and the measured force at the frames where it was measured [N]; None without such frames."""
     if force is None or (effect is None and observable != "force"):
         return None
     if effect is None or observable not in result.effects.get(effect, {}):
@@ -212,18 +223,40 @@ def _force_error(
             expected=f"one of: {', '.join(result.effects)}",
             remedy="name the effect (tibial=..., femoral=...), or leave the force out",
         )
-    ours = summed(result.effects[effect][observable])
-    return _rms(ours - force, np.isfinite(force)) if np.isfinite(force).any() else None
+    there = np.isfinite(force)
+    return (summed(result.effects[effect][observable])[there], force[there]) if there.any() else None
 
 
-def summed(values: NDArray[Any]) -> NDArray[np.float64]:
+def _force_error(forces: tuple[Floats, Floats] | None) -> float | None:
+    return None if forces is None else _size(forces[0] - forces[1])
+
+
+def _doubts(forces: Mapping[str, tuple[Floats, Floats] | None], distance: float | None) -> Iterator[str]:
+    """What measurements look like that no error of a model explains."""
+    if distance is not None and distance > _FAR:
+        yield f"the measured centre is {distance:.3g} mm from the simulated one: check its unit, axes and frame"
+    for name, (ours, theirs) in ((name, pair) for name, pair in forces.items() if pair is not None):
+        small, large = sorted((_size(ours), _size(theirs)))
+        if large > _UNLIKE * small:
+            sizes = f"{_size(theirs):.3g} N rms, the simulated one {_size(ours):.3g} N"
+            yield f"the measured {name} has {sizes}: check its unit and channel"
+        elif np.mean(theirs) < 0:
+            yield f"the measured {name} is negative: check its sign"
+
+
+def summed(values: NDArray[Any]) -> Floats:
     """Sums an observable (n, ...) over the elements of its group: (n,)."""
     return np.asarray(values, dtype=np.float64).reshape(len(values), -1).sum(axis=1)
 
 
-def _rms(error: NDArray[np.float64], present: NDArray[np.bool_]) -> float:
+def _rms(error: Floats, present: NDArray[np.bool_]) -> float:
     """Root mean square error over the measured frames."""
-    return float(np.sqrt(np.mean(np.square(error[present]))))
+    return _size(error[present])
+
+
+def _size(values: Floats) -> float:
+    """Root mean square."""
+    return float(np.sqrt(np.mean(np.square(values))))
 
 
 def _angle_error(result: Result, measured: Measured, name: str) -> float | None:

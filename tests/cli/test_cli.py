@@ -121,6 +121,19 @@ def test_validate_shows_the_rows_of_table_1(toy: Path, tmp_path: Path) -> None:
     assert result.stdout.rstrip().endswith(said)
 
 
+def test_validate_doubts_forces_in_another_unit(toy: Path, tmp_path: Path) -> None:
+    """A contact force of some 20 N, written in a column of kilonewtons: the doubt comes first, and the exit code is 3."""
+    rows = "".join(f"{0.01 * k:.2f},{20 + k / 10:.1f}\n" for k in range(41))
+    toy.with_name("kilonewtons.csv").write_text(f"time_s,contact_kN\n{rows}")
+    scene = toy.with_name("kilonewtons.toml")
+    scene.write_text(toy.read_text().replace("forces.csv", "kilonewtons.csv"))
+    result = pftwin("validate", scene, "--json", tmp_path / "o.json", *STEP)
+    assert result.exit_code == 3, result.output
+    assert result.stdout.startswith("the measured contact force has 2.2e+04 N rms, the simulated one ")
+    assert "check its unit and channel" in result.stderr
+    assert json.loads((tmp_path / "o.json").read_text())["doubts"]
+
+
 def test_every_command_that_runs_a_scene_says_the_same_of_trust(toy: Path, tmp_path: Path) -> None:
     """Each flag by name with its frames, none left out: a patella that lifts off has frames without contact."""
     said = {}

@@ -29,7 +29,8 @@ def target(channels, measured, widths):
 
 def read(channels, measured, truth, widths):
     trials = np.stack([truth * s if widths[-1] == 1 else truth for s in SCALES])
-    return [(r.channels, r.words, r.times) for r in readings(target(channels, measured, widths), trials, LIMITS["reading"][0])]
+    found = readings(target(channels, measured, widths), trials, LIMITS["reading"][0])
+    return [(r.channels, r.words, r.times) for r in found]
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 
 import numpy as np
 import pytest
@@ -99,6 +100,33 @@ def test_positions_alone_can_be_validated(result):
     v = validate(result, Measured(result.times, result.center))
     assert (v.tilt, v.flexion, v.contact_force) == (None, None, None)
     assert v.mean_distance == 0
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        (lambda m: {"contact_force": 1e3 * m.contact_force}, "contact force .* N rms, the simulated one .* unit"),
+        (lambda m: {"femoral_spring_force": m.femoral_spring_force / 4.4482}, "femoral spring .* unit and channel"),
+        (lambda m: {"tibial_spring_force": -m.tibial_spring_force}, "tibial spring is negative: check its sign"),
+        (
+            lambda m: {"center": 1e3 * m.center},
+            "centre is .* mm from the simulated one: check its unit, axes and frame",
+        ),
+    ],
+)
+def test_measurements_in_another_unit_sign_or_frame_are_doubted(result, changes, words):
+    right = measured_of(result)
+    assert validate(result, right).doubts == ()
+    [said] = validate(result, dataclasses.replace(right, **changes(right))).doubts
+    assert re.search(words, said)
+
+
+def test_forces_of_a_twin_with_stiffness_off_by_half_are_not_doubted(result):
+    right = measured_of(result)
+    weaker = dataclasses.replace(right, contact_force=0.5 * right.contact_force, center=right.center + 8e-3)
+    found = validate(result, weaker)
+    assert found.doubts == ()
+    assert mean_of([found, found]).doubts == ()
 
 
 def test_other_times_are_refused(result):

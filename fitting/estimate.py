@@ -247,7 +247,8 @@ class Estimate:
             self.readings,
             self.units[:asked],
         )
-        return f"{said}. {'But ' if self.draws is None else ''}{self.coverage.intervals}"
+        beyond = f". At a bound: {', '.join(self.at_bounds)}; the true value may lie beyond" if self.at_bounds else ""
+        return f"{said}{beyond}. {'But ' if self.draws is None else ''}{self.coverage.intervals}"
 
     def summary(self) -> str:
         """A text table of the values, with the remarks."""
@@ -267,15 +268,12 @@ class Estimate:
         return "\n".join(lines)
 
     def untold(self) -> list[str]:
-        """What the measurements do not determine: open combinations, and values at a bound."""
-        out = []
+        """Combinations of parameters that the measurements do not determine."""
         if (open_ := self.undetermined).count and not self.invalid:
             found = f"{self.asked - open_.count} of {self.asked} combinations of the requested parameters"
             others = f"the others are hardly known beyond bounds and priors ({', '.join(open_.names)})"
-            out.append(f"the measurements determine {found}; {others}")
-        if self.at_bounds:
-            out.append(f"at a bound: {', '.join(self.at_bounds)}; the true value may lie beyond")
-        return out
+            return [f"the measurements determine {found}; {others}"]
+        return []
 
     def remarks(self) -> list[str]:
         """Remarks that qualify the values."""

@@ -98,7 +98,7 @@ assert worst[best] < 0.5 * plan.relative.max()
 positions = fitting.fit_tendons(scene, measured, use="position", computed=computed)
 print(positions.summary())
 assert positions.dropped < positions.starts
-assert not positions.at_bounds or "at a bound" in positions.summary()
+assert not positions.at_bounds or "At a bound" in positions.sentence()
 
 # %%
 quick = fitting.fit_tendons(scene, measured, use=("position", "quadriceps"), computed=computed)

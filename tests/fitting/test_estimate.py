@@ -49,8 +49,9 @@ def test_draws_have_the_estimates_mean_and_covariance_and_keep_the_bounds():
 def test_bounds_that_are_reached_are_named_on_either_side():
     e = made_estimate(VALUES, lower=np.array([160.0, 0.1, 500.0]), upper=np.array([200.0, 0.2, 600.05]))
     assert e.at_bounds == ("K1", "K2")
-    assert "at a bound: K1, K2; the true value may lie beyond" in e.remarks()
+    assert "(SD). At a bound: K1, K2; the true value may lie beyond. But 95 % intervals " in e.sentence()
     assert made_estimate(VALUES).at_bounds == ()
+    assert "bound" not in made_estimate(VALUES).sentence()
 
 
 def test_the_table_has_estimate_deviation_interval_and_nominal():

@@ -122,7 +122,7 @@ def test_validate_shows_the_rows_of_table_1(toy: Path, tmp_path: Path) -> None:
 
 
 def test_validate_doubts_forces_in_another_unit(toy: Path, tmp_path: Path) -> None:
-    """A contact force of some 20 N, written in a column of kilonewtons: the doubt comes first, and the exit code is 3."""
+    """A contact force of some 20 N in a column of kilonewtons: the doubt comes first, and the exit code is 3."""
     rows = "".join(f"{0.01 * k:.2f},{20 + k / 10:.1f}\n" for k in range(41))
     toy.with_name("kilonewtons.csv").write_text(f"time_s,contact_kN\n{rows}")
     scene = toy.with_name("kilonewtons.toml")

@@ -110,7 +110,7 @@ def test_positions_alone_can_be_validated(result):
         (lambda m: {"tibial_spring_force": -m.tibial_spring_force}, "tibial spring is negative: check its sign"),
         (
             lambda m: {"center": 1e3 * m.center},
-            "centre is .* mm from the simulated one: check its unit, axes and frame",
+            "centre is .* mm from the simulated one: check its unit, axes",
         ),
     ],
 )

@@ -6,7 +6,9 @@ neighbouring frames (generalised least squares, first-order autoregressive noise
 minimised over s. The standard deviation follows from the curvature at the minimum. Friction in the joint and other
 effects that the twin omits also delay the measurements. So a shift is reported only if it exceeds the limit by two
 standard deviations, is known to a quarter of the limit, and explains more of the whitened squares than those effects
-do: the rig's positions reach 0.07, and 0.20 to 0.39 if 30 ms late; its tensions 0.25, and 0.18 to 0.45.
+do: the rig's positions reach 0.07, and 0.35 to 0.49 if 30 ms late; its tensions 0.25, and 0.11 to 0.45. Nothing omitted
+makes measurements early, so a smaller share is enough there: the rig's reach 0.06, and its positions 0.12 to 0.25 if
+50 ms early.
 """
 
 from __future__ import annotations
@@ -22,7 +24,8 @@ from fitting.objective import Objective
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 
-EXPLAINED = (1 / 6, 1 / 3)  # least share of the whitened squares of a pose, and of a force, that a shift must explain
+EXPLAINED = (1 / 6, 1 / 3)  # least share of the whitened squares of a pose, and of a force, that a delay must explain
+EARLY = 0.1  # the same for a lead of either
 _REACH = 0.2  # largest shift searched [s], and at most this share of the recording:
 _SHARE = 1 / 8
 _LEAST_REACH = 0.1  # reach [s] below which a minimum at its end is no evidence of a shift, but may be slow model error
@@ -167,7 +170,8 @@ def _shift(seen: _Fitted, columns: slice, rows: slice, reach: float) -> TimeShif
         deviation = float(np.sqrt(2 * least / freedom / curvature))
     one, other = used.residuals(plain), used.residuals(r)
     before, after = (float(np.sum(used.left(z)[:, rows] ** 2)) for z in (one, other))
-    explained, enough = 1 - after / max(before, 1e-300), EXPLAINED[rows.stop - rows.start == 1]
+    late = EXPLAINED[rows.stop - rows.start == 1]
+    explained, enough = 1 - after / max(before, 1e-300), late if at_end or seconds > 0 else EARLY
     if at_end and (reach < _LEAST_REACH or explained < enough):
         return None
     return TimeShift(seconds, deviation, explained, enough, used.change(other) - used.change(one), at_end)

@@ -96,22 +96,19 @@ def treat(
         if figure and data.sizes["variant"] > 1:
             drawn = outcome_figure(data, f"{chosen.scene.name}: predicted outcomes")
             files += save_figure(drawn, output.with_suffix(""))
-    finding = main_finding(data)
-    doubted = found is not None and found.invalid
-    if found is not None and doubted:
-        finding = f"{found.sentence()}\n{finding}"
+    invalid = _invalid(found)
+    finding = invalid or main_finding(data)
     outcome = {**facts(data), "finding": finding, "files": [str(p) for p in files]}
     doubt = invalid_variants(data) or narrow_bands(data)
     sheet = outcome_sheet(data, _MOST_ROWS)
-    parts = (finding, sheet) if doubt or doubted else (sheet, finding)
+    parts = (finding, sheet) if doubt or invalid else (sheet, finding)
     if "parameter_kind" in data.coords and "sample" in data.dims:
         sources = band_sources(data)
         outcome["bands_narrower_if_known"] = sources.facts()
         parts += (sources.sheet(),)
     terminal.present(outcome, *parts, data.attrs.get("note", ""), terminal.written_line(files), json=json)
-    if doubt:
-        exit_flagged(doubt)
-    _check_estimate(found)
+    if why := doubt or invalid:
+        exit_flagged(why)
 
 
 @with_amounts("FROM:TO", ", within this range")
@@ -173,7 +170,9 @@ def optimise(
         )
 
     notes = reservations(found, chosen.scene.synthetic)
-    facts = {"scene": chosen.scene.name, **plan.to_dict(), "notes": notes}
+    facts, invalid = {"scene": chosen.scene.name, **plan.to_dict(), "notes": notes}, _invalid(found)
+    if invalid:
+        facts.update(verdict=invalid, sentence=invalid)
     files = [] if output is None else [output]
     for path in files:
         terminal.write_json(facts, str(path))
@@ -183,14 +182,16 @@ def optimise(
         ("limit", "value", "met"),
         tuple((lim.describe(), in_units(lim.outcome, v), "yes" if lim.room(v) >= 0 else "no") for lim, v in reached),
     )
-    terminal.present(facts, sheet, plan.describe(), *notes, terminal.written_line(files), json=json)
+    parts = (invalid, sheet) if invalid else (sheet, plan.describe())
+    terminal.present(facts, *parts, *notes, terminal.written_line(files), json=json)
     if plan.interrupted:
         raise Interrupted(output, json)
     if plan.invalid:
         exit_flagged(plan.invalid)
+    if invalid:
+        exit_flagged(invalid)
     if not plan.met:
         exit_flagged("no amount within the range meets the limits")
-    _check_estimate(found)
 
 
 def _predicted(scene: Scene, variants: Treatment, estimate: Estimate | None, **options: Any) -> tuple[Dataset, bool]:
@@ -242,7 +243,6 @@ def loaded_estimate(path: Path | None) -> Estimate | None:
     return None if path is None else Estimate.load(path)
 
 
-def _check_estimate(found: Estimate | None) -> None:
-    """Exits with `FLAGGED` if the estimate is INVALID."""
-    if found is not None and found.invalid:
-        exit_flagged(found.sentence())
+def _invalid(found: Estimate | None) -> str:
+    """Why nothing is concluded from what follows from an estimate, beginning with "INVALID"; empty if it is valid."""
+    return found.sentence() if found is not None and found.invalid else ""

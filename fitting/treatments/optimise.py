@@ -15,7 +15,7 @@ import numpy as np
 
 from fitting.coverage import NOT_KNOWN
 from fitting.prediction.outcomes import MEASURES
-from fitting.prediction.plots import invalid_variants
+from fitting.prediction.plots import facts, invalid_variants
 from fitting.prediction.predicting import Fitted, check_draws, estimate_and_draws, predict
 from fitting.treatments import Treatment
 from fitting.treatments.limits import Limit, TreatmentPlan, in_si, smallest_margin
@@ -114,8 +114,9 @@ def optimise_treatment(
 
     def plan(met: bool, at: Floats) -> TreatmentPlan:
         if coarse["failed"].all():
-            none = dict.fromkeys(MEASURES, np.nan)
-            return written(met, at, none, 0.0 if samples else None, invalid=invalid_variants(coarse))
+            none, first = dict.fromkeys(MEASURES, np.nan), facts(coarse)["variants"][int(np.argmax(room))]
+            trust = {name: first[name] for name in ("status", "status_frames")}
+            return written(met, at, none, 0.0 if samples else None, invalid=invalid_variants(coarse), trust=trust)
         share = search.share(at) if samples else None
         return written(met, at, search.outcomes(at), share, trust=search.trust(at))
 

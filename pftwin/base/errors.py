@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import re
+
+_UNREADABLE = re.compile(r"[^\s;]{300,}")  # a name or value of a broken file, which a message shortens
+
 
 class PftwinWarning(UserWarning):
     """The input is questionable, but the result is valid."""
@@ -29,7 +33,7 @@ class InputError(PftwinError, ValueError):
         for lead, part in (("expected", expected), ("try", remedy)):
             if part:
                 text = f"{text.rstrip('.')}; {lead}: {part}"
-        super().__init__(text)
+        super().__init__(_UNREADABLE.sub(lambda long: f"{long[0][:60]}... ({len(long[0])} characters)", text))
 
 
 class OutputError(PftwinError, OSError):

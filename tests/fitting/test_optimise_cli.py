@@ -56,6 +56,19 @@ def test_a_plan_with_its_sureness(toy, fit, tmp_path):
 
 
 @pytest.mark.slow
+def test_a_plan_from_doubted_measurements_concludes_nothing(toy, tmp_path):
+    fit = made_estimate({"K1": (156.0, 2.0)}, doubts=["measured position is 30 ms late"]).save(tmp_path / "fit.json")
+    given = ["--limit", "peak_contact_force<=1e6 N", "--tto-medial", "-4:4", "--json", tmp_path / "plan.json"]
+    result = pftwin("optimise", toy, "--estimate", fit, *given)
+    assert result.exit_code == ExitCode.FLAGGED, result.output
+    assert result.stdout.startswith("INVALID: measured position is 30 ms late")
+    assert "meets the limits" not in result.output
+    plan = json.loads((tmp_path / "plan.json").read_text())
+    assert plan["verdict"] == plan["sentence"]
+    assert plan["verdict"].startswith("INVALID")
+
+
+@pytest.mark.slow
 def test_what_cannot_be_met_is_said(toy):
     """Compiles without an estimate what the plan above has compiled with one; in Python: test_optimise."""
     result = pftwin("optimise", toy, "--limit", "peak_contact_force<=1e-6 N", "--tto-medial", "0:4")

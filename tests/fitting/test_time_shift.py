@@ -60,6 +60,16 @@ def test_a_slow_error_of_the_model_is_no_shift():
     assert not any(s.beyond(LIMITS["shift"][0]) for s in shifts((0.0, 0.0), drift + friction).values())
 
 
+def test_a_lead_that_friction_hides_in_part_is_named():
+    """A force 80 ms early, and friction of a sixth of it, which makes it lag: together they look 29 ms early."""
+    friction = -3.5 * np.sign(np.cos(RATES[3] * TIMES + 3.0))
+    rough = 0.3 * np.random.default_rng(1).normal(size=401)
+    found = shifts((0.0, -0.08), np.outer(friction + rough, [0.0, 0.0, 0.0, 1.0]))["contact"]
+    assert found.seconds == pytest.approx(-0.029, abs=0.004)
+    assert 0.1 < found.explained < 1 / 6
+    assert found.beyond(LIMITS["shift"][0])
+
+
 def test_words_and_the_refusal():
     found = shifts((0.05, -0.15))
     with pytest.raises(

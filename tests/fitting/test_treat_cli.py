@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -72,7 +73,9 @@ def test_what_follows_from_doubted_measurements_is_flagged(tmp_path):
     command = ["treat", "--case", "2", "--estimate", str(doubted.save(tmp_path / "fit.json")), "--tto-medial", "0:16:8"]
     outcome = RUNNER.invoke(app, [*command, "--samples", "4", "-o", str(tmp_path / "v.nc")])
     assert outcome.exit_code == 3
+    assert outcome.stdout.startswith("INVALID: measured position is 30 ms late")
     assert "INVALID estimate: measured position is 30 ms late" in outcome.stdout
+    assert not re.search(r"without dislocation|no variant|dislocates", outcome.stdout)
     assert "flagged: INVALID: measured position is 30 ms late" in outcome.stderr
 
 

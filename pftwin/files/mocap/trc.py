@@ -143,7 +143,7 @@ def _rows(
 
 
 def _check_axes(header: list[str], below: list[str], markers: int, path: object) -> None:
-    """Checks that coordinates are labelled in the order x, y, z, in which they are read."""
+    """Checks that coordinates are labelled in the order in which they are read: x, y, z of one marker after another."""
     for number, line in enumerate(header, start=1):
         cells = _cells(line)
         order = next((c for c in cells if re.fullmatch(r"\([xyz](/[xyz]){2}\)", c, re.IGNORECASE)), "")
@@ -151,12 +151,14 @@ def _check_axes(header: list[str], below: list[str], markers: int, path: object)
             raise InputError(f"the axes are {order}", where=f"{path}, line {number}", expected="(X/Y/Z)")
     for number, line in enumerate(below, start=len(header) + 1):
         labels = [c for c in _cells(line) if c]
-        letters = "".join(c[0].upper() for c in labels)
-        if labels and all(_COORDINATE.match(c) for c in labels) and not ("XYZ" * markers).startswith(letters):
+        if not labels or not all(_COORDINATE.match(c) for c in labels):
+            continue
+        letters, numbers = "".join(c[0].upper() for c in labels), [int(c[1:] or 0) for c in labels]
+        if not ("XYZ" * markers).startswith(letters) or numbers != sorted(numbers):
             raise InputError(
                 f"the columns are labelled {', '.join(labels[:6])}",
                 where=f"{path}, line {number}",
-                expected="X, Y, Z for every marker, in this order",
+                expected="X, Y, Z for every marker, in this order, with numbers that ascend",
                 remedy="put the columns into this order, or mend the labels if the columns are in it",
             )
 

@@ -271,6 +271,7 @@ def test_other_numbers_of_frames_are_read(tmp_path, numbers):
             r"line 5: the columns are labelled Y1, X1, Z1, Y2, X2, Z2",
         ),
         ("X1\tY1\tZ1\tX2\tY2\tZ2", "X1\tX2\tY1\tY2\tZ1\tZ2", r"line 5: the columns are labelled X1, X2"),
+        ("X1\tY1\tZ1\tX2\tY2\tZ2", "X2\tY2\tZ2\tX1\tY1\tZ1", r"line 5: .* X2, .* with numbers that ascend"),
         ("(X/Y/Z)", "(Y/X/Z)", r"line 1: the axes are \(Y/X/Z\); expected: \(X/Y/Z\)"),
     ],
 )

@@ -19,18 +19,11 @@ if TYPE_CHECKING:
     from pftwin import rig
     from pftwin.base.errors import InputError, OutputError, PftwinError
     from pftwin.base.runtime import configure
+    from pftwin.dynamics.ali3p.step import ALI3P
     from pftwin.dynamics.batch.simulate_batch import simulate_batch
     from pftwin.dynamics.batch.variants import Variants
-    from pftwin.dynamics.integrators import (
-        ALI3P,
-        BDF2,
-        Diffrax,
-        Integrator,
-        LinearImplicit,
-        Newmark,
-        QuasiStatic,
-        SymplecticEuler,
-    )
+    from pftwin.dynamics.integrators import BDF2, Diffrax, Integrator, LinearImplicit, Newmark, SymplecticEuler
+    from pftwin.dynamics.quasi_static.step import QuasiStatic
     from pftwin.dynamics.simulate import equilibrium, simulate
     from pftwin.dynamics.status import Status
     from pftwin.dynamics.trajectory import Trajectory, trajectory
@@ -50,14 +43,14 @@ imported_at = time()  # [s] since the epoch; this process does not run source fi
 
 _HOME = {
     "InputError": "base.errors",
-    "ALI3P": "dynamics.integrators",
+    "ALI3P": "dynamics.ali3p.step",
     "BDF2": "dynamics.integrators",
     "Diffrax": "dynamics.integrators",
     "Integrator": "dynamics.integrators",
     "LinearImplicit": "dynamics.integrators",
     "Measured": "model.measured",
     "Newmark": "dynamics.integrators",
-    "QuasiStatic": "dynamics.integrators",
+    "QuasiStatic": "dynamics.quasi_static.step",
     "SymplecticEuler": "dynamics.integrators",
     "Trajectory": "dynamics.trajectory",
     "OutputError": "base.errors",

@@ -250,7 +250,7 @@ class RunOptions(SceneOptions):
     @property
     def method(self) -> Integrator | None:
         """The named integrator, or None; InputError for an unknown one."""
-        from pftwin.dynamics.integrators import integrator_from_text
+        from pftwin.dynamics.integrator_text import integrator_from_text
 
         return None if self.integrator is None else integrator_from_text(self.integrator)
 

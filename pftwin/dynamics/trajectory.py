@@ -117,7 +117,7 @@ def checked_integrator(given: object, where: str) -> Integrator:
         return given
     remedy = None
     if isinstance(given, str):
-        from pftwin.dynamics.integrators import integrator_from_text
+        from pftwin.dynamics.integrator_text import integrator_from_text
 
         remedy = f"pftwin.{integrator_from_text(given)!r}"
     expected = "an integrator, such as pftwin.BDF2()"

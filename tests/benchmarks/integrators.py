@@ -20,7 +20,7 @@ import numpy as np
 import pftwin
 from pftwin.base.output import written_whole
 from pftwin.base.runtime import default_cache_dir, describe
-from pftwin.dynamics.integrators import integrator_from_text
+from pftwin.dynamics.integrator_text import integrator_from_text
 from pftwin.model.effects.friction import Friction
 from pftwin.model.effects.sphere_contact import SphereContact
 from pftwin.model.motion import KneeMotion

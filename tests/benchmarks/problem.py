@@ -18,7 +18,8 @@ from pftwin.base.spatial import Scalar, Vec3
 from pftwin.dynamics.equilibrium import Solution
 from pftwin.dynamics.frame_states import frame_states, starting_equilibrium
 from pftwin.dynamics.integrator import Integrator
-from pftwin.dynamics.integrators import BDF2, integrator_from_text
+from pftwin.dynamics.integrator_text import integrator_from_text
+from pftwin.dynamics.integrators import BDF2
 from pftwin.dynamics.observe import tracked_center
 from pftwin.model.effects.tendon import Tendon
 from pftwin.model.scene import Scene

@@ -10,7 +10,7 @@ from pftwin.base.spatial import Vec3
 from pftwin.dynamics.batch.batched import batched
 from pftwin.dynamics.equilibrium import Solution
 from pftwin.dynamics.frame_states import starting_equilibrium
-from pftwin.dynamics.integrators import integrator_from_text
+from pftwin.dynamics.integrator_text import integrator_from_text
 from pftwin.model.scene import Scene
 from tests.benchmarks.clock import measure
 from tests.benchmarks.problem import Setting, compiled, duration, started_nearby, variants, with_springs

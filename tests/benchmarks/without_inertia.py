@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import numpy as np
 
-from pftwin.dynamics.integrators import integrator_from_text
+from pftwin.dynamics.integrator_text import integrator_from_text
 
 SPEEDS = (0.125, 0.25, 0.5, 1.0, 2.0)  # of the recorded one
 COUNTS_MM = 0.1

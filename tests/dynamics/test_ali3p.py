@@ -42,9 +42,10 @@ from pftwin.dynamics.ali3p.natural_coordinates import (
     rates_wanted,
     second_rates_wanted,
 )
+from pftwin.dynamics.ali3p.step import ALI3P
 from pftwin.dynamics.frame_states import frame_states
 from pftwin.dynamics.integrator import Integrator
-from pftwin.dynamics.integrators import ALI3P, Newmark
+from pftwin.dynamics.integrators import Newmark
 from pftwin.dynamics.observe import observe
 from pftwin.dynamics.state import Guide
 from pftwin.dynamics.status import Status

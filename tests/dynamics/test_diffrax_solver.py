@@ -24,7 +24,8 @@ from scenes import (
 
 from pftwin.base.errors import InputError
 from pftwin.dynamics.frame_states import frame_states
-from pftwin.dynamics.integrators import Diffrax, Newmark, diffrax_solver, integrator_from_text
+from pftwin.dynamics.integrator_text import integrator_from_text
+from pftwin.dynamics.integrators import Diffrax, Newmark, diffrax_solver
 from pftwin.dynamics.observe import observe
 from pftwin.dynamics.status import Status
 

@@ -27,7 +27,8 @@ from pftwin.base.errors import InputError
 from pftwin.dynamics.equilibrium import Solution
 from pftwin.dynamics.frame_states import first_guide, frame_states, starting_state
 from pftwin.dynamics.integrator import Diagnostics, Integrator
-from pftwin.dynamics.integrators import Newmark, integrator_from_text, newmark
+from pftwin.dynamics.integrator_text import integrator_from_text
+from pftwin.dynamics.integrators import Newmark, newmark
 from pftwin.dynamics.observe import observe
 from pftwin.dynamics.state import State, System
 from pftwin.dynamics.status import Status

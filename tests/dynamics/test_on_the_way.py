@@ -11,8 +11,9 @@ from scenes import knee, settled
 from small_scene import small_scene
 
 from pftwin.dynamics.frame_states import frame_states
-from pftwin.dynamics.integrators import QuasiStatic, SymplecticEuler
+from pftwin.dynamics.integrators import SymplecticEuler
 from pftwin.dynamics.observe import observe, observe_on_the_way
+from pftwin.dynamics.quasi_static.step import QuasiStatic
 from pftwin.dynamics.status import Status
 
 

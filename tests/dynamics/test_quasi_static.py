@@ -28,9 +28,10 @@ from scenes import (
 from pftwin.base.errors import InputError
 from pftwin.base.spatial import Pose, Quaternion, Vec3
 from pftwin.dynamics.frame_states import frame_states, starting_equilibrium
-from pftwin.dynamics.integrators import Newmark, QuasiStatic
+from pftwin.dynamics.integrators import Newmark
 from pftwin.dynamics.observe import observe
 from pftwin.dynamics.quasi_static import newton as quasi_static_newton
+from pftwin.dynamics.quasi_static.step import QuasiStatic
 from pftwin.dynamics.status import Status
 from pftwin.files.mocap.poses import PoseSeries
 from pftwin.geometry.patch.polynomial import exponents

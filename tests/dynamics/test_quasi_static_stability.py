@@ -11,8 +11,8 @@ import pytest
 from scenes import march, state_at, system
 
 from pftwin.base.spatial import Scalar, Vec3, Wrench
-from pftwin.dynamics.integrators import QuasiStatic
 from pftwin.dynamics.quasi_static.newton import NEUTRAL, is_stable
+from pftwin.dynamics.quasi_static.step import QuasiStatic
 from pftwin.model.effects.base import Effect, Instant, Load
 from pftwin.model.effects.damping import LinearDamping
 

@@ -13,7 +13,8 @@ from scenes import MASS, RADIUS, G, J, contact, gravity, knee, knee_motion, orde
 from scipy.integrate import solve_ivp
 
 import pftwin
-from pftwin.dynamics.integrators import BDF2, Diffrax, LinearImplicit, Newmark, QuasiStatic
+from pftwin.dynamics.integrators import BDF2, Diffrax, LinearImplicit, Newmark
+from pftwin.dynamics.quasi_static.step import QuasiStatic
 from pftwin.dynamics.rebound import Impact, impact_of, impact_time, rebound_in_steps, rebound_of_law
 from pftwin.files.mocap.poses import PoseSeries
 from pftwin.model.effects.contact_law import Flores, Hertz, HuntCrossley

@@ -35,7 +35,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import pftwin
-from pftwin.dynamics.integrators import integrator_from_text
+from pftwin.dynamics.integrator_text import integrator_from_text
 from pftwin.dynamics.observe import Observation
 from pftwin.dynamics.status import Status
 from pftwin.model.scene import Scene

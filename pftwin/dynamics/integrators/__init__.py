@@ -1,75 +1,12 @@
-"""Time integrators, one per file.
-
-Their text on the command line and in files is like "newmark:rho=0.8" or "diffrax:Kvaerno5:rtol=1e-9".
-"""
+"""Time integrators of one file each; `pftwin.dynamics.ali3p` and `pftwin.dynamics.quasi_static` are the others."""
 
 from __future__ import annotations
 
-import dataclasses
-import math
-from typing import Any
-
-from pftwin.base.errors import InputError
-from pftwin.dynamics.ali3p.step import ALI3P
 from pftwin.dynamics.integrator import Integrator
 from pftwin.dynamics.integrators.bdf2 import BDF2
 from pftwin.dynamics.integrators.diffrax_solver import Diffrax
 from pftwin.dynamics.integrators.linear_implicit import LinearImplicit
 from pftwin.dynamics.integrators.newmark import Newmark
 from pftwin.dynamics.integrators.symplectic_euler import SymplecticEuler
-from pftwin.dynamics.quasi_static.step import QuasiStatic
 
-_KINDS: dict[str, type[Integrator]] = {
-    kind.name: kind for kind in (LinearImplicit, BDF2, SymplecticEuler, Newmark, QuasiStatic, ALI3P)
-}
-__all__ = [
-    "ALI3P",
-    "BDF2",
-    "Diffrax",
-    "Integrator",
-    "LinearImplicit",
-    "Newmark",
-    "QuasiStatic",
-    "SymplecticEuler",
-    "integrator_from_text",
-]
-
-
-def integrator_from_text(text: str) -> Integrator:
-    """Parses an integrator's name and options.
-
-    Raises:
-        InputError: there is no such integrator or option, or the value of an option is invalid.
-    """
-    name, _, rest = text.partition(":")
-    if name == Diffrax.name:
-        solver, _, rest = rest.partition(":")
-        return Diffrax(solver, **_options(f"{name}:{solver}", rest, Diffrax))
-    if name not in _KINDS:
-        known = ", ".join((*_KINDS, "diffrax:SOLVER"))
-        raise InputError(f"no integrator {name!r}", where="integrator", expected=f"one of: {known}")
-    kind = _KINDS[name]
-    if rest and not dataclasses.fields(kind):
-        raise InputError(f"found options {rest!r}", where=f"integrator {name}", expected="none: it has no options")
-    return kind(**_options(name, rest, kind))
-
-
-def _options(name: str, text: str, kind: type[Integrator]) -> dict[str, Any]:
-    known = {f.name: f for f in dataclasses.fields(kind) if f.default is not dataclasses.MISSING}
-    values: dict[str, Any] = {}
-    for part in text.split(",") if text else []:
-        key, _, value = (x.strip() for x in part.partition("="))
-        default = known[key].default if key in known else None
-        values[key] = value if isinstance(default, str) else _number(value)
-        if key not in known or values[key] is None:
-            wanted = f"name=value, of: {', '.join(known)}"
-            raise InputError(f"found {part.strip()!r}", where=f"integrator {name}", expected=wanted)
-    return values
-
-
-def _number(text: str) -> float | None:
-    try:
-        value = float(text)
-    except ValueError:
-        return None
-    return value if math.isfinite(value) else None
+__all__ = ["BDF2", "Diffrax", "Integrator", "LinearImplicit", "Newmark", "SymplecticEuler"]

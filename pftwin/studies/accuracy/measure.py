@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pftwin.dynamics.integrators import integrator_from_text
+from pftwin.dynamics.integrator_text import integrator_from_text
 from pftwin.dynamics.simulate import settle_first_frame
 from pftwin.dynamics.status import status_facts
 from pftwin.model.measured import Measured

@@ -15,7 +15,7 @@ from pftwin.base.errors import InputError
 from pftwin.dynamics.batch.batched import batched
 from pftwin.dynamics.equilibrium import Solution
 from pftwin.dynamics.frame_states import frame_states
-from pftwin.dynamics.integrators import integrator_from_text
+from pftwin.dynamics.integrator_text import integrator_from_text
 from pftwin.dynamics.observe import Observation, observe, tracked_center
 from pftwin.model.scene import Scene
 

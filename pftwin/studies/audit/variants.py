@@ -14,7 +14,8 @@ from pftwin.base.errors import InputError
 from pftwin.base.leaves import host_array, number
 from pftwin.base.spatial import Pose, Quaternion, Vec3
 from pftwin.dynamics.integrator import Integrator
-from pftwin.dynamics.integrators import LinearImplicit, QuasiStatic
+from pftwin.dynamics.integrators import LinearImplicit
+from pftwin.dynamics.quasi_static.step import QuasiStatic
 from pftwin.files.mocap.poses import PoseSeries
 from pftwin.model.effects.base import Change, Effect, Instant, Load
 from pftwin.model.effects.friction import Friction

@@ -12,7 +12,7 @@ from typing import Any, Literal, NamedTuple
 from pftwin import rig
 from pftwin.base.errors import InputError
 from pftwin.dynamics.integrator import Integrator
-from pftwin.dynamics.integrators import integrator_from_text
+from pftwin.dynamics.integrator_text import integrator_from_text
 from pftwin.dynamics.status import Status
 from pftwin.geometry.patch.charts import CylindricalChart
 from pftwin.model.scene import Scene
@@ -66,7 +66,7 @@ class HardCase:
 class CaseIntegrator(NamedTuple):
     """An integrator and its settings in the matrix."""
 
-    name: str  # name in `pftwin.dynamics.integrators`, or an alias for `of`
+    name: str  # name in `pftwin.dynamics.integrator_text`, or an alias for `of`
     of: str | None = None  # name of the integrator if `name` is an alias
     chooses_steps: bool = False  # whether it shortens steps as `pftwin.simulate` does if no step is given
     longest_step: float = 1.0  # longest step in the matrix [s]

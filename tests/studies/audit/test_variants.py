@@ -11,7 +11,8 @@ from scenes import MASS, J, gravity, knee, knee_motion, look, tendon, vec
 
 from pftwin.base.spatial import Pose, Quaternion, Vec3, Wrench
 from pftwin.dynamics.frame_states import frame_states, starting_equilibrium
-from pftwin.dynamics.integrators import LinearImplicit, Newmark, QuasiStatic
+from pftwin.dynamics.integrators import LinearImplicit, Newmark
+from pftwin.dynamics.quasi_static.step import QuasiStatic
 from pftwin.files.mocap.poses import PoseSeries
 from pftwin.model.effects.base import Change, Effect, Load
 from pftwin.model.effects.gravity import Gravity

@@ -13,7 +13,8 @@ import pytest
 import pftwin
 from pftwin.base.errors import InputError
 from pftwin.dynamics.frame_states import frame_states
-from pftwin.dynamics.integrators import Newmark, QuasiStatic
+from pftwin.dynamics.integrators import Newmark
+from pftwin.dynamics.quasi_static.step import QuasiStatic
 from pftwin.dynamics.status import Status
 from pftwin.studies.audit.variants import NotApplicable, additions
 from pftwin.studies.hard_cases import CONTACTS, case_named

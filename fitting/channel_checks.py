@@ -22,6 +22,7 @@ from pftwin.base.errors import InputError
 from pftwin.base.quantities import shown
 
 Limits = Mapping[str, tuple[float, float]]
+Faults = tuple[str, ...]  # what is wrong with a channel if a reading of it is right; none: as given
 
 LIMITS: dict[str, tuple[float, float]] = {
     "reading": (1.5, 2.0),  # how many times closer to the twin a channel is in other units, signs or axes, or swapped
@@ -49,7 +50,8 @@ _UNITS: dict[str, dict[float, str]] = {  # factor for a channel, and what is wro
     },
 }
 _AXES = "xyz"
-_CLEARLY = 1.1  # how many times closer than with a constant offset values that a reading shrinks must lie
+_SIMPLER = 1.1  # a simpler reading is preferred if it is at most this many times farther away,
+_BOTH = 1.5  # and one of its two faults alone if it is less than so many times farther away
 _FRAMES = 200  # most frames used to compare readings, spread evenly over the recording
 _FLOOR = {POSITION: 1e-3, ORIENTATION: 0.02}  # distance below which all readings count as equally good [m], [rad]
 _FORCE_FLOOR = 0.01  # the same for a force, as a share of the twin's
@@ -87,7 +89,7 @@ def misread(objective: Objective, trials: Floats, limits: Limits) -> list[str]:
     """Doubts: what channels look like, in words, if another reading lies closer to one of the trial motions (N, n, c).
     Raises InputError if another reading is closer by more than the limit allows."""
     found, (named, refused) = [], limits["reading"]
-    for r in alike((r for r in readings(objective, trials, named) if r.times >= named), objective.readings):
+    for r in alike((r for r in readings(objective, trials) if r.times >= named), objective.readings):
         said = f"{_listed(r.channels)} {r.words}"
         if r.times >= refused:
             raise InputError(
@@ -113,11 +115,11 @@ def alike(found: Iterable[Reading], units: Mapping[str, str]) -> list[Reading]:
     return sorted(together.values(), key=lambda r: -r.times)
 
 
-def readings(objective: Objective, trials: Floats, closer: float) -> Iterator[Reading]:
+def readings(objective: Objective, trials: Floats) -> Iterator[Reading]:
     """The best other reading of each channel, and pairs of forces that fit better swapped.
 
-    Another reading has to lie `closer` times closer to the twin than any simpler one: positions in millimetres are not
-    called mirrored too because a twin with other loads happens to lie a little nearer to their mirror image.
+    A reading of two faults has to be much better than the first alone: positions in millimetres are not called mirrored
+    too because a twin with other loads happens to lie a little nearer to their mirror image.
     """
     for channel, at, rows in objective.columns():
         keep = _frames_compared(objective.present[:, rows.start])
@@ -132,11 +134,13 @@ def readings(objective: Objective, trials: Floats, closer: float) -> Iterator[Re
         floor = _FLOOR.get(channel, _FORCE_FLOOR)
         if channel == POSITION:
             tried = _not_just_smaller(data, tried, seen)
-        off = {words: max(float(_distance(channel, values, seen).min()) / size, floor) for words, values in tried}
+        off = {faults: max(float(_distance(channel, values, seen).min()) / size, floor) for faults, values in tried}
         best = min(off.values())
-        words = next(w for w, value in off.items() if value <= closer * best)  # the simplest comes first
-        if words:
-            yield Reading((channel,), words, off[""] / off[words])
+        faults = next(f for f, value in off.items() if value <= _SIMPLER * best)  # the simplest comes first
+        if off.get(faults[:1], np.inf) < _BOTH * off[faults]:
+            faults = faults[:1]
+        if faults:
+            yield Reading((channel,), " and ".join(faults), off[()] / off[faults])
     single = [(channel, at.start, rows.start) for channel, at, rows in objective.columns() if channel not in _FLOOR]
     for (one, i, j), (other, k, m) in itertools.combinations(single, 2):
         keep = _frames_compared(objective.present[:, j] & objective.present[:, m])
@@ -200,12 +204,12 @@ def unresolved(errors: Mapping[str, StepError], left: Mapping[str, float], readi
     return found
 
 
-def _poses(channel: str, data: Floats) -> Iterator[tuple[str, Floats]]:
-    """Positions in other axes, signs and units, or orientations inverted or reordered; first as given, no words."""
-    yield "", data
+def _poses(channel: str, data: Floats) -> Iterator[tuple[Faults, Floats]]:
+    """Positions in other axes, signs and units, or orientations inverted or reordered; first as given."""
+    yield (), data
     if channel == ORIENTATION:
-        yield "turned the other way: the femur in the patella's frame", data * [1.0, -1.0, -1.0, -1.0]
-        yield "written with the scalar last", np.roll(data, 1, axis=1)
+        yield ("turned the other way: the femur in the patella's frame",), data * [1.0, -1.0, -1.0, -1.0]
+        yield ("written with the scalar last",), np.roll(data, 1, axis=1)
         return
     units = {1.0: "", **_UNITS["m"]}
     turns = itertools.product(itertools.permutations(range(3)), itertools.product((1.0, -1.0), repeat=3))
@@ -217,15 +221,15 @@ def _poses(channel: str, data: Floats) -> Iterator[tuple[str, Floats]]:
             axes = ", ".join(f"{'-' if s < 0 else ''}{_AXES[i]}" for i, s in zip(order, signs, strict=True))
             mirrored = " (mirrored)" if np.linalg.det(np.eye(3)[list(order)] * signs) < 0 else ""
             said.append(f"like ({axes}) in the place of (x, y, z){mirrored}")
-        yield " and ".join(said), unit * data[:, order] * np.array(signs)
+        yield tuple(said), unit * data[:, order] * np.array(signs)
 
 
-def _readings(data: Floats, unit: str) -> Iterator[tuple[str, Floats]]:
+def _readings(data: Floats, unit: str) -> Iterator[tuple[Faults, Floats]]:
     """A force or other scalar as given, in other units, and with the other sign."""
     units = _UNITS.get(unit, {})
-    yield from (("", data), ("negated", -data))
-    yield from ((words, factor * data) for factor, words in units.items())
-    yield from ((f"negated and {words}", -factor * data) for factor, words in units.items())
+    yield from (((), data), (("negated",), -data))
+    yield from (((words,), factor * data) for factor, words in units.items())
+    yield from ((("negated", words), -factor * data) for factor, words in units.items())
 
 
 def _rms(values: Floats) -> Floats:
@@ -240,16 +244,22 @@ def _distance(channel: str, data: Floats, seen: Floats) -> Floats:
     return _rms(data - seen)
 
 
-def _not_just_smaller(data: Floats, tried: Iterator[tuple[str, Floats]], seen: Floats) -> Iterator[tuple[str, Floats]]:
+def _not_just_smaller(
+    data: Floats, tried: Iterator[tuple[Faults, Floats]], seen: Floats
+) -> Iterator[tuple[Faults, Floats]]:
     """Omits readings of positions that only shrink the values and fit worse than the values with a constant offset.
 
     Positions in a frame far away come closer with any reading that shrinks them; an offset explains them better.
     """
     apart = data - seen
     set_off = float(_rms(apart - apart.mean(axis=1, keepdims=True)).min())
-    for words, values in tried:
-        if not words or _rms(values) > 0.5 * _rms(data) or _CLEARLY * _distance(POSITION, values, seen).min() < set_off:
-            yield words, values
+    for faults, values in tried:
+        if (
+            not faults
+            or _rms(values) > 0.5 * _rms(data)
+            or _SIMPLER * _distance(POSITION, values, seen).min() < set_off
+        ):
+            yield faults, values
 
 
 def _frames_compared(present: NDArray[np.bool_]) -> NDArray[np.intp]:

@@ -233,9 +233,10 @@ class Estimate:
     def sentence(self) -> str:
         """The precision of the requested parameters in a sentence, or why it cannot be stated."""
         asked = self.asked
+        beyond = f". At a bound: {', '.join(self.at_bounds)}; the true value may lie beyond" if self.at_bounds else ""
         if self.invalid:
             unknown = f"The precision of {', '.join(self.names[:asked])} is not known"
-            return f"{INVALID}: {'; '.join(self._objections())}. {unknown}"
+            return f"{INVALID}: {'; '.join(self._objections())}. {unknown}{beyond}"
         span, covariance = self.upper - self.lower, self.covariance[:asked, :asked]
         said = in_words(
             self.names[:asked],
@@ -247,7 +248,6 @@ class Estimate:
             self.readings,
             self.units[:asked],
         )
-        beyond = f". At a bound: {', '.join(self.at_bounds)}; the true value may lie beyond" if self.at_bounds else ""
         return f"{said}{beyond}. {'But ' if self.draws is None else ''}{self.coverage.intervals}"
 
     def summary(self) -> str:

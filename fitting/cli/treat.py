@@ -96,8 +96,10 @@ def treat(
         if figure and data.sizes["variant"] > 1:
             drawn = outcome_figure(data, f"{chosen.scene.name}: predicted outcomes")
             files += save_figure(drawn, output.with_suffix(""))
-    invalid = _invalid(found)
-    finding = invalid or main_finding(data)
+    if invalid := _invalid(found):
+        finding = "\n".join(why for why in (invalid, invalid_variants(data)) if why)
+    else:
+        finding = main_finding(data)
     outcome = {**facts(data), "finding": finding, "files": [str(p) for p in files]}
     doubt = invalid_variants(data) or narrow_bands(data)
     sheet = outcome_sheet(data, _MOST_ROWS)
@@ -172,7 +174,9 @@ def optimise(
     notes = reservations(found, chosen.scene.synthetic)
     facts, invalid = {"scene": chosen.scene.name, **plan.to_dict(), "notes": notes}, _invalid(found)
     if invalid:
-        facts.update(verdict=invalid, sentence=invalid)
+        why = "; ".join(each for each in (invalid, plan.invalid) if each)
+        held = [{**limit, "holds": False} for limit in facts["limits"]]
+        facts.update(met=False, verdict=why, sentence=why, limits=held)
     files = [] if output is None else [output]
     for path in files:
         terminal.write_json(facts, str(path))
@@ -182,7 +186,7 @@ def optimise(
         ("limit", "value", "met"),
         tuple((lim.describe(), in_units(lim.outcome, v), "yes" if lim.room(v) >= 0 else "no") for lim, v in reached),
     )
-    parts = (invalid, sheet) if invalid else (sheet, plan.describe())
+    parts = (facts["sentence"],) if invalid else (sheet, plan.describe())
     terminal.present(facts, *parts, *notes, terminal.written_line(files), json=json)
     if plan.interrupted:
         raise Interrupted(output, json)

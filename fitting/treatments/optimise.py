@@ -114,8 +114,9 @@ def optimise_treatment(
 
     def plan(met: bool, at: Floats) -> TreatmentPlan:
         if coarse["failed"].all():
-            none, first = dict.fromkeys(MEASURES, np.nan), facts(coarse)["variants"][int(np.argmax(room))]
-            trust = {name: first[name] for name in ("status", "status_frames")}
+            none, nearest = dict.fromkeys(MEASURES, np.nan), facts(coarse)["variants"][int(np.argmax(room))]
+            flagged = len(ranges) == 1 and any(nearest["status_frames"].values())  # a start's fault is no frame's flag
+            trust = {name: nearest[name] for name in ("status", "status_frames")} if flagged else {}
             return written(met, at, none, 0.0 if samples else None, invalid=invalid_variants(coarse), trust=trust)
         share = search.share(at) if samples else None
         return written(met, at, search.outcomes(at), share, trust=search.trust(at))

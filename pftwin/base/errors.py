@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 
-_UNREADABLE = re.compile(r"[^\s;]{300,}")  # a name or value of a broken file, which a message shortens
+_UNREADABLE = re.compile(r"\S{300,}")  # a name or value of a broken file, which a message shortens
 
 
 class PftwinWarning(UserWarning):
@@ -29,11 +29,12 @@ class InputError(PftwinError, ValueError):
         self, problem: str, *, where: object = None, expected: str | None = None, remedy: str | None = None
     ) -> None:
         self.problem, self.where, self.expected, self.remedy = problem, where, expected, remedy
-        text = f"{where}: {problem}" if where is not None else problem
+        said = _UNREADABLE.sub(lambda long: f"{long[0][:60]}... ({len(long[0])} characters)", problem)
+        text = f"{where}: {said}" if where is not None else said
         for lead, part in (("expected", expected), ("try", remedy)):
             if part:
                 text = f"{text.rstrip('.')}; {lead}: {part}"
-        super().__init__(_UNREADABLE.sub(lambda long: f"{long[0][:60]}... ({len(long[0])} characters)", text))
+        super().__init__(text)
 
 
 class OutputError(PftwinError, OSError):

@@ -21,7 +21,9 @@ if TYPE_CHECKING:
 
 _SAME_TIME = 0.1  # tolerance of times as a share of the frame interval, because files hold rounded times
 _UNLIKE = 3.0  # ratio of two forces' sizes (rms) beyond which the unit is doubtful: a pound-force is 4.4 N
-_FAR = 30.0  # mean distance of the sphere's centres beyond which unit, axes or frame are doubtful [mm]
+_LOADED = 0.5  # largest simulated force [N] from which on sizes are compared, in frames
+_SHARE = 0.05  # with at least such a share of the largest simulated and of the largest measured force
+_FAR = 30.0  # distance of the sphere's centres at every frame beyond which unit, axes or frame are doubtful [mm]
 
 
 class ValidationRow(NamedTuple):
@@ -131,7 +133,8 @@ def validate(
     placed = bool(present.any())
     if not (placed or measured.skin_markers):
         raise InputError("no frame has a measured position", where=measured.source, expected="at least one")
-    distance = float(np.mean(np.linalg.norm(offsets[present], axis=1))) if placed else None
+    distances = np.linalg.norm(offsets[present], axis=1)
+    forces = {"contact force": contact, "tibial spring": tibia, "femoral spring": femur}
     skin = [name for name in measured.readings if name.rpartition(".")[0] in measured.skin_markers]
     return Validation(
         contact_force=_force_error(contact),
@@ -141,7 +144,7 @@ def validate(
         flexion=_angle_error(result, measured, "flexion"),
         tilt=_angle_error(result, measured, "tilt"),
         **{axis: _rms(offsets[:, i], present) if placed else None for i, axis in enumerate("xyz")},
-        mean_distance=distance,
+        mean_distance=float(np.mean(distances)) if placed else None,
         initial_configuration=result.timing.get("equilibrium_s"),
         real_time_factor=result.real_time_factor if "run_s" in result.timing else None,
         frames=result.times.size,
@@ -150,7 +153,7 @@ def validate(
         synthetic=measured.synthetic,
         readings=tuple(_reading_error(result, *of) for of in measured.readings.items() if of[0] not in skin),
         skin_markers=tuple(SkinMarker.of(n, reading(result, n), measured.readings[n], measured.source) for n in skin),
-        doubts=tuple(_doubts({"contact force": contact, "tibial spring": tibia, "femoral spring": femur}, distance)),
+        doubts=tuple(_doubts(forces, distances)) if result.verdict.valid else (),
     )
 
 
@@ -231,13 +234,18 @@ def _force_error(forces: tuple[Floats, Floats] | None) -> float | None:
     return None if forces is None else _size(forces[0] - forces[1])
 
 
-def _doubts(forces: Mapping[str, tuple[Floats, Floats] | None], distance: float | None) -> Iterator[str]:
-    """What measurements look like that no error of a model explains."""
-    if distance is not None and distance > _FAR:
-        yield f"the measured centre is {distance:.3g} mm from the simulated one: check its unit, axes and frame"
-    for name, (ours, theirs) in ((name, pair) for name, pair in forces.items() if pair is not None):
-        small, large = sorted((_size(ours), _size(theirs)))
-        if large > _UNLIKE * small:
+def _doubts(forces: Mapping[str, tuple[Floats, Floats] | None], distances: Floats) -> Iterator[str]:
+    """What is wrong with measurements, if a sound simulation differs from them by more than models do."""
+    if distances.size and (near := float(distances.min())) > _FAR:
+        yield f"the measured centre is {near:.3g} mm or more from the simulated one: check its unit, axes and frame"
+    for name, pair in forces.items():
+        if pair is None or not np.abs(pair[0]).max() >= _LOADED:
+            continue
+        loaded = [np.abs(each) > _SHARE * np.abs(each).max() for each in pair]
+        if not (both := loaded[0] & loaded[1]).any():
+            continue
+        ours, theirs = (each[both] for each in pair)
+        if max(_size(ours), _size(theirs)) > _UNLIKE * min(_size(ours), _size(theirs)):
             sizes = f"{_size(theirs):.3g} N rms, the simulated one {_size(ours):.3g} N"
             yield f"the measured {name} has {sizes}: check its unit and channel"
         elif np.mean(theirs) < 0:

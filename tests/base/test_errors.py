@@ -12,5 +12,5 @@ def test_a_message_shortens_what_nobody_could_read():
 
 
 def test_a_long_path_is_whole():
-    path = "/".join(["folder"] * 40)
+    path = "/".join(["folder"] * 60)
     assert str(InputError("no such file", where=path)) == f"{path}: no such file"

@@ -29,8 +29,7 @@ def target(channels, measured, widths):
 
 def read(channels, measured, truth, widths):
     trials = np.stack([truth * s if widths[-1] == 1 else truth for s in SCALES])
-    found = readings(target(channels, measured, widths), trials, LIMITS["reading"][0])
-    return [(r.channels, r.words, r.times) for r in found]
+    return [(r.channels, r.words, r.times) for r in readings(target(channels, measured, widths), trials)]
 
 
 @pytest.mark.parametrize(
@@ -64,7 +63,15 @@ def test_positions_in_millimetres_are_not_called_mirrored_too_because_the_twin_h
     [(_, said, times)] = read(("position",), 1000 * POSITION, elsewhere, (3,))
     assert said == "1000 times too large: in millimetres"
     assert times > 100
-    assert read(("position",), POSITION, elsewhere, (3,)) == []
+    [(_, _, times)] = read(("position",), POSITION, elsewhere, (3,))
+    assert times < LIMITS["reading"][0]
+
+
+def test_a_frame_turned_by_half_is_named_so_although_the_twin_is_off():
+    """Turned about z, with the twin 15 mm off along it: beside the mirror images by x and by y."""
+    [(_, said, times)] = read(("position",), POSITION * [-1, -1, 1] + [0, 0, 15e-3], POSITION, (3,))
+    assert said == "like (-x, -y, z) in the place of (x, y, z)"
+    assert times > LIMITS["reading"][0]
 
 
 def test_positions_of_zero_are_no_other_reading():
@@ -80,11 +87,11 @@ def test_a_trial_whose_tendon_hangs_slack_is_resembled_by_nothing():
     """Its force is as good as zero, as is that of any numbers in smaller units."""
     force = FORCES[:, :1]
     trials = np.stack([1.4 * force, 0.7 * force, 1e-3 * force])
-    assert list(readings(target(("quadriceps",), force, (1,)), trials, 1.1)) == []
-    [reading] = readings(target(("quadriceps",), 1e3 * force, (1,)), trials, 1.1)
+    assert list(readings(target(("quadriceps",), force, (1,)), trials)) == []
+    [reading] = readings(target(("quadriceps",), 1e3 * force, (1,)), trials)
     assert "1000 times too large" in reading.words
     wide = np.stack([force, 20 * force, 30 * force, 1e-3 * force])
-    assert list(readings(target(("quadriceps",), 1.02 * force, (1,)), wide, 1.1)) == []
+    assert list(readings(target(("quadriceps",), 1.02 * force, (1,)), wide)) == []
 
 
 def test_orientations_the_other_way_round_or_with_the_scalar_last():

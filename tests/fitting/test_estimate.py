@@ -52,6 +52,8 @@ def test_bounds_that_are_reached_are_named_on_either_side():
     assert "(SD). At a bound: K1, K2; the true value may lie beyond. But 95 % intervals " in e.sentence()
     assert made_estimate(VALUES).at_bounds == ()
     assert "bound" not in made_estimate(VALUES).sentence()
+    doubted = made_estimate(VALUES, upper=np.array([160.0, 1.0, 1e4]), doubts=["a doubt"])
+    assert doubted.sentence().endswith(". At a bound: K1; the true value may lie beyond")
 
 
 def test_the_table_has_estimate_deviation_interval_and_nominal():

@@ -171,7 +171,7 @@ def test_the_rigs_own_measurements_raise_no_doubt_and_faulty_ones_do(n):
     assert m.tibial_spring_force is not None
     faulty = replace(m, femoral_spring_force=m.tibial_spring_force, tibial_spring_force=m.femoral_spring_force)
     for data, limit in ((m, 1.05), (faulty, LIMITS["reading"][1])):
-        seen = [r.times for r in readings(Objective.of(case, data, use="all"), trials.values[trials.usable], 1.1)]
+        seen = [r.times for r in readings(Objective.of(case, data, use="all"), trials.values[trials.usable])]
         assert (max(seen, default=1.0) > limit) == (data is faulty)
     late = replace(m, center=m.center[np.maximum(np.arange(len(m.times)) - 3, 0)])
     assert "measured position is" in fitting.fit_tendons(case, late, computed=computed).sentence()

@@ -66,6 +66,8 @@ def test_a_plan_from_doubted_measurements_concludes_nothing(toy, tmp_path):
     plan = json.loads((tmp_path / "plan.json").read_text())
     assert plan["verdict"] == plan["sentence"]
     assert plan["verdict"].startswith("INVALID")
+    assert not plan["met"]
+    assert not any(limit["holds"] for limit in plan["limits"])
 
 
 @pytest.mark.slow

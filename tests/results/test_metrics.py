@@ -13,6 +13,7 @@ import pftwin
 from pftwin.base.errors import InputError
 from pftwin.base.rotations import patellar_angles
 from pftwin.base.spatial import Quaternion
+from pftwin.dynamics.status import Status
 from pftwin.model.measured import Measured
 from pftwin.results import tracking
 from pftwin.results.metrics import PAPER_TABLE_1, mean_of, validate
@@ -110,7 +111,7 @@ def test_positions_alone_can_be_validated(result):
         (lambda m: {"tibial_spring_force": -m.tibial_spring_force}, "tibial spring is negative: check its sign"),
         (
             lambda m: {"center": 1e3 * m.center},
-            "centre is .* mm from the simulated one: check its unit, axes",
+            "centre is .* mm or more from the simulated one: check its unit",
         ),
     ],
 )
@@ -124,9 +125,32 @@ def test_measurements_in_another_unit_sign_or_frame_are_doubted(result, changes,
 def test_forces_of_a_twin_with_stiffness_off_by_half_are_not_doubted(result):
     right = measured_of(result)
     weaker = dataclasses.replace(right, contact_force=0.5 * right.contact_force, center=right.center + 8e-3)
-    found = validate(result, weaker)
-    assert found.doubts == ()
-    assert mean_of([found, found]).doubts == ()
+    assert validate(result, weaker).doubts == ()
+
+
+def test_forces_that_are_lost_or_near_zero_are_not_doubted(result):
+    """A tendon that is slack in the twin, beside a sensor's noise; a contact that is lost for a while; a dislocation."""
+    n, random = result.times.size, np.random.default_rng(4)
+    effects = {name: dict(values) for name, values in result.effects.items()}
+    effects["quadriceps"]["tension"] = np.zeros(n)
+    effects["contact"]["force"] = np.where(np.arange(n) < n // 5, result.effects["contact"]["force"], 0.0)
+    center = result.center + np.where(np.arange(n) > n // 2, 0.06, 0.0)[:, None]
+    lost = dataclasses.replace(result, effects=effects, center=center)
+    seen = measured_of(result, femoral_spring_force=0.02 * random.normal(size=n))
+    assert validate(lost, seen).doubts == ()
+
+
+def test_an_invalid_motion_does_not_doubt_measurements(result):
+    invalid = dataclasses.replace(result, flags=np.full_like(result.flags, int(Status.NO_CONTACT)))
+    right = measured_of(result)
+    assert validate(invalid, dataclasses.replace(right, contact_force=1e3 * right.contact_force)).doubts == ()
+
+
+def test_the_mean_over_cases_names_each_cases_doubts(result):
+    right = measured_of(result)
+    doubted = validate(result, dataclasses.replace(right, contact_force=1e3 * right.contact_force))
+    [said] = mean_of([validate(result, right), doubted]).doubts
+    assert said == f"{result.scene_name}: {doubted.doubts[0]}"
 
 
 def test_other_times_are_refused(result):

@@ -19,7 +19,7 @@ from pftwin.base.text_files import check_row_length, numbers, read_lines, write_
 from pftwin.files.mocap.markers import MarkerTrajectories, from_file
 from pftwin.files.mocap.units import length_factor
 
-_COORDINATE = re.compile(r"^[XYZ]\d*$", re.IGNORECASE)
+_COORDINATE = re.compile(r"^[XYZ]\d{0,9}$", re.IGNORECASE)
 
 
 def read_trc(path: str | os.PathLike[str], *, units: str | None = None) -> MarkerTrajectories:
@@ -153,7 +153,7 @@ def _check_axes(header: list[str], below: list[str], markers: int, path: object)
         labels = [c for c in _cells(line) if c]
         if not labels or not all(_COORDINATE.match(c) for c in labels):
             continue
-        letters, numbers = "".join(c[0].upper() for c in labels), [int(c[1:] or 0) for c in labels]
+        letters, numbers = "".join(c[0].upper() for c in labels), [int(c[1:]) for c in labels if c[1:]]
         if not ("XYZ" * markers).startswith(letters) or numbers != sorted(numbers):
             raise InputError(
                 f"the columns are labelled {', '.join(labels[:6])}",

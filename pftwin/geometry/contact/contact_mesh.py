@@ -139,7 +139,8 @@ def border_edges(mesh: SurfaceMesh, label: NDArray) -> tuple[NDArray[np.float64]
 def distances_from_border(mesh: SurfaceMesh, lateral: NDArray[np.bool_]) -> Floats:
     """Distances (m, 3) of the triangles' corners from the border between the facets, positive on the lateral one [m].
 
-    Where there is no border, as on a mesh that is one facet, they are 1 m.
+    The border follows edges, so it is known to a triangle's width. Without one, as on a mesh that is one facet or whose
+    triangles share no vertices, distances are 1 m.
     """
     from scipy.spatial import cKDTree
 

@@ -31,7 +31,7 @@ from pftwin.geometry.mesh.mesh import SurfaceMesh
 
 _AROUND = 12e-3  # [m] margin of the table around the surface: more than the depths that are searched for
 _BEYOND = 6e-3  # [m] distance beyond the rim up to which the depth is continued
-_MOST_NODES = 5_000_000  # 113 bytes each
+_MOST_NODES = 5_000_000  # up to 113 bytes each
 _ALLOWED = 5e-5  # [m] largest rms error of a table's depths on the surface
 _SHARPEST = 100.0  # [1/m] largest curvature of a joint's surface
 _FLAT = 1e-6  # smallest square of a slope by which it is divided
@@ -46,7 +46,7 @@ class DistanceGrid(eqx.Module):
     exact: PressedSurface  # the surface that the table approximates
     cells: Array  # (nodes, 27) float32: polynomial coefficients [m], for coordinates in the cube from -1/2 to 1/2
     rim: Array  # (nodes,) bool: whether the rim is nearest
-    border: Array  # (nodes,) float32: `Below.lateral` at the nearest point
+    border: Array | None  # (nodes,) float32: `Below.lateral` at the nearest point
     low: Array  # (3,) position of the first node [m]
     spacing: Array  # () [m]
     shape: tuple[int, int, int] = eqx.field(static=True)  # nodes along each axis
@@ -77,11 +77,11 @@ class DistanceGrid(eqx.Module):
         # d(n.v)/dp = -(H v - (n.v) H n) / |slope|, with H the depth's second derivative.
         along = jnp.where(steep > _FLAT, normal.dot(vector), 0.0)
         bend = -over * (near.bent(vector) - near.bent(normal) * along)
-        lateral = None if self.exact.border is None else self._between(point)
+        lateral = None if self.border is None else self._between(self.border, point)
         return Below(near.depth, normal, bend, self.rim[near.node], lateral)
 
-    def _between(self, point: Vec3) -> Scalar:
-        """Distances of points (k,) from the facets' border, linear in each coordinate between the nodes."""
+    def _between(self, values: Array, point: Vec3) -> Scalar:
+        """Values of the nodes at points (k,), linear in each coordinate between the nodes."""
         number, found = jnp.int32(0), []
         for i, p in enumerate((point.x, point.y, point.z)):
             most = self.shape[i] - 1
@@ -91,11 +91,11 @@ class DistanceGrid(eqx.Module):
             found.append(at - first)
         _, ny, nz = self.shape
         corners = [(i * ny + j) * nz + k for i in range(2) for j in range(2) for k in range(2)]
-        values = [gathered(self.border[number + jnp.int32(n)]).astype(point.x.dtype) for n in corners]
+        mixed = [gathered(values[number + jnp.int32(n)]).astype(point.x.dtype) for n in corners]
         for u in found:
-            half = len(values) // 2
-            values = [a + u * (b - a) for a, b in zip(values[:half], values[half:], strict=True)]
-        return values[0]
+            half = len(mixed) // 2
+            mixed = [a + u * (b - a) for a, b in zip(mixed[:half], mixed[half:], strict=True)]
+        return mixed[0]
 
     def _near(self, point: Vec3) -> _Near:
         """The polynomials of points (k,), evaluated from the innermost coordinate outwards."""
@@ -183,7 +183,7 @@ def distance_grid(mesh: SurfaceMesh, spacing: float, labels: ArrayLike | None = 
         raise InputError(found, where="distance_grid", expected=most, remedy="a finer one")
     own = canonicalize_dtype(float)
     numbers = jnp.asarray(low, own), jnp.asarray(spacing, own)
-    tables = jax.device_put(cells), jax.device_put(rim), jax.device_put(border)
+    tables = jax.device_put(cells), jax.device_put(rim), None if labels is None else jax.device_put(border)
     return DistanceGrid(exact, *tables, *numbers, (nx, ny, nz))
 
 

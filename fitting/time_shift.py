@@ -6,9 +6,9 @@ neighbouring frames (generalised least squares, first-order autoregressive noise
 minimised over s. The standard deviation follows from the curvature at the minimum. Friction in the joint and other
 effects that the twin omits also delay the measurements. So a shift is reported only if it exceeds the limit by two
 standard deviations, is known to a quarter of the limit, and explains more of the whitened squares than those effects
-do: the rig's positions reach 0.07, and 0.35 to 0.47 if 30 ms late; its tensions 0.32, and 0.10 to 0.45. Nothing omitted
-makes measurements early, so a smaller share is enough there: the rig's reach 0.06, and its positions 0.12 to 0.25 if
-50 ms early.
+do: the rig's positions reach 0.07, and 0.35 to 0.47 if 30 ms late; its tensions 0.32, and 0.10 to 0.45. Only damping
+or friction that the twin overstates makes measurements early, so a smaller share is enough there: the rig's reach 0.06,
+and its positions 0.12 to 0.25 if 50 ms early.
 """
 
 from __future__ import annotations

@@ -129,7 +129,7 @@ def test_forces_of_a_twin_with_stiffness_off_by_half_are_not_doubted(result):
 
 
 def test_forces_that_are_lost_or_near_zero_are_not_doubted(result):
-    """A tendon that is slack in the twin, beside a sensor's noise; a contact that is lost for a while; a dislocation."""
+    """A tendon that is slack in the twin, beside a sensor's noise; a contact lost for a while; a dislocation."""
     n, random = result.times.size, np.random.default_rng(4)
     effects = {name: dict(values) for name, values in result.effects.items()}
     effects["quadriceps"]["tension"] = np.zeros(n)

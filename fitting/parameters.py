@@ -25,6 +25,7 @@ Bounds = float | Mapping[str, float | tuple[float, float]]
 DEFAULT_BOUNDS = 0.3
 REQUESTED, BETWEEN_TRIALS = "what was asked for", "differences between trials"  # kinds of parameters
 _EDGE = 1e-9  # least distance of iterates from the bounds, as a share of the range
+_FAR = 3  # standard deviations from the bounds beyond which a prior excludes them
 
 
 @dataclass(frozen=True)
@@ -212,7 +213,7 @@ def free_parameters(
 
     Raises:
         InputError: an unknown or repeated name; bounds that are empty, exclude the nominal value, or are a share of a
-            zero value; an invalid prior.
+            zero value; an invalid prior, or one that excludes the bounds.
     """
     if isinstance(names, str) or not names:
         raise InputError(f"found {names!r}", where="free", expected='names of parameters, such as ("K1", "L1")')
@@ -266,6 +267,10 @@ def _parameter(
     prior = priors.get(own, priors.get(name))
     if prior is not None and not (len(prior) == 2 and np.isfinite(prior).all() and prior[1] > 0):
         raise InputError(f"{own}: found {prior!r}", where="priors", expected="a mean and a positive standard deviation")
+    if prior is not None and not lower - _FAR * prior[1] <= prior[0] <= upper + _FAR * prior[1]:
+        problem = f"{own}: the prior {prior[0]:g} +- {prior[1]:g} excludes the bounds {lower:g} to {upper:g}"
+        expected, remedy = f"a mean within {_FAR} standard deviations of them", "other bounds, or another prior"
+        raise InputError(problem, where="priors", expected=expected, remedy=remedy)
     return Parameter(own, place, nominal, lower, upper, prior, place.unit(scene), place.is_coordinate(scene))
 
 

@@ -20,6 +20,7 @@ POORLY = 0.02  # relative standard deviation worth a remark
 _OPEN = 0.87  # ratio of posterior to prior standard deviation above which measurements add hardly anything
 _USELESS = 10  # relative standard deviation above which a value has no useful accuracy
 _MINOR = 0.1  # share of a parameter's square within open combinations, below which it is not named
+_SINGULAR = 1e-12  # eigenvalue of the information on parameters in units of their deviations that counts as zero
 _HUGE = 1e6  # replaces infinite standard deviations, in units of the prior's
 
 
@@ -41,12 +42,10 @@ def uncertainty(objective: Objective, parameters: Parameters, r: Floats, j: Floa
     precision = np.diag(parameters.prior_terms(theta)[2])
     information = objective.share * np.einsum("tmp,tmq->pq", a, a) + precision
     serial = serial_correlation(z, objective.present)
-    inverse = inverse_information(information)
+    middle = None
     if serial > SERIAL:
         middle = objective.share**2 * long_run_score(a, z, serial, objective.frames) + precision
-        covariance = inverse @ middle @ inverse
-    else:
-        covariance = inverse
+    covariance = inverse_information(information, middle)
     scale = np.abs(sizes(parameters.names, parameters.upper - parameters.lower, theta, parameters.coordinates))
     values = np.linalg.eigvalsh(information * np.outer(scale, scale))
     condition = float(values[-1] / values[0]) if values[0] > 0 else np.inf
@@ -60,12 +59,19 @@ def scaled_by_noise(objective: Objective, r: Floats, j: Floats) -> tuple[Floats,
     return np.where(present, r / sigma, 0.0), np.where(present[..., None], j / sigma[:, None], 0.0)
 
 
-def inverse_information(information: Floats) -> Floats:
-    """The inverse of an information matrix, with infinite variances where it is singular."""
+def inverse_information(information: Floats, score: Floats | None = None) -> Floats:
+    """The inverse of an information matrix, with huge variances where it is singular; or, with the covariance of the
+    score, the "sandwich" of that between two inverses."""
     d = np.sqrt(np.maximum(np.diagonal(information), 1e-300))
     values, vectors = np.linalg.eigh(information / np.outer(d, d))
     values = np.maximum(values, 1e-15)
-    return (vectors / values) @ vectors.T / np.outer(d, d)
+    middle = np.diag(values)
+    if score is not None:
+        # In singular directions the score is rounding, whose sign would decide that of a variance.
+        known = values > _SINGULAR
+        middle = np.where(known[:, None] & known, vectors.T @ (score / np.outer(d, d)) @ vectors, middle)
+    with np.errstate(over="ignore"):  # infinite where nothing depends on a parameter
+        return (vectors / values) @ middle @ (vectors / values).T / np.outer(d, d)
 
 
 def serial_correlation(z: Floats, present: NDArray[np.bool_]) -> float:

@@ -137,6 +137,15 @@ def test_a_prior_without_width_is_refused(scene):
         free_parameters(scene, ["K1"], priors={"K1": (150.0, 0.0)})
 
 
+@pytest.mark.parametrize("prior", [(1560.0, 5.0), (-300.0, 1.0)])
+def test_a_prior_that_excludes_the_bounds_is_refused(scene, prior):
+    with pytest.raises(
+        InputError, match=r"K1: the prior -?\d+ \+- \d excludes the bounds .* within 3 standard deviations"
+    ):
+        free_parameters(scene, ["K1"], priors={"K1": prior})
+    assert free_parameters(scene, ["K1"], priors={"K1": (250.0, 20.0)}).items[0].prior == (250.0, 20.0)
+
+
 def test_a_prior_is_a_mean_and_a_standard_deviation(scene):
     (k1, k2) = free_parameters(scene, ["K1", "K2"], priors={"K2": (600.0, 31.0)}).items
     assert (k1.prior, k2.prior) == (None, (600.0, 31.0))

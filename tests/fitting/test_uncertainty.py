@@ -61,6 +61,20 @@ def test_the_condition_is_of_relative_parameters():
 AR, FRAMES = 0.8, 400
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_parameters_of_which_only_the_product_matters_are_not_known_exactly(seed):
+    """Their derivatives are proportional, up to rounding, in residuals that are correlated in time."""
+    slopes = smooth_design() + 0.01 * np.random.default_rng(seed).normal(size=(FRAMES, 4, 3))
+    slopes[..., 1] = slopes[..., 0] * (NOMINAL[0] / NOMINAL[1]) * (1 + 1e-16 * seed)
+    residuals = correlated(1, seed)[0] * SIGMA
+    found = sure_of(slopes, residuals)
+    deviations = np.sqrt(np.diagonal(found.covariance)) / np.abs(NOMINAL)
+    assert found.serial > 0.5
+    assert (deviations[:2] > 100).all()
+    alone = sure_of(slopes[..., [0, 0, 2]] * [1, 0, 1], residuals)  # with the second one fixed
+    assert found.covariance[2, 2] == pytest.approx(alone.covariance[2, 2], rel=1e-6)
+
+
 def correlated(draws, seed=0):
     """First-order autoregressive noise of standard deviation 1 (draws, frames, 4), from its exact covariance."""
     root = np.linalg.cholesky(toeplitz(AR ** np.arange(FRAMES)))

@@ -99,7 +99,10 @@ def equilibrium(*, knee: SceneOptions, json: JsonOption = None) -> None:
     """
     check_outputs(json)
     chosen = knee.load()
+    from pftwin.dynamics.equilibrium_report import invalid_start
     from pftwin.dynamics.simulate import equilibrium as solve
+    from pftwin.dynamics.status import Status
+    from pftwin.results.verdict import verdict_of
 
     name = chosen.scene.name
     with spinner(f"solving for the equilibrium of {name}"):
@@ -112,10 +115,15 @@ def equilibrium(*, knee: SceneOptions, json: JsonOption = None) -> None:
         *((words.replace("_", " "), f"{float(value):.6g}") for words, value in reported),
     )
     sheet = Sheet("", ("quantity", "value"), rows)
-    facts = {"scene": name, "contact": chosen.contact, **report.to_dict()}
-    present(facts, f"{name}: {report.description}", sheet, json=json)
+    start = Status(0) if report.converged else Status.START_NOT_IN_EQUILIBRIUM
+    verdict = verdict_of([report.status | start], invalid_start(chosen.scene, report))  # as of a motion from there
+    facts = {"scene": name, "contact": chosen.contact, "verdict": verdict.describe(), **report.to_dict()}
+    first_line = "" if verdict.valid else verdict.describe()
+    present(facts, first_line, f"{name}: {report.description}", sheet, json=json)
     if not report.converged:
         exit_flagged(f"{name}: no equilibrium was found; try: a start pose nearer to where the patella rests")
+    if not verdict.valid:
+        exit_flagged(f"{verdict.describe()} ({name})")
 
 
 @on_scene

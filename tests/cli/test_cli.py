@@ -134,6 +134,19 @@ def test_validate_doubts_forces_in_another_unit(toy: Path, tmp_path: Path) -> No
     assert json.loads((tmp_path / "o.json").read_text())["doubts"]
 
 
+def test_an_equilibrium_far_from_the_recorded_start_is_as_invalid_as_a_motion_from_there(
+    toy: Path, tmp_path: Path
+) -> None:
+    strict = ("--allow", "most_start_shift_mm=0.01")
+    options = {"equilibrium": (), "simulate": ("-o", tmp_path / "o.nc", *STEP)}
+    found = [pftwin(*strict, command, toy, "--json", "-", *more) for command, more in options.items()]
+    assert [r.exit_code for r in found] == [3, 3]
+    alone, motion = (json.loads(r.stdout)["verdict"] for r in found)
+    assert alone.startswith("INVALID: ")
+    reason = next(r for r in alone.removeprefix("INVALID: ").split("; ") if r.startswith("the equilibrium is "))
+    assert reason in motion
+
+
 def test_every_command_that_runs_a_scene_says_the_same_of_trust(toy: Path, tmp_path: Path) -> None:
     """Each flag by name with its frames, none left out: a patella that lifts off has frames without contact."""
     said = {}
@@ -144,6 +157,7 @@ def test_every_command_that_runs_a_scene_says_the_same_of_trust(toy: Path, tmp_p
     for facts in said.values():
         assert list(facts["status_frames"]) == flags
         assert (facts["status"] == "ok") == (not any(facts["status_frames"].values()))
+    assert {facts["verdict"] for facts in said.values()} == {"valid"}
     assert set(said["simulate"]) <= set(said["validate"])
     assert said["simulate"]["status_frames"] == said["validate"]["status_frames"]
     data = load_dataset(tmp_path / "o.nc")

@@ -134,9 +134,7 @@ def test_validate_doubts_forces_in_another_unit(toy: Path, tmp_path: Path) -> No
     assert json.loads((tmp_path / "o.json").read_text())["doubts"]
 
 
-def test_an_equilibrium_far_from_the_recorded_start_is_as_invalid_as_a_motion_from_there(
-    toy: Path, tmp_path: Path
-) -> None:
+def test_an_equilibrium_far_from_the_start_is_as_invalid_as_a_motion_from_there(toy: Path, tmp_path: Path) -> None:
     strict = ("--allow", "most_start_shift_mm=0.01")
     options = {"equilibrium": (), "simulate": ("-o", tmp_path / "o.nc", *STEP)}
     found = [pftwin(*strict, command, toy, "--json", "-", *more) for command, more in options.items()]

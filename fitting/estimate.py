@@ -226,6 +226,11 @@ class Estimate:
         """Whether the values must not be used: the fitted motion is INVALID, or there are doubts."""
         return bool(self._objections())
 
+    @property
+    def objection(self) -> str:
+        """See `fitting.prediction.predicting.Fitted`."""
+        return self.sentence() if self.invalid else ""
+
     def _objections(self) -> list[str]:
         motion = [self.verdict.removeprefix(f"{INVALID}: ")] if self.verdict.startswith(INVALID) else []
         return [*(f"{reason} (the fitted motion)" for reason in motion), *self.doubts]

@@ -96,7 +96,7 @@ def treat(
         if figure and data.sizes["variant"] > 1:
             drawn = outcome_figure(data, f"{chosen.scene.name}: predicted outcomes")
             files += save_figure(drawn, output.with_suffix(""))
-    if invalid := _invalid(found):
+    if invalid := "" if found is None else found.objection:
         finding = "\n".join(why for why in (invalid, invalid_variants(data)) if why)
     else:
         finding = main_finding(data)
@@ -172,11 +172,7 @@ def optimise(
         )
 
     notes = reservations(found, chosen.scene.synthetic)
-    facts, invalid = {"scene": chosen.scene.name, **plan.to_dict(), "notes": notes}, _invalid(found)
-    if invalid:
-        why = "; ".join(each for each in (invalid, plan.invalid) if each)
-        held = [{**limit, "holds": False} for limit in facts["limits"]]
-        facts.update(met=False, verdict=why, sentence=why, limits=held)
+    facts = {"scene": chosen.scene.name, **plan.to_dict(), "notes": notes}
     files = [] if output is None else [output]
     for path in files:
         terminal.write_json(facts, str(path))
@@ -186,14 +182,12 @@ def optimise(
         ("limit", "value", "met"),
         tuple((lim.describe(), in_units(lim.outcome, v), "yes" if lim.room(v) >= 0 else "no") for lim, v in reached),
     )
-    parts = (facts["sentence"],) if invalid else (sheet, plan.describe())
+    parts = (plan.describe(),) if plan.invalid else (sheet, plan.describe())
     terminal.present(facts, *parts, *notes, terminal.written_line(files), json=json)
     if plan.interrupted:
         raise Interrupted(output, json)
     if plan.invalid:
         exit_flagged(plan.invalid)
-    if invalid:
-        exit_flagged(invalid)
     if not plan.met:
         exit_flagged("no amount within the range meets the limits")
 
@@ -245,8 +239,3 @@ def loaded_estimate(path: Path | None) -> Estimate | None:
     from fitting.estimate import Estimate
 
     return None if path is None else Estimate.load(path)
-
-
-def _invalid(found: Estimate | None) -> str:
-    """Why nothing is concluded from what follows from an estimate, beginning with "INVALID"; empty if it is valid."""
-    return found.sentence() if found is not None and found.invalid else ""

@@ -23,7 +23,7 @@ from pftwin.dynamics.status import FLAGS
 from pftwin.model.measured import SYNTHETIC
 from pftwin.model.scene import Scene, check
 from pftwin.results.tracking import DISLOCATED
-from pftwin.results.verdict import Verdict, is_invalid, verdict_of_counts
+from pftwin.results.verdict import INVALID, Verdict, is_invalid, verdict_of_counts
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -73,6 +73,11 @@ class Fitted(Protocol):
     def doubts(self) -> Sequence[str]:
         """Reasons to distrust it; any makes it INVALID."""
         return ()
+
+    @property
+    def objection(self) -> str:
+        """ "INVALID" and why, so that nothing may be concluded from it; empty if it is valid."""
+        return f"{INVALID}: {'; '.join(self.doubts)}" if self.doubts else ""
 
 
 def predict(

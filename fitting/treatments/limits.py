@@ -118,7 +118,7 @@ class TreatmentPlan:
     samples: int = 0  # draws from the estimate's uncertainty
     confidence: float = 0.0  # required share of draws that meet all limits
     share: float | None = None  # share of draws that meet them; None without draws
-    invalid: str = ""  # "INVALID" and why, if no amount has a valid motion
+    invalid: str = ""  # "INVALID" and why, if the estimate is, or no amount has a valid motion
     interrupted: bool = False  # whether Ctrl-C ended the search: this is the best so far
     coverage: str = NOT_KNOWN.plans  # measured share of such plans that are safe, in words
     trust: Mapping[str, Any] = field(default_factory=dict)  # "status" and "status_frames", for a single amount
@@ -162,7 +162,7 @@ class TreatmentPlan:
                     "unit": MEASURES[x.outcome].unit,
                     "words": x.describe(),
                     "value": self.outcomes[x.outcome],
-                    "holds": bool(x.room(self.outcomes[x.outcome]) >= 0),
+                    "holds": not self.invalid and bool(x.room(self.outcomes[x.outcome]) >= 0),
                 }
                 for x in self.limits
             ],

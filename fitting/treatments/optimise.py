@@ -98,9 +98,13 @@ def optimise_treatment(
     fine = np.flatnonzero(room >= 0)
     simulated = len(amounts)
 
-    def written(met: bool, at: Floats, outcomes: dict[str, float], share: float | None, **more: Any) -> TreatmentPlan:
+    objection = "" if estimate is None else estimate.objection
+
+    def written(
+        met: bool, at: Floats, outcomes: dict[str, float], share: float | None, invalid: str = "", **more: Any
+    ) -> TreatmentPlan:
         return TreatmentPlan(
-            met,
+            met and not objection,
             search.treated(at),
             outcomes,
             wanted,
@@ -109,6 +113,7 @@ def optimise_treatment(
             share=share,
             coverage=(NOT_KNOWN if estimate is None else estimate.coverage).plans,
             simulations=simulated + search.count,  # including those for the share and the outcomes
+            invalid="; ".join(why for why in (objection, invalid) if why),
             **more,
         )
 

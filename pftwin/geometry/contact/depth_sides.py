@@ -92,7 +92,8 @@ class PressedSurface(eqx.Module):
 
     def below(self, place: Array, point: Vec3, vector: Vec3) -> Below:
         """The surface at points (k,) whose nearest triangles are in places (k,). It does not bend: facets are flat."""
-        on = closest_on_triangle(Triangle.of_rows(gathered(self.corners[place])), point)
+        triangle = Triangle.of_rows(gathered(self.corners[place]))
+        on = closest_on_triangle(triangle, point)
         feature = stop_gradient(7 * self.triangle[place] + on.feature)
         outward = Vec3.from_array(gathered(self.outward[feature]))
         away = point - on.point
@@ -102,15 +103,15 @@ class PressedSurface(eqx.Module):
         scale = sign / jnp.where(apart, size, 1.0)
         normal = jax.tree.map(lambda a, n: jnp.where(apart, scale * a, n), away, outward)
         flat = jax.tree.map(jnp.zeros_like, vector)
-        return Below(-normal.dot(away), normal, flat, self.rim[feature], self.lateral(place, on.point))
+        return Below(-normal.dot(away), normal, flat, self.rim[feature], self.lateral(place, triangle, on.point))
 
-    def lateral(self, place: Array, point: Vec3) -> Scalar | None:
+    def lateral(self, place: Array, triangle: Triangle, point: Vec3) -> Scalar | None:
         """Distance from the facets' border of points on the triangles in some places: see `Below`."""
         if self.border is None:
             return None
-        corners = gathered(self.border[place])
-        weights = Triangle.of_rows(gathered(self.corners[place])).weights(point)
-        return sum((w * corners[..., k] for k, w in enumerate(weights)), jnp.zeros_like(point.x))
+        at = gathered(self.border[place])
+        a, b, c = triangle.weights(point)
+        return a * at[..., 0] + b * at[..., 1] + c * at[..., 2]
 
 
 class PressingSurface(eqx.Module):

@@ -225,10 +225,11 @@ def _at_nodes(exact: PressedSurface, points: Array) -> tuple[Array, Array | None
         return place, place
 
     place, point = jax.lax.scan(nearest, jnp.int32(0), points)[1], Vec3.from_array(points)
-    on = closest_on_triangle(Triangle.of_rows(exact.corners[place]), point)
+    triangle = Triangle.of_rows(exact.corners[place])
+    on = closest_on_triangle(triangle, point)
     feature = 7 * exact.triangle[place] + on.feature
     plane = (on.point - point).dot(Vec3.from_array(exact.outward[feature]))
     size, rim = jnp.sqrt(on.square), exact.rim[feature]
     beyond = jnp.where(size < _BEYOND, plane, -size)
     depth = jnp.where(rim, beyond, jnp.where(plane < 0, -size, size))
-    return depth, exact.lateral(place, on.point), rim
+    return depth, exact.lateral(place, triangle, on.point), rim

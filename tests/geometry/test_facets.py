@@ -8,8 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scenes import RADIUS, contact, fitted, flat_patch, look, patch_of, vec
+from scipy.optimize import minimize
 
-from pftwin.geometry.contact.facets import FAN, scan_facets
+from pftwin import rig
+from pftwin.geometry.contact.facets import ASTRAY, FAN, SPACING, FollowedPoint, follow_facets, scan_facets
 from pftwin.geometry.patch.polynomial import exponents
 from pftwin.model.effects.contact_law import Flores, Hertz
 
@@ -111,6 +113,31 @@ def test_a_frame_shows_the_contact_that_the_step_has_had():
     report, next_step = seen(button, now)
     assert float(next_step) > 2 * alone  # or there is no other contact to find
     assert float(report["force"]) == pytest.approx(alone, rel=1e-4)
+
+
+def test_a_converged_point_is_kept_where_the_fan_sees_no_minimum():
+    """A button at the rim of the rig's spline after a dislocation: the polynomial that the fan samples is 0.9 mm off
+    there and puts the minimum at the fan's end, 3.3 mm from the true one. A restart there would strike the button on
+    every other step, with several times the force.
+    """
+    scene = rig.case(2, contact="spline")
+    surface, radius = scene.contact.surface, float(scene.contact.radius)
+    c = surface.chart.to_frame(vec(4.1166e-3, 44.3687e-3, 42.8765e-3))
+
+    @jax.jit
+    def away(u, v):
+        return (c - surface.chart.local_point(u, v, surface.height(u, v))).norm()
+
+    true = minimize(lambda at: float(1e3 * away(*at)), (9.9e-3, 31.6e-3), method="Nelder-Mead", tol=1e-9).x
+    (first, last), _ = eqx.filter_jit(scan_facets)(surface.unstacked(), c, J(radius), J(true[0]))
+    middle = float(surface.chart.foot(c)[1])
+    assert float(first) == float(last)
+    assert true[1] - (middle + float(first) * radius) > ASTRAY * SPACING * radius  # or this shows nothing
+    place = FollowedPoint(J(true[0]), J(true[1]), J(1.0))
+    found = eqx.filter_jit(follow_facets)(surface.unstacked(), c, J(radius), (place, place))
+    for p in (found.medial, found.lateral):
+        assert (float(p.u), float(p.v)) == pytest.approx(tuple(true), abs=1e-6)
+        assert float(p.distance) == pytest.approx(float(away(*true)), abs=1e-9)
 
 
 def touching(patch, v, depth=3e-5):

@@ -10,7 +10,7 @@ import json
 import os
 import stat
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -112,6 +112,13 @@ def csv_cells(line: str, *, path: object, number: int, delimiter: str = ",") -> 
         ) from None
 
 
+def shortened_list(names: Iterable[object], limit: int = 8) -> str:
+    """Formats the first `limit` names, and the number of further ones."""
+    items = [str(n) for n in names]
+    tail = f" and {len(items) - limit} more" if len(items) > limit else ""
+    return ", ".join(items[:limit]) + tail
+
+
 def refuse_repeated(names: Sequence[str], what: str, *, where: object) -> None:
     """Checks that names are unique, as lookups by name require.
 
@@ -124,8 +131,7 @@ def refuse_repeated(names: Sequence[str], what: str, *, where: object) -> None:
         InputError: names are repeated; the message lists them.
     """
     if repeated := [name for name, times in Counter(names).items() if times > 1]:
-        shown = ", ".join(repeated[:8]) + (f" and {len(repeated) - 8} more" if len(repeated) > 8 else "")
-        raise InputError(f"{what} that occur twice: {shown}", where=where, expected="each once")
+        raise InputError(f"{what} that occur twice: {shortened_list(repeated)}", where=where, expected="each once")
 
 
 def read_json(path: str | os.PathLike[str], *, expected: str) -> Any:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pftwin.base.quantities import about
+from pftwin.base.text_files import shortened_list
 from pftwin.dynamics.batch.plan import WAYS, Found
 from pftwin.dynamics.batch.variants import Group
 from pftwin.dynamics.status import FLAGS, Status
@@ -97,10 +98,9 @@ def dataset(groups: list[Group], parts: list[Found], values: Any, settings: dict
 def summed_up(found: Dataset) -> dict[str, Any]:
     """Attributes of a batch's dataset that count variants."""
     names = list(dict.fromkeys(found["scene"].values.tolist()))
-    some = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
     again = found["recomputed"].values
     return {
-        "title": f"batch of {len(again)}: {some}",
+        "title": f"batch of {len(again)}: {shortened_list(names, 3)}",
         "recomputed_members": int((again > 0).sum()),
         "recomputed_in_vain": int((again == WAYS.index("in_vain")).sum()),
     }

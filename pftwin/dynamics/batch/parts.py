@@ -22,7 +22,7 @@ import numpy as np
 
 from pftwin.base.errors import InputError
 from pftwin.base.output import make_folder, remove_unfinished
-from pftwin.base.text_files import read_json, write_text
+from pftwin.base.text_files import read_json, shortened_list, write_text
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -185,10 +185,9 @@ def read_parts(folder: str | os.PathLike[str], *, incomplete: bool = False) -> D
     there, wrong = _looked_through(place, index)
     if wrong and not (incomplete and there):
         first = next(iter(wrong.values()))
-        named = ", ".join(part_file(place, u).name for u in list(wrong)[:_NAMED])
-        more = f" and {len(wrong) - _NAMED} more" if len(wrong) > _NAMED else ""
+        named = shortened_list((part_file(place, u).name for u in wrong), _NAMED)
         raise InputError(
-            f"{len(wrong)} of {len(index.units)} parts are missing or damaged: {named}{more} ({first})",
+            f"{len(wrong)} of {len(index.units)} parts are missing or damaged: {named} ({first})",
             where=place,
             remedy="simulate_batch again with the same folder: it computes only these"
             + ("; or incomplete=True for the others" if there else ""),

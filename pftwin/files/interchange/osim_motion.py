@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
+from pftwin.base.text_files import shortened_list
 from pftwin.files.interchange.osim_joints import Tree
 from pftwin.files.interchange.osim_knee import OsimKnee
 from pftwin.files.mocap.pose_files import holds_matrices, read_poses
@@ -96,7 +97,8 @@ def _recorded(tree: Tree, path: str | os.PathLike[str]) -> tuple[Floats, dict[st
     if not found:
         wanted = ", ".join(list(known)[:6])
         raise InputError("none of the model's coordinates", where=path, expected=f"such as {wanted}")
-    return table.times, found, f"{len(found)} coordinates from {os.fspath(path)}, all others at their defaults"
+    said = f"{len(found)} coordinates from {os.fspath(path)}, all others at their defaults"
+    return table.times, found, said + _not_used([label for label, name in names.items() if name not in known])
 
 
 def _measured(knee: OsimKnee, path: str | os.PathLike[str], rate: float | None) -> Motion:
@@ -115,7 +117,13 @@ def _measured(knee: OsimKnee, path: str | os.PathLike[str], rate: float | None) 
         turns = quaternion_product(femur.quaternions, there.quaternions)
         seen[knee.patella] = PoseSeries(femur.times, places, turns)
         said += f"; {knee.patella} starts where the model has it in {knee.femur}"
+    said += _not_used([body for body in held if body not in seen])
     return Motion(femur.times, seen, f"{said}; {GROUND_AS_MODEL}", measured)
+
+
+def _not_used(names: list[str]) -> str:
+    """Names what the file also has."""
+    return f"; not used: {shortened_list(names)}" if names else ""
 
 
 def resting_patella(knee: OsimKnee, tibia: PoseSeries) -> tuple[tuple[Floats, Floats], str]:

@@ -9,9 +9,9 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 
 from pftwin.base.errors import InputError
-from pftwin.base.text_files import csv_cells, read_lines, refuse_repeated, write_text
+from pftwin.base.text_files import csv_cells, read_lines, refuse_repeated, shortened_list, write_text
 from pftwin.files.mocap.markers import MarkerTrajectories, from_file
-from pftwin.files.mocap.tables import Table, quoted_list, row_values, unknown_name
+from pftwin.files.mocap.tables import Table, row_values, unknown_name
 from pftwin.files.mocap.units import length_factor, split_unit, to_si
 
 _COORDINATE = re.compile(r"^(?P<marker>.+?)[_ .:]?(?P<axis>[xyzXYZ])$")
@@ -104,7 +104,7 @@ def read_marker_csv(
         axes[axis] = values[:, i] * factor
     incomplete = [name for name, axes in found.items() if len(axes) != 3]
     if incomplete or not found:
-        problem = f"markers without all three coordinates: {quoted_list(incomplete)}" if incomplete else "no markers"
+        problem = f"markers without all three coordinates: {shortened_list(incomplete)}" if incomplete else "no markers"
         raise InputError(problem, where=path, expected="NAME_x, NAME_y, NAME_z for every marker")
     positions = np.stack([np.stack([a[k] for k in "xyz"], -1) for a in found.values()], axis=1)
     return from_file(values[:, at] * time_factor, tuple(found), positions, path=path, told=units is not None)
@@ -165,7 +165,7 @@ def _time_index(labels: list[str], time_column: str | None, path: object) -> int
         return wanted[0]
     found = [i for i, label in enumerate(labels) if split_unit(label)[0].lower() in {"time", "t"}]
     if len(found) > 1:
-        shown = quoted_list(repr(labels[i]) for i in found)
+        shown = shortened_list(repr(labels[i]) for i in found)
         raise InputError(f"several columns of times: {shown}", where=path, expected="one, or its name as time_column")
     if found:
         return found[0]

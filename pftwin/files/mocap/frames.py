@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pftwin.base.errors import InputError
+from pftwin.base.text_files import shortened_list
 from pftwin.files.mocap.markers import MarkerTrajectories
 from pftwin.files.mocap.poses import PoseSeries
-from pftwin.files.mocap.tables import quoted_list
 
 # Ratio of width to length below which points count as collinear: 0.2 mm of noise on 10 mm of width is already 1 deg.
 _COLLINEAR = 0.02
@@ -42,12 +42,12 @@ def three_point_frames(
                 f"point {name} has the shape {p.shape}", where=source, expected="(n, 3), alike for a, b, c"
             )
         if (bad := np.flatnonzero(~np.isfinite(p).all(axis=1))).size:
-            raise InputError(f"point {name} is missing in frames {quoted_list(bad + 1)} (from 1)", where=source)
+            raise InputError(f"point {name} is missing in frames {shortened_list(bad + 1)} (from 1)", where=source)
     along, side = b - a, c - a
     normal = np.cross(along, side)
     length = np.linalg.norm(along, axis=1) * np.linalg.norm(side, axis=1)
     if (bad := np.flatnonzero(~(np.linalg.norm(normal, axis=1) > _COLLINEAR * length))).size:
-        found = f"the three points lie on a line in frames {quoted_list(bad + 1)} (from 1)"
+        found = f"the three points lie on a line in frames {shortened_list(bad + 1)} (from 1)"
         raise InputError(found, where=source, expected="three points that span a plane")
     first = along / np.linalg.norm(along, axis=1, keepdims=True)
     third = normal / np.linalg.norm(normal, axis=1, keepdims=True)
@@ -94,14 +94,14 @@ def cluster_poses(
     if not np.isfinite(r).all():
         bad = [labels[i] for i in np.flatnonzero(~np.isfinite(r).all(axis=1))]
         raise InputError(
-            f"the reference lacks {quoted_list(bad)}", where=source, expected="all markers in the reference"
+            f"the reference lacks {shortened_list(bad)}", where=source, expected="all markers in the reference"
         )
     seen = np.asarray(np.isfinite(p).all(axis=2), dtype=np.bool_)
     if (few := np.flatnonzero(seen.sum(axis=1) < 3)).size:
         absent = [labels[i] for i in np.flatnonzero(~seen[few[0]])]
         raise InputError(
-            f"fewer than three markers of {quoted_list(labels)} in frames {quoted_list(few + 1)} (from 1)"
-            + (f"; frame {few[0] + 1} lacks {quoted_list(absent)}" if absent else ""),
+            f"fewer than three markers of {shortened_list(labels)} in frames {shortened_list(few + 1)} (from 1)"
+            + (f"; frame {few[0] + 1} lacks {shortened_list(absent)}" if absent else ""),
             where=source,
             expected="at least three markers seen",
             remedy="fill the gaps, or use a part of the recording",
@@ -127,7 +127,7 @@ def segment_poses(markers: MarkerTrajectories, reference: Mapping[str, ArrayLike
     names = list(reference)
     chosen = markers.select(names)
     places = np.array([*reference.values()], dtype=np.float64)
-    label = source or f"{markers.source}, segment of {quoted_list(names)}"
+    label = source or f"{markers.source}, segment of {shortened_list(names)}"
     return cluster_poses(chosen.positions, places, chosen.times, names=names, source=label)
 
 
@@ -143,7 +143,7 @@ def mean_cluster(markers: MarkerTrajectories, names: Sequence[str]) -> dict[str,
     chosen = markers.select(names)
     complete = ~chosen.missing.any(axis=1)
     if not complete.any():
-        raise InputError(f"no frame shows all of {quoted_list(names)}", where=markers.source)
+        raise InputError(f"no frame shows all of {shortened_list(names)}", where=markers.source)
     points = chosen.positions[complete]
     shape = points[0] - points[0].mean(axis=0)
     for _ in range(20):
@@ -169,5 +169,5 @@ def _refuse_lines(
 ) -> None:
     if (bad := np.flatnonzero(~spans_plane(centred, seen))).size:
         used = [label for label, there in zip(labels, seen[bad[0]], strict=True) if there]
-        found = f"{what} {quoted_list(used)} lie on a line in frames {quoted_list(bad + 1)} (from 1)"
+        found = f"{what} {shortened_list(used)} lie on a line in frames {shortened_list(bad + 1)} (from 1)"
         raise InputError(found, where=source, expected="at least three markers that span a plane")

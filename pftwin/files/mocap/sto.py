@@ -11,8 +11,8 @@ from collections.abc import Collection
 import numpy as np
 
 from pftwin.base.errors import InputError, PftwinWarning
-from pftwin.base.text_files import read_lines
-from pftwin.files.mocap.tables import Table, quoted_list, row_values, unknown_name
+from pftwin.base.text_files import read_lines, shortened_list
+from pftwin.files.mocap.tables import Table, row_values, unknown_name
 
 # Columns that are never angles, whatever inDegrees says: translations, forces, centres of pressure, muscle states; with
 # or without a suffix for the side, as in OpenSim JAM's knee_tx_r. Each alternative has a limited length: with \w* a
@@ -101,7 +101,7 @@ def _angles(names: tuple[str, ...], rotational: Collection[str] | None, path: ob
         chosen = {n for n in names if _may_be_angle(re.sub(r"/(value|speed)$", "", n))}
         message = (
             f"{path}: inDegrees=yes, and the format does not say which columns are angles; "
-            f"converted to radians: {quoted_list(sorted(chosen)) or 'none'}; name them with rotational=[...]"
+            f"converted to radians: {shortened_list(sorted(chosen)) or 'none'}; name them with rotational=[...]"
         )
         warnings.warn(message, PftwinWarning, stacklevel=3)
         return chosen

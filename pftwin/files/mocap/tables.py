@@ -179,13 +179,6 @@ def unknown_name(kind: str, name: str, known: Iterable[str], *, where: object) -
     return InputError(f"no {kind} called {name!r}", where=where, expected=lead)
 
 
-def quoted_list(names: Iterable[object], limit: int = 8) -> str:
-    """Formats the first `limit` names, in quotes, and the number of further ones."""
-    items = [str(n) for n in names]
-    tail = f" and {len(items) - limit} more" if len(items) > limit else ""
-    return ", ".join(items[:limit]) + tail
-
-
 def runs(mask: NDArray[np.bool_]) -> NDArray[np.intp]:
     """First index and first index after the end, (k, 2), of the runs of True in a mask (n,)."""
     return np.flatnonzero(np.diff(np.concatenate([[False], mask, [False]]).astype(np.int8))).reshape(-1, 2)

@@ -47,6 +47,7 @@ def test_bones_move_as_measured_and_the_patella_is_what_is_compared(tmp_path):
     told = imported(tmp_path, motion())
     assert "motion: poses of femur_r, tibia_r, patella_r from" in told.notes[0]
     assert "the patella's are what was measured" in told.notes[0]
+    assert "not used" not in told.notes[0]
     scene, bodies = load_scene_file(told.scene).scene, motion()
     np.testing.assert_allclose(scene.motion.times, (1 + np.arange(FRAMES)) / 30)
     seen = np.linalg.inv(bodies["femur_r"]) @ bodies["patella_r"]
@@ -58,6 +59,12 @@ def test_bones_move_as_measured_and_the_patella_is_what_is_compared(tmp_path):
     shin = np.asarray(femur.rotation.array()).T @ np.asarray(tibia.rotation.array())
     expected = (np.linalg.inv(bodies["femur_r"]) @ bodies["tibia_r"])[-1, :3, :3]
     np.testing.assert_allclose(shin, ANATOMICAL @ expected @ ANATOMICAL.T, atol=1e-9)
+
+
+def test_bodies_of_the_file_that_are_not_used_are_named(tmp_path):
+    bodies = motion()
+    told = imported(tmp_path, bodies | {"talus_r": bodies["tibia_r"], "patela_r": bodies.pop("patella_r")})
+    assert "starts where the model has it in femur_r; not used: talus_r, patela_r; " in told.notes[0]
 
 
 def test_a_patella_that_was_not_measured_starts_where_the_model_has_it(tmp_path):

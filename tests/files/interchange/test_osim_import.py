@@ -212,6 +212,12 @@ def test_a_motion_of_coordinates_moves_the_bones(tmp_path):
     found = tibiofemoral_angles(tibia_orientation(motion))
     np.testing.assert_allclose(found.flexion, result.knee.flexion, atol=1e-8)
     assert told.notes[0].startswith("motion: 12 coordinates from")
+    assert "not used" not in told.notes[0]
+    changed = (tmp_path / "walk.mot").read_text().replace("knee_tx_r", "shank_tx_r")
+    (tmp_path / "misspelt.mot").write_text(changed)
+    told = import_osim(tmp_path / "bare.osim", tmp_path / "other", motion=tmp_path / "misspelt.mot")
+    assert "motion: 11 coordinates from" in told.notes[0]
+    assert "; not used: shank_tx_r" in told.notes[0]
 
 
 def test_the_command(knee, tmp_path):

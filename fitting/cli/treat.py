@@ -96,10 +96,7 @@ def treat(
         if figure and data.sizes["variant"] > 1:
             drawn = outcome_figure(data, f"{chosen.scene.name}: predicted outcomes")
             files += save_figure(drawn, output.with_suffix(""))
-    if invalid := "" if found is None else found.objection:
-        finding = "\n".join(why for why in (invalid, invalid_variants(data)) if why)
-    else:
-        finding = main_finding(data)
+    invalid, finding = data.attrs.get("objection"), main_finding(data)
     outcome = {**facts(data), "finding": finding, "files": [str(p) for p in files]}
     doubt = invalid_variants(data) or narrow_bands(data)
     sheet = outcome_sheet(data, _MOST_ROWS)

@@ -221,7 +221,9 @@ def _dislocation(data: Dataset, i: int) -> str:
 
 
 def main_finding(data: Dataset) -> str:
-    """The main finding, in a sentence or two; it begins with "INVALID" if motions must not be interpreted."""
+    """The main finding, in a sentence or two; it begins with "INVALID" if the estimate or motions must not be used."""
+    if objection := data.attrs.get("objection"):
+        return "\n".join(why for why in (objection, invalid_variants(data)) if why)
     first = _by_estimate(data)
     failed, out = first["failed"].values, first["dislocations"].values > 0
     fine = ~failed & ~out

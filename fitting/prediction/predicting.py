@@ -322,5 +322,6 @@ def _attributes(batches: list[VariantBatch], estimate: Fitted | None, settings: 
         "parameters": "of the scene" if estimate is None else f"estimated from {estimate.source or 'measurements'}",
         "synthetic": int(estimate is not None and estimate.synthetic),
         **({"note": "; ".join(said)} if said else {}),
+        **({"objection": estimate.objection} if estimate is not None and estimate.objection else {}),
         **{k: float(v) for k, v in settings.items()},
     }

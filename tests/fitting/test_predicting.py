@@ -13,7 +13,7 @@ from small_scene import small_scene
 from fitting.prediction import predicting
 from fitting.prediction.members import MemberPrograms, Members, Recipe
 from fitting.prediction.outcomes import MEASURES, Groove, outcomes
-from fitting.prediction.plots import draws_failed
+from fitting.prediction.plots import draws_failed, main_finding
 from fitting.prediction.predicting import CHUNK, STEP, Fitted, predict
 from fitting.prediction.untreated import NO_EQUILIBRIUM, untrusted_starts
 from fitting.prediction.variants import batches, grid
@@ -94,6 +94,12 @@ class Estimated(Fitted):
         return self.values + np.array([3.0, 1e-4]) * random.standard_normal((count, 2))
 
 
+class Doubted(Estimated):
+    """One whose measurements are doubted."""
+
+    doubts = ("the forces look as if they were in kN",)
+
+
 ESTIMATED = Estimated()  # one, as programs know an estimate by its identity
 VARIANTS = [
     grid(TRANSFER, medialisation=np.linspace(0, 0.012, 4), distalisation=[0.0, 0.003]),
@@ -133,6 +139,18 @@ def test_variants_stand_in_the_order_they_were_given(knee, monkeypatch):
     stiffness = [160.0, *ESTIMATED.samples(6, 3)[:, 0]]
     expected = np.add.outer(3 * (medially + distally) + 7 * longer, stiffness)
     np.testing.assert_allclose(found["mean_contact_force"].values, expected)
+
+
+def test_nothing_is_concluded_from_an_estimate_that_is_invalid(knee, monkeypatch):
+    def run(recipe, amounts, thetas, *more, **options):
+        out = {name: np.ones(len(amounts)) for name in MEASURES}
+        return Members(out, np.zeros((len(amounts), len(FLAGS)), int), np.ones(len(amounts), bool), {})
+
+    monkeypatch.setattr(predicting, "run", run)
+    by = [
+        main_finding(predict(knee, TRANSFERS, e, samples=6, seed=3, dt=DT, devices=1)) for e in (ESTIMATED, Doubted())
+    ]
+    assert by == ["no variant tracks", "INVALID: the forces look as if they were in kN"]
 
 
 def test_a_knee_that_starts_invalid_has_no_valid_variant(sampled, knee):

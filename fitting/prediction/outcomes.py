@@ -73,6 +73,7 @@ class Course(NamedTuple):
     shift: Array  # of the button's centre in the femur, lateral positive [m]
     force: tuple[Array, Array]  # on the medial and the lateral facet [N]
     point: tuple[Array, Array]  # (n, 3) contact point on each facet, femur frame [m]; NaN without contact
+    contact_force: Array  # the contact's observable `force` [N]
     status: Array  # bits of `pftwin.Status`
 
 
@@ -83,6 +84,7 @@ class CourseFrame(NamedTuple):
     orientation: Quaternion  # of the patella in the femur
     force: tuple[Array, Array]
     point: tuple[Array, Array]
+    contact_force: Array
     total: Vec3  # contact force on the patella, femur frame [N]
 
     @staticmethod
@@ -93,7 +95,7 @@ class CourseFrame(NamedTuple):
         report = seen.effects[contact.name]
         force, point = ((report[f"{what}_medial"], report[f"{what}_lateral"]) for what in ("force", "point"))
         total = Vec3(*(report[f"force_{axis}"] for axis in "xyz"))
-        return CourseFrame(seen.center, seen.patella.orientation, force, point, total)
+        return CourseFrame(seen.center, seen.patella.orientation, force, point, report["force"], total)
 
     def compared(self) -> ComparedCourse:
         """The quantities that the estimate of the time steps' error compares, for all frames."""
@@ -112,6 +114,7 @@ def course_of(scene: Scene, seen: CourseFrame, status: Array, groove: Groove) ->
         seen.center.y,
         seen.force,
         seen.point,
+        seen.contact_force,
         status,
     )
 
@@ -158,8 +161,8 @@ MEASURES = {
     "largest_tilt": Measure("rad", "largest patellar tilt, lateral positive"),
     "mean_shift": Measure("m", "mean medial-lateral place of the button's centre in the femur, lateral positive"),
     "largest_shift": Measure("m", "most lateral place of the button's centre in the femur"),
-    "peak_contact_force": Measure("N", "largest normal contact force (running median of five frames, as all forces)"),
-    "mean_contact_force": Measure("N", "mean normal contact force"),
+    "peak_contact_force": Measure("N", "largest contact force (running median of five frames, as all forces)"),
+    "mean_contact_force": Measure("N", "mean contact force"),
     "medial_share": Measure("1", "share of the contact force, summed over the motion, on the medial facet"),
     "lateral_share": Measure("1", "share of the contact force, summed over the motion, on the lateral facet"),
     "least_medial_force": Measure("N", "least force on the medial facet: how far it is from vanishing"),
@@ -220,14 +223,14 @@ def _motion(at: Course, threshold: float) -> dict[str, Scalar]:
 
 
 def _load(at: Course) -> dict[str, Scalar]:
-    medial, lateral = (running_median(f) for f in at.force)
+    medial, lateral, contact = (running_median(f) for f in (*at.force, at.contact_force))
     total = medial + lateral
     whole = jnp.sum(total)
     share = jnp.where(whole > 0, jnp.sum(medial) / jnp.where(whole > 0, whole, 1.0), jnp.nan)
     less = jnp.minimum(medial, lateral) / jnp.where(total > 0, total, 1.0)
     return {
-        "peak_contact_force": jnp.max(total),
-        "mean_contact_force": jnp.mean(total),
+        "peak_contact_force": jnp.max(contact),
+        "mean_contact_force": jnp.mean(contact),
         "medial_share": share,
         "lateral_share": 1 - share,
         "least_medial_force": jnp.min(medial),
@@ -284,7 +287,8 @@ def outcomes(result: Result, threshold: float = DISLOCATED) -> dict[str, float]:
     report = result.effects[result.contact]
     forces, points = ((_floats(report[f"{x}_medial"]), _floats(report[f"{x}_lateral"])) for x in ("force", "point"))
     knee, offset, tilt, shift = map(_floats, (result.knee.flexion, result.groove[1], result.angles.tilt, result.shift))
-    at = Course(_floats(result.times), knee, offset, tilt, shift, forces, points, jnp.asarray(result.flags))
+    contact, flags = _floats(report["force"]), jnp.asarray(result.flags)
+    at = Course(_floats(result.times), knee, offset, tilt, shift, forces, points, contact, flags)
     found = _measured(at, threshold)
     return {name: float(found[name]) for name in MEASURES}
 

@@ -179,10 +179,13 @@ def outcome_sheet(data: Dataset, most: int) -> Sheet:
     several = len(set(data["scene"].values)) > 1
     headings = [*(["scene"] if several else []), *headings, "dislocation", *(c[2] for c in _COLUMNS)]
     amounts = [in_shown_unit(data, n)[0] for n in names]
-    outcomes = [(central_and_range(scale * data[name]), form) for name, scale, _, form in _COLUMNS]
     lines, count = [], data.sizes["variant"]
+    sides = {"largest_offset": _sides(data)}
+    outcomes = [
+        (central_and_range(scale * data[name]), form, sides.get(name, [""] * count)) for name, scale, _, form in _COLUMNS
+    ]
     for i in range(min(count, most)):
-        cells = [_band(found, i, form) for found, form in outcomes]
+        cells = [_band(found, i, form, side[i]) for found, form, side in outcomes]
         scene = [str(data["scene"].values[i])] if several else []
         lines.append((*scene, *(f"{a[i]:.4g}" for a in amounts), _dislocation(data, i), *cells))
     title = str(data.attrs.get("title", "Treatment prediction"))
@@ -193,10 +196,17 @@ def outcome_sheet(data: Dataset, most: int) -> Sheet:
     return Sheet(title, tuple(headings), tuple(lines), words=(), notes=notes, keys=keys)
 
 
-def _band(found: tuple[Floats, Floats, Floats], i: int, form: str) -> str:
+def _sides(data: Dataset) -> list[str]:
+    """To which side of its groove each variant's button strays most."""
+    first = _by_estimate(data)
+    lateral = first["largest_lateral_offset"].values >= first["largest_offset"].values
+    return [" lateral" if here else " medial" for here in lateral]
+
+
+def _band(found: tuple[Floats, Floats, Floats], i: int, form: str, side: str) -> str:
     value, low, high = (numbers[i] for numbers in found)
     band = f" ({low:{form}} to {high:{form}})" if np.isfinite(low) else ""
-    return f"{value:{form}}{band}" if np.isfinite(value) else "-"
+    return f"{value:{form}}{side}{band}" if np.isfinite(value) else "-"
 
 
 def _dislocation(data: Dataset, i: int) -> str:

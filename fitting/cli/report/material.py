@@ -226,7 +226,15 @@ def _prediction(path: Path) -> Dataset:
     from pftwin.files.result_files import load_dataset
 
     data = load_dataset(path)
-    needed = ("dislocations", "largest_offset", "peak_contact_force", "mean_tilt", "medial_share", "failed")
+    needed = (
+        "dislocations",
+        "largest_offset",
+        "largest_lateral_offset",
+        "peak_contact_force",
+        "mean_tilt",
+        "medial_share",
+        "failed",
+    )
     if "variant" not in data.dims or any(n not in data for n in needed):
         raise InputError(
             "no prediction of treatments in it",

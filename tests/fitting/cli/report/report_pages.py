@@ -107,6 +107,7 @@ def prediction(**attributes):
     out[0] = 1.0
     units = {
         "largest_offset": ("m", 0.02 - 0.001 * base),
+        "largest_lateral_offset": ("m", np.where(base < 10, 0.02 - 0.001 * base, 0.004)),  # the last strays medially
         "mean_tilt": ("deg", base - 5),
         "mean_shift": ("m", 1e-4 * base),
         "peak_contact_force": ("N", 20.25 + base),

@@ -181,9 +181,7 @@ def outcome_sheet(data: Dataset, most: int) -> Sheet:
     amounts = [in_shown_unit(data, n)[0] for n in names]
     lines, count = [], data.sizes["variant"]
     sides = {"largest_offset": _sides(data)}
-    outcomes = [
-        (central_and_range(scale * data[name]), form, sides.get(name, [""] * count)) for name, scale, _, form in _COLUMNS
-    ]
+    outcomes = [(central_and_range(f * data[n]), form, sides.get(n, [""] * count)) for n, f, _, form in _COLUMNS]
     for i in range(min(count, most)):
         cells = [_band(found, i, form, side[i]) for found, form, side in outcomes]
         scene = [str(data["scene"].values[i])] if several else []

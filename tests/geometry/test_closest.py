@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import RADIUS, contact, groove_patch, look, patch_of, vec
+from scenes import RADIUS, contact, fitted, groove_patch, look, patch_of, vec
 from scipy.optimize import minimize
 
 from pftwin.base.spatial import Rotation, Vec3
@@ -306,3 +306,13 @@ def test_a_facet_that_comes_into_being_beside_the_other_makes_no_jump():
     force, _, share, _ = ride(button, path)
     assert share.min() < 0.1  # a minimum has come and gone while the other stayed
     assert np.abs(np.diff(force, axis=0)).max() < 0.03 * np.linalg.norm(force, axis=1).max()
+
+
+def test_a_point_that_has_not_converged_creates_no_indentation():
+    """Beside a ridge, a point on its other side is far from the centre, which lies below the tangent plane there."""
+    ridge, c = fitted(lambda u, v: -25 * v**2, 2), vec(0, 0.02, 0)
+    samples = np.linspace(-0.02, 0.02, 4001)
+    nearest = np.hypot(samples - 0.02, 25 * samples**2).min()
+    p = one_step(ridge, c, J(0.0), J(-0.02), J(0.003))
+    assert float(p.settled) == 0
+    assert float(p.distance) > nearest

@@ -12,7 +12,7 @@ from scipy.optimize import minimize
 
 from pftwin import rig
 from pftwin.geometry.contact.facets import ASTRAY, FAN, SPACING, FollowedPoint, follow_facets, scan_facets
-from pftwin.geometry.patch.polynomial import exponents
+from pftwin.geometry.patch.polynomial import PolynomialPatch, exponents
 from pftwin.model.effects.contact_law import Flores, Hertz
 
 J = jnp.asarray
@@ -135,9 +135,9 @@ def test_a_converged_point_is_kept_where_the_fan_sees_no_minimum():
     assert true[1] - (middle + float(first) * radius) > ASTRAY * SPACING * radius  # or this shows nothing
     place = FollowedPoint(J(true[0]), J(true[1]), J(1.0))
     found = eqx.filter_jit(follow_facets)(surface.unstacked(), c, J(radius), (place, place))
-    for p in (found.medial, found.lateral):
-        assert (float(p.u), float(p.v)) == pytest.approx(tuple(true), abs=1e-6)
-        assert float(p.distance) == pytest.approx(float(away(*true)), abs=1e-9)
+    nearest = min(found.medial, found.lateral, key=lambda p: float(p.distance))
+    assert (float(nearest.u), float(nearest.v)) == pytest.approx(tuple(true), abs=1e-6)
+    assert float(nearest.distance) == pytest.approx(float(away(*true)), abs=1e-9)
 
 
 def touching(patch, v, depth=3e-5):
@@ -197,3 +197,57 @@ def test_two_contacts_beyond_one_ridge_belong_to_one_facet():
 @eqx.filter_jit
 def observed_touches(button, now):
     return button.touches(now, button.remember(now))[:2]
+
+
+class Misread(PolynomialPatch):
+    """A patch whose fan samples another one, as that of a spline samples a polynomial near it."""
+
+    sampled: PolynomialPatch
+
+    def profile(self, u):
+        return self.sampled.profile(u)
+
+
+@eqx.filter_jit
+def tracked(surface, c, starts, steps: int):
+    """Distances of both points at each step (steps, 2), from converged points at these v."""
+
+    def step(places, _):
+        found = follow_facets(surface, c, J(RADIUS), places)
+        points = found.medial, found.lateral
+        return tuple(FollowedPoint(p.u, p.v, p.settled) for p in points), jnp.stack([p.distance for p in points])
+
+    return jax.lax.scan(step, tuple(FollowedPoint(J(0.0), v, J(1.0)) for v in starts), None, steps)[1]
+
+
+@pytest.mark.parametrize("seen", [(-0.008,), (0.008,), (-0.008, 0.008)])
+def test_a_converged_point_outlasts_a_fan_that_contradicts_it(seen):
+    """The button 30 um deep at the bottom of a valley, where the fan finds one or two minima elsewhere."""
+    middle = 0.5 * (seen[0] + seen[-1])
+
+    def contradicting(u, v):
+        x = (v - middle) / 0.008
+        return 25 * (v - middle) ** 2 if len(seen) == 1 else 2e-3 * x**2 * (x**2 - 2)
+
+    other = fitted(contradicting, 4)
+    c = vec(0, 0, RADIUS - 3e-5)
+    valley = fitted(lambda u, v: 10 * v**2, 4)
+    misread = Misread(valley.chart, valley.coefficients, valley.center, valley.half_size, 4, other)
+    assert (np.abs(bottom(misread, c, J(RADIUS), J(0.0))) > ASTRAY * SPACING).all()  # or this shows nothing
+    nearer = tracked(misread, c, (J(0.0), J(0.0)), 12).min(axis=1)
+    np.testing.assert_allclose(nearer, RADIUS - 3e-5, atol=1e-9)
+
+
+def test_neither_of_two_converged_points_leaves_for_a_minimum_that_only_the_fan_sees():
+    """The button 30 um deep in both facets of a groove, where the fan samples a steeper groove, touched farther out."""
+    groove, steeper = (
+        fitted(lambda u, v, angle=angle: np.sqrt(v**2 + 0.003**2) * np.tan(np.radians(angle)), 8) for angle in (18, 35)
+    )
+    high = height_over(groove, 0, 3e-5)
+    distance, place = nearest(groove, (0, 0, high))
+    misread = Misread(groove.chart, groove.coefficients, groove.center, groove.half_size, 8, steeper)
+    c = vec(0, 0, high)
+    medial, lateral = (RADIUS * float(sample) for sample in bottom(misread, c, J(RADIUS), J(0.0)))
+    assert place > 0.2 * RADIUS
+    assert min(-medial, lateral) - place > ASTRAY * SPACING * RADIUS  # or this shows nothing
+    np.testing.assert_allclose(tracked(misread, c, (J(-place), J(place)), 12), distance, atol=1e-7)

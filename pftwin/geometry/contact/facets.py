@@ -7,9 +7,10 @@ start would jump between them. Two points are tracked, each with one Newton step
   the lateral one laterally, so that each ends on its own facet. If the distance has one minimum both points meet there.
 - Restarts: the distance is sampled on a coarse fan across the groove. If neither point is near the fan's first (medial)
   minimum, the medial point restarts there; the lateral point likewise at the last minimum. So an approaching facet is
-  found before it touches. A point whose minimum has vanished moves to the other point. If the distance still falls at
-  the fan's end, as on a wall steeper than the fan is wide, a point beyond the end is kept. If the fan has no minimum
-  but at an end, a converged point is kept: the fan is coarse, and for a spline it samples a polynomial near it.
+  found before it touches. The fan may be wrong: it is coarse, and for a spline it samples a polynomial near it. So a
+  converged point leaves its minimum only towards its own side, and while the other point stays there. A point whose
+  minimum has vanished moves to the other point. If the distance still falls at the fan's end, as on a wall steeper than
+  the fan is wide, a point beyond the end is kept.
 - Overlap counts once. If the button is also pressed in at the ridge between the two points, the contacts overlap, and
   the stored energy is V(medial) + V(lateral) - V(ridge): both in full where the ridge is not touched, that of one point
   where the other point and the ridge meet and vanish. So no force jumps where facets separate or merge. Forces are the
@@ -81,18 +82,18 @@ def follow_facets(surface: Surface, c: Vec3, radius: Scalar, places: tuple[Follo
     ends = middle + FAN[0] * radius, middle + FAN[-1] * radius
     astray = ASTRAY * SPACING * radius
     in_order = places[0].v <= places[1].v
-    nothing_seen = (seen[0] == FAN[-1]) | (seen[1] == FAN[0])  # the distance falls or rises across the whole fan
-    starts = []
-    for own, other, sample in zip(places, places[::-1], seen, strict=True):
+    together = jnp.abs(places[1].v - places[0].v) < MERGED * radius
+    starts, converged = [], [p.settled > 0 for p in places]  # and stays there
+    for k, (own, other, sample) in enumerate(zip(places, places[::-1], seen, strict=True)):
         fan_v = surface.clipped(middle + sample * radius)
         at_end = [jnp.abs(fan_v - end) < 0.5 * SPACING * radius for end in ends]
-        far, other_far = (
-            _too_far(surface.clipped(p.v) - fan_v, at_end, astray) & ~(nothing_seen & (p.settled > 0))
-            for p in (own, other)
-        )
-        # If neither point is near the fan's minimum, restart there. If only the other point is, keep a converged own
-        # minimum, which may be too shallow for the fan; else join the other point, which is more exact than the fan.
-        new, joins = far & other_far, far & ~other_far & ~((own.settled > 0) & in_order)
+        far, other_far = (_too_far(surface.clipped(p.v) - fan_v, at_end, astray) for p in (own, other))
+        outward = fan_v < own.v if k == 0 else fan_v > own.v
+        new = far & other_far & ~(converged[k] & ~(outward & together & converged[1 - k]))
+        converged[k] &= ~new
+        # If only the other point is near the fan's minimum, keep a converged own minimum, which may be too shallow for
+        # the fan; else join the other point, which is more exact than the fan.
+        joins = far & ~other_far & ~(converged[k] & (in_order | ~converged[1 - k]))
         u = jnp.where(new, near, jnp.where(joins, other.u, own.u))
         v = jnp.where(new, fan_v, jnp.where(joins, other.v, own.v))
         starts.append(FollowedPoint(u, v, own.settled))

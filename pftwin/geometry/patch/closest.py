@@ -94,13 +94,14 @@ def newton_step(surface: Surface, c: Vec3, u: Scalar, v: Scalar, longest: Scalar
     away = c - surface.chart.local_point(u + du, v + dv, height)
     distance = away.norm()
     drift_v = (tv - step.ratio * tu) * step.over_v
+    settled = (step.convex > 0) & (jnp.abs(du) < SHORT * along) & (jnp.abs(dv) < SHORT * longest)
     return ClosestPoint(
         u + du,
         v + dv,
-        jnp.where(away.dot(normal) < 0, -distance, distance),
+        jnp.where(settled & (away.dot(normal) < 0), -distance, distance),
         normal,
         length,
-        jnp.where((step.convex > 0) & (jnp.abs(du) < SHORT * along) & (jnp.abs(dv) < SHORT * longest), 1.0, 0.0),
+        jnp.where(settled, 1.0, 0.0),
         tu * step.over_u - step.ratio * drift_v,
         drift_v,
     )

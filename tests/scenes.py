@@ -9,7 +9,7 @@ import numpy as np
 
 from pftwin.base.spatial import Pose, Quaternion, Rotation, Vec3
 from pftwin.dynamics.equilibrium import Solution
-from pftwin.dynamics.frame_states import first_guide, frame_states, starting_equilibrium
+from pftwin.dynamics.frame_states import at_start, first_guide, frame_states, starting_equilibrium
 from pftwin.dynamics.integrator import Integrator
 from pftwin.dynamics.integrators import LinearImplicit
 from pftwin.dynamics.ledger import Ledger
@@ -213,10 +213,12 @@ def knee(n_frames: int = 31, law: ContactLaw | None = None) -> Scene:
     return Scene(body, (gravity(), quadriceps, patellar, button), knee_motion(n_frames), start, "small knee")
 
 
-@eqx.filter_jit
 def settled(scene: Scene) -> Solution:
-    """The equilibrium at the first frame."""
-    return starting_equilibrium(scene)
+    """The equilibrium at the first frame, by one program for motions of any length."""
+    return _settled(at_start(scene))
+
+
+_settled = eqx.filter_jit(starting_equilibrium)
 
 
 @eqx.filter_jit

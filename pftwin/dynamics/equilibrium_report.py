@@ -15,7 +15,7 @@ from pftwin.base.leaves import host_array
 from pftwin.base.program_cache import Program
 from pftwin.base.spatial import Pose, Scalar
 from pftwin.dynamics.equilibrium import Solution, tolerance_on_host
-from pftwin.dynamics.frame_states import first_guide
+from pftwin.dynamics.frame_states import at_start, first_guide
 from pftwin.dynamics.observe import instant_and_frame
 from pftwin.dynamics.state import System
 from pftwin.dynamics.static_load import LEVER, patella_at_rest
@@ -56,7 +56,7 @@ class EquilibriumReport:
 
         `there` contains the patella's pose in the femur, observables and the frame's status; computed by default.
         """
-        pose, seen, status = on_host(_observe_at(scene.unnamed(), solution.pose) if there is None else there)
+        pose, seen, status = on_host(_observe_at(at_start(scene.unnamed()), solution.pose) if there is None else there)
         # Plain NumPy from here on, so that JAX does not compile programs for a few numbers.
         solution, guess, com = on_host((solution, scene.start, scene.patella.center_of_mass))
         turn = host_array(guess.orientation)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from functools import partial
 from typing import Any, NamedTuple
@@ -60,6 +61,14 @@ def relaxed_start(scene: Scene) -> Pose:
     """Rest pose of damped motion from the scene's start pose, as a pose of the patella frame to search from."""
     rested = relax(System.of(scene), first_guide(scene), scene.center_of_mass_pose())
     return Pose(rested.apply(-scene.patella.center_of_mass), rested.orientation)
+
+
+def at_start(scene: Scene) -> Scene:
+    """The scene with the beginning of its motion alone: its start's programs serve recordings of any length.
+
+    Computed on the host.
+    """
+    return dataclasses.replace(scene, motion=scene.motion.until_second_frame())
 
 
 def first_guide(scene: Scene) -> Guide:

@@ -20,6 +20,7 @@ from pftwin.base.runtime import warn_of_accelerator
 from pftwin.dynamics.equilibrium import Solution, converged_on_host, place_unknown
 from pftwin.dynamics.error_estimate import Course
 from pftwin.dynamics.frame_states import (
+    at_start,
     frame_states,
     relaxed_start,
     start_before_search,
@@ -63,6 +64,7 @@ def _run(
 
 def settle_first_frame(scene: Scene) -> tuple[Timed, bool]:
     """Equilibrium at the first frame with the time it took, and whether it was found by damped relaxation."""
+    scene = at_start(scene)
     found = _solve.timed(scene)
     if converged_on_host(found.answer):
         return found, False
@@ -77,7 +79,7 @@ def settle_first_frame(scene: Scene) -> tuple[Timed, bool]:
 
 def prepare_relaxation(scene: Scene) -> None:
     """Compiles the fallback of `settle_first_frame` ahead of time for scenes of this structure."""
-    _relaxed.prepare(scene.unnamed())
+    _relaxed.prepare(at_start(scene.unnamed()))
 
 
 def compiled_aside(
@@ -88,20 +90,22 @@ def compiled_aside(
 ) -> Callable[[], object]:
     """Traces the programs of `simulate` and compiles them in other threads; the returned function waits for them.
 
-    If the first program is already compiled, so are the others as a rule, and this does nothing. `before` traces a
-    program that is needed earlier, and returns a function that compiles it.
+    If both are already compiled, this does nothing. `before` traces a program that is needed earlier, and returns a
+    function that compiles it.
     """
-    if _solve.at_hand(scene):
+    beginning = at_start(scene)
+    start = eqx.filter_eval_shape(start_before_search, beginning)
+    run = (scene, start, integrator or BDF2(), jnp.asarray(1), energy)
+    if _solve.at_hand(beginning) and _run.at_hand(*run):
         return lambda: None
-    start = eqx.filter_eval_shape(start_before_search, scene)
     threads = ThreadPoolExecutor(2)
     try:
         if not shares_settings(threads):
             return lambda: None
         if before is not None:
             threads.submit(before())
-        longer = threads.submit(_run.begin(scene, start, integrator or BDF2(), jnp.asarray(1), energy))
-        other = threads.submit(_solve.begin(scene))
+        longer = threads.submit(_run.begin(*run))
+        other = threads.submit(_solve.begin(beginning))
         return lambda: (longer.result(), other.result())
     finally:
         threads.shutdown(wait=False)
@@ -195,7 +199,7 @@ class _Runs:
         contact = scene.contact
         self._contact = None if contact is None else contact.name
         self._ahead = 0.0
-        if not _solve.at_hand(self._plain):
+        if not _solve.at_hand(at_start(self._plain)):
             began = time.perf_counter()
             compiled_aside(self._plain, integrator, energy)()
             self._ahead = time.perf_counter() - began

@@ -104,6 +104,11 @@ class SegmentMotion(eqx.Module):
         knots, p, q = (np.asarray(a, float) for a in jax.tree.leaves(self))
         return SegmentMotion(*_leaves(start + (knots - start) / factor, powers * p, powers * q))
 
+    def until_second_frame(self) -> SegmentMotion:
+        """The motion between the first two knots."""
+        knots, p, q = (np.asarray(a) for a in jax.tree.leaves(self))
+        return SegmentMotion(*_leaves(knots[:2], p[:, :1], q[:, :1]))
+
     def pieces(self, interval: Scalar) -> CubicPiece:
         """The cubics between the knots `interval` and `interval` + 1 (integers of any shape)."""
         return CubicPiece(
@@ -205,6 +210,11 @@ class KneeMotion(eqx.Module):
         femur = None if self.femur is None else self.femur.at_speed(factor, self.start_time)
         tibia, interval = self.tibia.at_speed(factor, self.start_time), _rounded(self.frame_interval / factor)
         return KneeMotion(femur, tibia, self.start_time, interval, self.n_frames)
+
+    def until_second_frame(self) -> KneeMotion:
+        """The motion between the first two frames (computed on the host)."""
+        femur = None if self.femur is None else self.femur.until_second_frame()
+        return KneeMotion(femur, self.tibia.until_second_frame(), self.start_time, self.frame_interval, 2)
 
     @property
     def end_time(self) -> float:

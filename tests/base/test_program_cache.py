@@ -22,6 +22,7 @@ import pftwin
 from pftwin.base import cache_folder as folder
 from pftwin.base.program_cache import Program, shares_settings
 from pftwin.base.spatial import Vec3, safe_sqrt
+from pftwin.dynamics.frame_states import at_start
 from pftwin.dynamics.simulate import simulate
 
 PACKAGE = Path(pftwin.__file__).parent
@@ -242,6 +243,13 @@ def test_both_programs_of_a_first_simulation_are_those_that_were_compiled_side_b
     assert len(simulate_module._run._ready) == before + 1
     assert first.timing["compile_s"] > 0
     assert simulate(scene, dt=3e-3).timing["compile_s"] == 0
+
+
+def test_starts_of_recordings_of_any_length_take_one_program():
+    simulate_module = sys.modules["pftwin.dynamics.simulate"]
+    longer, shorter = (pftwin.equilibrium(small_scene(n)) for n in (12, 5))
+    np.testing.assert_allclose(shorter.position, longer.position, rtol=1e-9)  # of other splines
+    assert all(simulate_module._solve.at_hand(at_start(small_scene(n).unnamed())) for n in (12, 5, 7))
 
 
 def test_what_is_being_compiled_is_not_traced_and_compiled_again():

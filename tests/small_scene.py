@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import pftwin
-from pftwin.base.leaves import number
+from pftwin.base.leaves import number, vector
 from pftwin.base.rotations import tibiofemoral_orientation
 from pftwin.base.spatial import Pose, Quaternion, Rotation, Vec3
 from pftwin.files.mocap.poses import PoseSeries
@@ -17,7 +17,7 @@ from pftwin.geometry.patch.polynomial import PolynomialPatch, exponents
 from pftwin.model.effects.contact_law import Flores
 from pftwin.model.effects.gravity import Gravity
 from pftwin.model.effects.sphere_contact import SphereContact
-from pftwin.model.effects.tendon import Tendon
+from pftwin.model.effects.tendon import StrandGroup, Tendon
 from pftwin.model.motion import KneeMotion
 from pftwin.model.scene import PatellaBody, Scene
 
@@ -65,6 +65,22 @@ def small_scene(n_frames: int = 41) -> Scene:
     body = PatellaBody(number(0.12), vec(3e-5, 3e-5, 4e-5), vec(0.001, 0, 0.004))
     start = Pose(vec(-0.005, 0.001, 0.05), Quaternion.identity())
     return Scene(body, effects, KneeMotion.from_poses(None, tibia), start, "small knee")
+
+
+def hanging_scene(n_frames: int = 41) -> Scene:
+    """Held by strands from the patella's corners in the place of the groove: its programs compile in less time.
+
+    From each of four corners they pull outward along both axes of the patella's plane, up and down.
+    """
+    scene = small_scene(n_frames).without("contact")
+    corners = np.array([(x, y, 0.0) for x in (-0.015, 0.015) for y in (-0.015, 0.015)])
+    insertion, ways = np.repeat(corners, 4, axis=0), np.tile([(1, 0, 0), (0, 1, 0), (0, 0, 1), (0, 0, -1)], (4, 1))
+    away = 0.04 * np.where(ways[:, 2:] == 0, ways * np.sign(insertion), ways)
+    origin = np.array([-0.005, 0.001, 0.05]) + insertion + away
+    stiffness, slack, toe, damping = (number(np.full(len(away), v)) for v in (15.0, 0.03, 0.06, 0.003))
+    return scene.with_effect(
+        StrandGroup(stiffness, slack, toe, damping, vector(insertion), vector(origin), "femur", name="strands")
+    )
 
 
 @cache

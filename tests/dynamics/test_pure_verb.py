@@ -7,16 +7,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from small_scene import small_scene, vec
+from small_scene import hanging_scene, small_scene, vec
 
 import pftwin
-from pftwin.base.leaves import number
 from pftwin.dynamics import simulate as simulate_module
 from pftwin.dynamics.frame_states import start_before_search
 from pftwin.geometry.patch.fit import fit_patch
 from pftwin.geometry.patch.implant import rig_implant
 from pftwin.geometry.patch.region import region_about
-from pftwin.model.effects.tendon import Tendon
 from pftwin.model.scene import Scene
 from pftwin.rig.contacts import implant_mesh
 
@@ -29,14 +27,8 @@ def small() -> Scene:
 
 
 @pytest.fixture(scope="module")
-def hung(small: Scene) -> Scene:
-    """Held by ligaments on both sides in the place of the groove: its programs compile in a third of the time."""
-    scene = small.without("contact")
-    for side, name in ((-1, "medial"), (1, "lateral")):
-        k, slack, c = (number(v) for v in (300.0, 0.03, 3.0))
-        insertion, origin = vec(0.0, 0.015 * side, 0.0), vec(0.0, 0.05 * side, 0.02)
-        scene = scene.with_effect(Tendon(k, slack, c, insertion, origin, "femur", name=name))
-    return scene
+def hung() -> Scene:
+    return hanging_scene(11)
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 import equinox as eqx
 import numpy as np
 import pytest
-from small_scene import small_scene, vec
+from small_scene import hanging_scene, small_scene, vec
 
 import fitting
 import pftwin
@@ -50,8 +50,11 @@ class Gauge(Effect):
         return {"strain": (end - now.tibia.point(self.origin)).norm() / self.length - 1}
 
 
-def scene(frames: int = 21) -> Scene:
-    plain = small_scene(frames)
+def scene() -> Scene:
+    return with_sensors(hanging_scene(21))
+
+
+def with_sensors(plain: Scene) -> Scene:
     for name, point in POINTS.items():
         plain = plain.with_effect(Marker(vec(*point), name=name))
     tendon: Any = plain.effect("patellar_tendon")
@@ -118,10 +121,10 @@ def test_an_objective_of_ones_own_is_what_should_read_nothing() -> None:
 
 
 def test_a_force_is_not_measured_twice() -> None:
-    force = result().effects["contact"]["force"]
+    force = np.linspace(20.0, 30.0, 21)
     data = Measured(result().times, result().center, contact_force=force, readings={"contact.force": force})
     with pytest.raises(InputError, match=r"contact.force and the force of contact"):
-        fitting.fit_tendons(scene(), data, use="all")
+        fitting.fit_tendons(with_sensors(small_scene(21)), data, use="all")
 
 
 @pytest.mark.slow
@@ -206,7 +209,7 @@ def test_a_plan_asks_for_the_noise_of_a_reading() -> None:
 )
 def test_what_was_not_measured_is_refused(use: Any, said: str) -> None:
     with pytest.raises(InputError, match=f"(?s){said}"):
-        fitting.fit_tendons(scene(), measured(), use=use)
+        fitting.fit_tendons(with_sensors(small_scene(21)), measured(), use=use)
 
 
 def test_a_reading_of_nothing_is_refused() -> None:

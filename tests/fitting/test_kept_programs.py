@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from lifted_fits import SPRINGS
-from small_scene import small_scene
+from small_scene import hanging_scene
 
 import fitting
 from fitting import programs
@@ -26,7 +26,7 @@ def kept(tmp_path):
 
 
 def test_another_process_does_not_trace_what_one_has_kept(kept, monkeypatch):
-    scene = small_scene(6)
+    scene = hanging_scene(6)
     free = fitting.free_parameters(scene, SPRINGS)
     theta = jnp.asarray(free.nominal * np.linspace(0.95, 1.05, 3)[:, None])
     guesses = jax.tree.map(lambda a: jnp.broadcast_to(a, (3,)), scene.start)

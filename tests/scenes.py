@@ -228,9 +228,14 @@ def run(scene: Scene, start: Solution, substeps: int = 10):
     return path, observe(scene, path)
 
 
-@eqx.filter_jit
 def starting_as_it_is(scene: Scene) -> Solution:
-    """The scene's own start pose in the place of an equilibrium."""
+    """The scene's own start pose in the place of an equilibrium, of whose types it is: programs serve both."""
+    return _as_it_is(at_start(scene))
+
+
+@eqx.filter_jit
+def _as_it_is(scene: Scene) -> Solution:
     pose = scene.center_of_mass_pose()
     still = first_guide(scene).instant(Patella.at_rest(pose.position, pose.orientation), 0.0)
-    return Solution(pose, System.of(scene).remember(still), J(0.0), J(0), jnp.zeros((6, 6)))
+    made = Solution(pose, System.of(scene).remember(still), J(0.0), J(0), jnp.zeros((6, 6)), J(0.0))
+    return jax.tree.map(lambda a: jnp.asarray(a, a.dtype), made)  # none of a weak type

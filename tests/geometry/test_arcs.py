@@ -36,10 +36,16 @@ def _both(obstacle: Obstacle, start, end, count):
     return obstacle.around(start, end).length, obstacle.arc(start, end, count).array()
 
 
+LINES = 400
+COUNT = 21  # of points, where any number would do: one program of each kind of obstacle
+
+
 def both(obstacle: Obstacle, start: Any, end: Any, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Lengths (n,), and points (count, n, 3), of lines between points (n, 3)."""
-    length, points = _both(obstacle, vector(np.asarray(start, float)), vector(np.asarray(end, float)), count)
-    return np.asarray(length), np.asarray(points)
+    """Lengths (n,), and points (count, n, 3), of lines between points (n, 3); the program is of as many for all n."""
+    n, places = len(start), [np.asarray(p, float) for p in (start, end)]
+    whole = [vector(np.concatenate([p, np.repeat(p[:1], LINES - n, axis=0)])) for p in places]
+    length, points = _both(obstacle, *whole, count)
+    return np.asarray(length)[:n], np.asarray(points)[:, :n]
 
 
 def off_cylinder(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -67,10 +73,10 @@ def off_ellipsoid(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def ends(obstacle: Obstacle, seed: int = 4) -> tuple[np.ndarray, np.ndarray]:
     """Ends of lines that wrap, by at least 2 mm."""
     rng = np.random.default_rng(seed)
-    start, end = rng.uniform(-0.06, 0.06, (2, 400, 3))
+    start, end = rng.uniform(-0.06, 0.06, (2, LINES, 3))
     outside = [np.asarray(obstacle.depth(vector(p))) < -1e-3 for p in (start, end)]
     start, end = start[outside[0] & outside[1]], end[outside[0] & outside[1]]
-    long = both(obstacle, start, end, 2)[0] > np.linalg.norm(end - start, axis=1) + 2e-3
+    long = both(obstacle, start, end, COUNT)[0] > np.linalg.norm(end - start, axis=1) + 2e-3
     assert long.sum() >= 10
     return start[long], end[long]
 
@@ -86,7 +92,7 @@ CASES = {
 @pytest.mark.parametrize(("obstacle", "off"), CASES.values(), ids=CASES)
 def test_points_are_on_the_surface_where_the_line_is_tangent_to_it(obstacle, off):
     start, end = ends(obstacle)
-    _, points = both(obstacle, start, end, 9)
+    _, points = both(obstacle, start, end, COUNT)
     distance, normal = off(points)
     assert np.abs(distance).max() < 1e-12
     for tangent, at in ((points[0] - start, normal[0]), (end - points[-1], normal[-1])):
@@ -126,7 +132,7 @@ def test_half_way_round_a_cylinder_it_is_a_helix():
 def test_on_a_sphere_it_is_a_great_circle():
     sphere = ellipsoid((0.025, 0.025, 0.025))
     start, end = ends(sphere, 2)
-    from_center = both(sphere, start, end, 7)[1] - CENTER
+    from_center = both(sphere, start, end, COUNT)[1] - CENTER
     np.testing.assert_allclose(np.linalg.norm(from_center, axis=-1), 0.025, rtol=1e-12)
     plane = np.cross(start - CENTER, end - CENTER)
     plane /= np.linalg.norm(plane, axis=1)[:, None]
@@ -138,14 +144,17 @@ def test_there_are_none_where_the_line_is_straight(obstacle):
     """Clear of the obstacle, away from it, and from an end within it."""
     start = [[0.09, 0.05, 0.0], [0.05, 0.06, 0.05], CENTER]
     end = [[0.09, -0.05, 0.01], [0.1, 0.12, 0.1], [0.09, 0.05, 0.0]]
-    assert np.isnan(both(obstacle, start, end, 4)[1]).all()
+    assert np.isnan(both(obstacle, start, end, COUNT)[1]).all()
 
 
 def test_lines_over_obstacles_of_their_own_are_as_each_alone():
     radii = np.array([0.02, 0.03, 0.035])
     start, end = ends(cylinder())
     start, end = start[:3], end[:3]
-    together = both(Cylinder(vector(CENTER), "femur", number(radii), vector(AXIS)), start, end, 6)[1]
+    several = Cylinder(vector(CENTER), "femur", number(radii), vector(AXIS))
+    together = np.asarray(_both(several, vector(start), vector(end), COUNT)[1])
     for k, radius in enumerate(radii):
         alone = Cylinder(vector(CENTER), "femur", number(radius), vector(AXIS))
-        np.testing.assert_allclose(together[:, k], both(alone, start[k], end[k], 6)[1], atol=1e-15)
+        np.testing.assert_allclose(
+            together[:, k : k + 1], both(alone, start[k : k + 1], end[k : k + 1], COUNT)[1], atol=1e-15
+        )

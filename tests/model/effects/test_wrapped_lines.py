@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
@@ -10,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scenes import MASS, G, J, energies, gravity, knee, look, record, run, settled, state_at, system, tendon, vec
+from small_scene import hanging_scene
 
 from pftwin.base.leaves import vector
 from pftwin.base.spatial import Quaternion, Rotation, Vec3
@@ -196,7 +198,7 @@ def test_the_energy_budget_of_a_knee_with_a_wrapped_tendon_closes():
 
 def test_frames_in_which_an_end_is_within_the_obstacle_are_flagged():
     """The tibia carries the end of the patellar tendon through a thin cylinder on the femur, which it then leaves."""
-    scene = knee(31)
+    scene = replace(hanging_scene(31), motion=knee(31).motion)
     line: Any = scene.effect("patellar_tendon")
     times = scene.motion.frame_times()
     path = np.asarray(

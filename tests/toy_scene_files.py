@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from pathlib import Path
 
 import jax
@@ -12,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from pftwin.base.errors import InputError
 from pftwin.files.mocap import MarkerTrajectories, PoseSeries, Table, write_trc
 from pftwin.files.scene_file import load_scene
-from pftwin.geometry.mesh.mesh import save_mesh
+from pftwin.geometry.mesh.mesh import SurfaceMesh, save_mesh
 from pftwin.geometry.patch.implant import rig_implant
 from pftwin.model.scene import Scene
 
@@ -110,6 +111,11 @@ def markers_of(bodies: dict[str, PoseSeries]) -> MarkerTrajectories:
     return MarkerTrajectories(next(iter(bodies.values())).times, tuple(names), np.stack(points, axis=1))
 
 
+@cache
+def _femur() -> SurfaceMesh:
+    return rig_implant().mesh(deviation=0.1e-3)
+
+
 def write_toy(folder: Path, text: str = SCENE) -> Path:
     """All files of the toy scene; returns the scene file."""
     tibia = tibia_poses()
@@ -117,7 +123,7 @@ def write_toy(folder: Path, text: str = SCENE) -> Path:
     write_poses(folder / "poses.csv", bodies)
     femur = fixed_poses(tibia, (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0))
     write_trc(folder / "walk.trc", markers_of({"femur": femur, **bodies}))
-    save_mesh(rig_implant().mesh(deviation=0.1e-3), folder / "femur.stl")
+    save_mesh(_femur(), folder / "femur.stl")
     scene = folder / "scene.toml"
     scene.write_text(text)
     return scene

@@ -37,9 +37,14 @@ def pytest_configure(config: pytest.Config) -> None:
         os.environ["XLA_FLAGS"] = f"{flags} {OPTIMISATION}=0".strip()
 
 
+# Files that take large programs of another file (test_fit_tendons.py, test_glb.py) not far from them in the order of
+# names: both processes of a run could come to them at the same time, and each would compile them.
+LATER = ("test_measured_faults.py", "test_drawn_lines.py")
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """The hard cases first: they are one file of half an hour, which would have one process to itself at the end."""
-    items.sort(key=lambda item: item.path.name != "test_matrix.py")
+    items.sort(key=lambda item: (item.path.name != "test_matrix.py", item.path.name in LATER))
 
 
 @pytest.fixture(scope="session")

@@ -199,11 +199,12 @@ class _Runs:
         contact = scene.contact
         self._contact = None if contact is None else contact.name
         self._ahead = 0.0
-        if not _solve.at_hand(at_start(self._plain)):
+        beginning = at_start(self._plain)
+        if not _solve.at_hand(beginning):
             began = time.perf_counter()
             compiled_aside(self._plain, integrator, energy)()
             self._ahead = time.perf_counter() - began
-        self._start, self._relaxed = settle_first_frame(self._plain)
+        self._start, self._relaxed = settle_first_frame(beginning)
         self._preparation = self._time = 0.0
         self._ran: dict[int, Timed] = {}  # by number of steps between two frames
 

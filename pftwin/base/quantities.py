@@ -129,12 +129,12 @@ def bounded_leaves(structure: Any) -> tuple[tuple[Quantity, tuple[int, ...]], ..
     return tuple((declared, tuple(numbers)) for declared, numbers in groups.items())
 
 
-_READ = {"m": (1e3, "mm"), "rad": (180 / np.pi, "deg")}
+_READ = {"m": (1e3, "mm"), "rad": (180 / np.pi, "deg"), "m^2": (1e6, "mm^2"), "Pa": (1e-6, "MPa")}
 
 
 def as_read(unit: str, *, percent: bool = False) -> tuple[float, str]:
-    """Factor and unit for display: metres in mm, radians in degrees and, with `percent`, dimensionless fractions (unit
-    "1") in %; others unchanged."""
+    """Factor and unit for display: metres in mm (areas in mm^2), pressures in MPa, radians in degrees and, with
+    `percent`, dimensionless fractions (unit "1") in %; others unchanged."""
     return (100.0, "%") if percent and unit == "1" else _READ.get(unit, (1.0, unit))
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from math import isfinite
+from math import isfinite, isnan
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -19,6 +19,8 @@ from pftwin.cli.terminal import AxesOption, JsonOption, check_outputs, check_suf
 
 if TYPE_CHECKING:
     from pftwin.cli.scenes import Chosen
+    from pftwin.dynamics.equilibrium_report import EquilibriumReport
+    from pftwin.model.scene import Scene
     from pftwin.results.metrics import Validation
     from pftwin.results.result import Result
 
@@ -107,12 +109,11 @@ def equilibrium(*, knee: SceneOptions, json: JsonOption = None) -> None:
     name = chosen.scene.name
     with spinner(f"solving for the equilibrium of {name}"):
         report = solve(chosen.scene)
-    reported = [(f"{e} {key}", v) for e, seen in report.effects.items() for key, v in seen.items() if v.ndim == 0]
     rows = (
         ("patella in the femur [mm]", "  ".join(f"{1e3 * v:.3f}" for v in report.position)),
         ("quaternion (w, x, y, z)", "  ".join(f"{v:.6f}" for v in report.quaternion)),
         ("residual [N]", f"{report.residual:.1e} after {report.iterations} iterations"),
-        *((words.replace("_", " "), f"{float(value):.6g}") for words, value in reported),
+        *_reported(report, chosen.scene),
     )
     sheet = Sheet("", ("quantity", "value"), rows)
     start = Status(0) if report.converged else Status.START_NOT_IN_EQUILIBRIUM
@@ -124,6 +125,22 @@ def equilibrium(*, knee: SceneOptions, json: JsonOption = None) -> None:
         exit_flagged(f"{name}: no equilibrium was found; try: a start pose nearer to where the patella rests")
     if not verdict.valid:
         exit_flagged(f"{verdict.describe()} ({name})")
+
+
+def _reported(report: EquilibriumReport, scene: Scene) -> list[tuple[str, str]]:
+    """Rows of the effects' observables with one number, in the units shown to readers."""
+    from pftwin.base.quantities import shown
+
+    units = {effect.name: {key: about.unit for key, about in effect.observables.items()} for effect in scene.effects}
+    return [
+        (
+            f"{name} {key}".replace("_", " "),
+            "none" if isnan(value) else shown(float(value), units[name].get(key, "1"), 6),  # nan: nothing touches there
+        )
+        for name, seen in report.effects.items()
+        for key, value in seen.items()
+        if value.ndim == 0
+    ]
 
 
 @on_scene

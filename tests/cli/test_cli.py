@@ -97,6 +97,19 @@ def test_json_on_stdout_is_json_alone(toy: Path) -> None:
     assert "patella in the femur [mm]" in result.stderr
 
 
+def test_equilibrium_shows_observables_with_their_units() -> None:
+    """As JSON has them in N and m: forces in N, lengths in mm; no number where a facet is not loaded."""
+    result = pftwin("equilibrium", "--case", 2, "--json", "-")
+    assert result.exit_code == 0, result.output
+    seen = json.loads(result.stdout)["effects"]
+    rows = {c[1].strip(): c[2].strip() for line in result.stderr.splitlines() if len(c := line.split("│")) == 4}
+    force, length = rows["contact force"].split(), rows["patellar tendon length"].split()
+    assert (float(force[0]), force[1]) == (pytest.approx(seen["contact"]["force"], rel=1e-4), "N")
+    assert (float(length[0]), length[1]) == (pytest.approx(1e3 * seen["patellar_tendon"]["length"], rel=1e-4), "mm")
+    assert seen["contact"]["indentation_medial"] is None
+    assert rows["contact indentation medial"] == "none"
+
+
 def test_validate_shows_the_rows_of_table_1(toy: Path, tmp_path: Path) -> None:
     result = pftwin("validate", toy, "-o", tmp_path / "o.nc", "--json", tmp_path / "o.json", *STEP)
     assert result.exit_code == 0, result.output

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.cli.live.motion import Band, Floats, ShownMotion
+from fitting.cli.live.motion import AS_SET, UNTREATED, Band, Floats, ShownMotion
 from fitting.cli.live.words import AFTER, BEFORE
 from pftwin.base.errors import InputError
 from pftwin.results.plots.strokes import strokes_of
@@ -109,10 +109,10 @@ class Curves:
             bands.append({"series": (len(data) - 1, len(data) - 2), "fill": _FAINT})
         if self._compared:
             for piece in pieces(self._before, against_flexion=self._against_flexion):
-                look = {"label": "untreated", "stroke": BEFORE, "width": 1.5, "points": {"show": False}}
+                look = {"label": UNTREATED, "stroke": BEFORE, "width": 1.5, "points": {"show": False}}
                 add(piece, getattr(self._before, name), look)
         for piece in lines:
-            look = {"label": "treated", "stroke": AFTER, "width": 2, "points": {"show": False}}
+            look = {"label": AS_SET, "stroke": AFTER, "width": 2, "points": {"show": False}}
             add(piece, getattr(self._after, name), look)
         mark = np.full_like(grid, np.nan)
         mark[at[k]] = getattr(self._after, name)[k]

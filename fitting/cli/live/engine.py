@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from fitting.cli.live.knobs import Knobs, neutral
-from fitting.cli.live.motion import Band, Floats, Shown, ShownMotion
+from fitting.cli.live.motion import AS_SET, UNTREATED, Band, Floats, Shown, ShownMotion
 from fitting.prediction.untreated import reasons_of, untrusted_start
 from pftwin.base.errors import InputError
 from pftwin.base.spatial import Vec3
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from fitting.estimate import Estimate
     from pftwin.results.result import Result
 
-UNTREATED, TREATED = "untreated", "treated"
 DRAWS = 24  # draws from an estimate, for bands
 FAR = 0.045  # reach of the extrapolated surface beyond the edges of the fitted one [m]
 HEIGHT = 0.02  # height over the chart of the corners that limit the extrapolation [m]
@@ -100,7 +99,7 @@ class Engine:
         """
         model = self._models[contact]
         scene = model.knobs.scene_with(values)
-        answer = _simulated(scene, TREATED, model.still.of(scene), model.start)
+        answer = _simulated(scene, AS_SET, model.still.of(scene), model.start)
         answer.refuse_if_lost(unlike=model.before)
         return answer
 

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
     from pftwin.results.result import Result
 
+UNTREATED, AS_SET = "untreated", "as set"  # names of motions: as the sliders are set, which may be at rest
 _REMEDY = "other values"
 
 

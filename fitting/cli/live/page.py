@@ -11,9 +11,9 @@ import numpy as np
 from fitting.cli.live import words
 from fitting.cli.live.curves import AGAINST, Curves, no_strokes
 from fitting.cli.live.drawing import Bones, DrawnKnee
-from fitting.cli.live.engine import TREATED, Engine, LiveModel
+from fitting.cli.live.engine import Engine, LiveModel
 from fitting.cli.live.knobs import GROUPS, KNOBS
-from fitting.cli.live.motion import Band, Shown, ShownMotion
+from fitting.cli.live.motion import AS_SET, Band, Shown, ShownMotion
 from fitting.cli.live.words import AFTER, BEFORE
 from fitting.prediction.predicting import reservations
 from pftwin.results.viewer.assembly import per_centimetre, views
@@ -36,7 +36,7 @@ class Page:
         self._contact: str | None = None
         self._band: Band | None = None
         self._notes = [] if engine.estimate is None else reservations(engine.estimate, synthetic=False)
-        self._before, self._after = model.before, model.before.named(TREATED)
+        self._before, self._after = model.before, model.before.named(AS_SET)
         self._bones = Bones(client.scene, model.before.recorded)
         self._treated = DrawnKnee(client.scene, "/treated", AFTER)
         self.untreated = DrawnKnee(client.scene, "/untreated", BEFORE, GHOST)

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fitting.cli.live import words
-from fitting.cli.live.engine import TREATED, Engine, LiveModel
+from fitting.cli.live.engine import Engine, LiveModel
 from fitting.cli.live.knobs import KNOBS, Knob, neutral
-from fitting.cli.live.motion import Shown, ShownMotion
+from fitting.cli.live.motion import AS_SET, Shown, ShownMotion
 from fitting.cli.live.page import Page
 from fitting.cli.live.threads import Player, Worker
 from pftwin.base.errors import InputError
@@ -44,7 +44,7 @@ class Session:
         self._wanted = self._contact = engine.contacts[0]
         self.motions, self.drawings = deque[float](maxlen=words.KEPT), deque[float](maxlen=words.KEPT)
         model = engine.model(self._contact)
-        self._after, self._now = model.before.named(TREATED), float(model.before.times[0])
+        self._after, self._now = model.before.named(AS_SET), float(model.before.times[0])
         with self._lock, client.atomic():
             self._page = Page(client, engine, model, self)
             self._player = Player(self._played, self._now, float(model.before.times[-1]))

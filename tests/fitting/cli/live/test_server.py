@@ -66,11 +66,12 @@ def drawn_for(session, **values) -> None:
 def test_a_slider_simulates_anew_and_the_page_tells_numbers_and_times(client, server):
     (session,) = server.sessions
     assert "none yet" in client.text()
+    assert "treated" not in client.text().replace("compare with untreated", "")  # nothing is set yet
     client.move(MEDIALISE, 8.0)
     drawn_for(session, medialisation=8.0)
     client.wait_for("slider to new motion: <b>", "of the last 1: median")
     text = client.text()
-    for words in ("Whole motion", "treated", "tilt [°]", "no treatment should be decided by it alone"):
+    for words in ("Whole motion", "as set", "tilt [°]", "no treatment should be decided by it alone"):
         assert words in text
     place = client.nodes["/treated/tibia/patellar_tendon"]["position"]
     client.move(MEDIALISE, 10.0)

@@ -97,12 +97,20 @@ def progress(what: str) -> Iterator[Callable[..., None]]:
 
     Yields `show(done, of, now=None, what=None)`; `now` replaces "n of N".
     """
-    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+    from rich.progress import BarColumn, Progress, Task, TextColumn, TimeRemainingColumn
+    from rich.text import Text
+
+    class TimeLeft(TimeRemainingColumn):
+        """The time left; nothing as long as it is not known."""
+
+        def render(self, task: Task) -> Text:
+            known = task.total is not None and task.time_remaining is not None
+            return super().render(task).append(" left") if known else Text()
 
     console = err()
     room = max(console.width - _COUNTS, 12)
-    left = TimeRemainingColumn(compact=True), TextColumn("left")
-    columns = (TextColumn("{task.description}"), BarColumn(bar_width=20), TextColumn("{task.fields[now]}"), *left)
+    texts = TextColumn("{task.description}"), TextColumn("{task.fields[now]}")
+    columns = (texts[0], BarColumn(bar_width=20), texts[1], TimeLeft(compact=True))
     options: dict[str, Any] = {"transient": True, "disable": not console.is_terminal}
     with Progress(*columns, console=console, speed_estimate_period=_PERIOD, **options) as bar:
         task = bar.add_task(_cut(what, room), total=None, now="")

@@ -56,6 +56,17 @@ def test_the_time_left_is_told_where_a_step_takes_minutes(screen, clock):
     assert lines(screen)[-1].endswith("4 of 10 24:00 left")
 
 
+def test_an_unknown_time_left_is_not_mentioned(screen, clock):
+    """Neither before the work is counted nor before its first step is done."""
+    with terminal.progress("searching") as shown:
+        clock[0] = 5.0
+        shown(0, 4)
+    said = lines(screen)
+    assert said[0].startswith("searching")
+    assert said[-1].endswith("0 of 4")
+    assert not any("left" in line or "--:--" in line for line in said)
+
+
 def test_a_long_label_is_cut_and_not_the_time_left(screen, clock):
     with terminal.progress("simulating " + 5 * "a knee of a long name ") as shown:
         for done in range(5):

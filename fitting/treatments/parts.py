@@ -13,6 +13,7 @@ Amount = Scalar | float
 
 PATELLAR_TENDON, QUADRICEPS, MPFL = "patellar_tendon", "quadriceps", "mpfl"
 LATERAL = ("lpfl", "lateral_retinaculum")  # accepted names of the lateral strands
+_EXPECTED_NAMES = {PATELLAR_TENDON, QUADRICEPS, MPFL, *LATERAL}  # of parts that treatments change unless told otherwise
 
 
 def line_element(scene: Scene, names: str | tuple[str, ...], treatment: str, body: str | None = None) -> LineElement:
@@ -26,7 +27,10 @@ def line_element(scene: Scene, names: str | tuple[str, ...], treatment: str, bod
     if found is None:
         there = _among([e.name for e in scene.effects if e.line_element() is not None], "no tendon and no strands")
         problem = f"no tendon or strands named {' or '.join(map(repr, wanted))}; {there}"
-        raise InputError(problem, where=where, remedy="name the part as the scene does")
+        remedy = "name the part as the scene does"
+        if _EXPECTED_NAMES.issuperset(wanted):  # the natural knee has a part of each
+            remedy = "the natural knee, which has them (--knee normal), or a scene file that names its own so"
+        raise InputError(problem, where=where, remedy=remedy)
     element = found.line_element()
     if element is None:
         problem = f"{found.name!r} is a {type(found).__name__}, which is no line of force"

@@ -228,11 +228,20 @@ def test_amounts_are_mapped_over(scene):
     np.testing.assert_allclose(y, 0.01 - np.linspace(0, 0.02, 5))
 
 
+def test_the_natural_knee_has_all_parts_that_treatments_expect():
+    """As the refusals say of a scene without one of them."""
+    knee = rig.knee()
+    for kind in ("lateral_release", "mpfl_graft", "patellar_tendon_length_change", "femoral_derotation"):
+        some(kind)(knee)
+
+
 def test_what_a_scene_lacks_is_named(case):
     with pytest.raises(InputError, match=r"mpfl_graft of rig case 2.*no tendon or strands named 'mpfl'.*'quadriceps'"):
         Treatment.of("mpfl_graft", shortening=0.001)(case)
-    with pytest.raises(InputError, match="'lpfl' or 'lateral_retinaculum'"):
+    with pytest.raises(InputError, match=r"'lpfl' or 'lateral_retinaculum'.*try: the natural knee.*--knee normal"):
         Treatment.of("lateral_release", release=1.0).prepared(case)
+    with pytest.raises(InputError, match="try: name the part as the scene does"):
+        tibial_tuberosity_transfer(case, 0.01, tendon="ligament")
     with pytest.raises(InputError, match=r"begins on the femur.*expected: on the tibia"):
         tibial_tuberosity_transfer(case, 0.01, tendon="quadriceps")
     bare = case.without("contact")

@@ -153,7 +153,7 @@ def validate(
     tolerance: ToleranceOption = None,
     json: JsonOption = None,
 ) -> None:
-    """Simulate, and compare with the measurements: the rows of Table 1 of Michaud et al. 2024.
+    """Simulate, and compare with the measurements; with --case, beside Table 1 of Michaud et al. 2024.
 
     For a skin marker over the patella, only the shape of its time course is compared, not its position.
 
@@ -178,8 +178,10 @@ def validate(
     if measured.femoral_spring_force is None and "quadriceps" not in names:
         springs["femoral"] = None
     found = compare(result, measured, **springs)
-    paper = chosen.contact if chosen.contact in PAPER_TABLE_1 else None
+    paper = chosen.contact if knee.case is not None and chosen.contact in PAPER_TABLE_1 else None
     rows = found.to_rows(paper)
+    if knee.case is None:  # springs on the femur's and the tibia's side are the rig's
+        rows = [row._replace(label=_OWN_LABELS.get(row.key, row.label)) for row in rows]
     if found.mean_distance is None:  # with only skin markers, most of these rows are empty
         rows = [row for row in rows if row.value is not None]
     beside = [] if paper is None else [f"paper, {paper}"]  # the paper's means over its four cases
@@ -195,10 +197,13 @@ def validate(
     facts["side_as_given"] = chosen.side_as_given
     first_lines = [*([] if result.verdict.valid else [result.verdict.describe()]), *found.doubts]
     skin = _skin_sheet(found) if found.skin_markers else ("", "")
-    present(facts, "\n".join(first_lines), sheet, *skin, chosen.side_as_given, written_line(files), json=json)
+    present(facts, "\n".join(first_lines), sheet, *skin, written_line(files), json=json)
     check_trust(result)
     if found.doubts:
         exit_flagged(f"{found.doubts[0]} ({result.scene_name})")
+
+
+_OWN_LABELS = {"tibial_spring": "patellar tendon force RMSE", "femoral_spring": "quadriceps force RMSE"}
 
 
 def _skin_sheet(found: Validation) -> tuple[Sheet, str]:

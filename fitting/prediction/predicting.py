@@ -314,13 +314,14 @@ def _attributes(batches: list[VariantBatch], estimate: Fitted | None, settings: 
     from pftwin import __version__
 
     names = list(dict.fromkeys(b.scene.name for b in batches))
-    said = reservations(estimate, any(b.scene.synthetic for b in batches))
+    computed = any(b.scene.synthetic for b in batches)
+    said = reservations(estimate, computed)
     return {
         "title": f"predicted outcomes: {', '.join(names)}",
         "source": f"pftwin {__version__}",
         "jax_version": jax.__version__,
         "parameters": "of the scene" if estimate is None else f"estimated from {estimate.source or 'measurements'}",
-        "synthetic": int(estimate is not None and estimate.synthetic),
+        "synthetic": int(computed or (estimate is not None and estimate.synthetic)),
         **({"note": "; ".join(said)} if said else {}),
         **({"objection": estimate.objection} if estimate is not None and estimate.objection else {}),
         **{k: float(v) for k, v in settings.items()},

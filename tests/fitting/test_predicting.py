@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass, field
 
 import equinox as eqx
@@ -193,9 +194,30 @@ def test_a_draw_without_untreated_equilibrium_is_lost_without_limits_too(knee):
     assert untrusted_starts(programs, knee, thetas) == [(), (NO_EQUILIBRIUM,), ()]
 
 
+def test_a_prediction_is_synthetic_where_its_motion_or_its_estimates_measurements_are(knee, monkeypatch):
+    def run(recipe, amounts, *more, **options):
+        many = len(amounts)
+        return Members(
+            dict.fromkeys(MEASURES, np.zeros(many)), np.zeros((many, len(FLAGS)), int), np.ones(many, bool), {}
+        )
+
+    monkeypatch.setattr(predicting, "run", run)
+    monkeypatch.setattr(predicting, "untrusted_starts", lambda programs, scene, thetas: [()] * len(thetas))
+    told = {
+        (motion, learned): predict(
+            dataclasses.replace(knee, synthetic=motion), VARIANTS[1], Estimated(synthetic=learned), dt=DT, devices=1
+        ).attrs
+        for motion in (False, True)
+        for learned in (False, True)
+    }
+    assert {of: attributes["synthetic"] for of, attributes in told.items()} == {of: int(any(of)) for of in told}
+    assert {of: "note" in attributes for of, attributes in told.items()} == {of: any(of) for of in told}
+
+
 @pytest.mark.slow
 def test_a_synthetic_motion_is_told(case_2):
     assert case_2.attrs["note"] == SYNTHETIC
+    assert case_2.attrs["synthetic"] == 1
 
 
 def test_samples_spread_around_the_estimate(sampled, knee):

@@ -107,7 +107,7 @@ class Material:
         if self.treatment is not None:
             note = str(self.treatment.attrs.get("note", ""))
             remarks += [part for part in note.split("; ") if "synthetic" in part]
-            if int(self.treatment.attrs.get("synthetic", 0)) and not note:
+            if int(self.treatment.attrs.get("synthetic", 0)) and not note:  # of an older file
                 remarks.append("the parameters of the prediction were estimated from synthetic measurements")
         return list(dict.fromkeys(remarks))
 

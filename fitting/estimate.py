@@ -148,6 +148,12 @@ class Estimate:
         near = np.minimum(low - self.lower, self.upper - high) < 1e-3 * (self.upper - self.lower)
         return tuple(n for n, there in zip(self.names, near, strict=True) if there)
 
+    def bound_mark(self, name: str) -> str:
+        """What tables and figures say beside a parameter of `at_bounds`; empty for others."""
+        if name not in self.at_bounds:
+            return ""
+        return "at its bound" if self.draws is None else "interval to its bound"
+
     @property
     def undetermined(self) -> Undetermined:
         """Combinations of the requested parameters that are hardly known beyond bounds and priors."""
@@ -262,9 +268,10 @@ class Estimate:
         for i, name in enumerate(self.names):
             low, high = self.intervals[i]
             lines += ["nuisance and differences between trials:"] if name == next(iter(self.auxiliary), None) else []
+            mark = f"; {self.bound_mark(name)}" if self.bound_mark(name) else ""
             lines.append(
                 f"  {name:<12} {self.values[i]:.6g} +- {self.standard_deviations[i]:.2g} {self.units[i]}"
-                f"  (95 %: {low:.6g} to {high:.6g}; nominal {self.nominal[i]:.6g})"
+                f"  (95 %: {low:.6g} to {high:.6g}; nominal {self.nominal[i]:.6g}{mark})"
             )
         for name, told in self.in_trials.items():
             unit = self.units[self.names.index(name)]

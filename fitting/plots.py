@@ -185,13 +185,16 @@ def _correlations(ax: Axes, e: Estimate) -> None:
 
 def _values(ax: Axes, e: Estimate) -> None:
     """Values in percent of the nominal ones, since units differ; in units of 1 where the nominal value is zero."""
-    from pftwin.results.plots.style import COLOURS
+    from pftwin.results.plots.style import COLOURS, TINY
 
     rows, nominal, values = np.arange(e.asked), e.nominal[: e.asked], e.values[: e.asked]
     scale = np.where(nominal == 0, 1.0, np.abs(nominal))
     off = 100 * (values - nominal) / scale
     spread = 100 * (e.intervals[: e.asked] - values[:, None]) / scale[:, None]
     ax.errorbar(off, rows, xerr=np.abs(spread).T, fmt="o", markersize=5, color=COLOURS[0], capsize=3)
+    for row, mark in enumerate(map(e.bound_mark, e.names[: e.asked])):
+        look = {"textcoords": "offset points", "ha": "center", "va": "bottom", "fontsize": TINY}
+        ax.annotate(mark, (off[row], row), xytext=(0, 5), **look)
     ax.axvline(0, color="black", linewidth=0.8)
     ax.set_yticks(rows, e.names[: e.asked])
     ax.set_ylim(len(rows) - 0.5, -0.5)

@@ -193,7 +193,14 @@ def _report(estimate: Estimate, output: Path, json: str | None, *, figures: bool
         draw(found)
     e, against = estimate, "SYNTHETIC measurements" if estimate.synthetic else "measurements"
     rows = [
-        (name, f"{value:.6g}", f"{sd:.2g}", f"{low:.6g} to {high:.6g}", f"{nominal:.6g}", unit)
+        (
+            name,
+            f"{value:.6g}\n{e.bound_mark(name)}".rstrip(),
+            f"{sd:.2g}",
+            f"{low:.6g} to {high:.6g}",
+            f"{nominal:.6g}",
+            unit,
+        )
         for name, value, sd, (low, high), nominal, unit in zip(
             e.names, e.values, e.standard_deviations, e.intervals, e.nominal, e.units, strict=True
         )

@@ -78,6 +78,9 @@ def test_a_fit_to_doubted_measurements_is_written_and_flagged(plain, tmp_path):
     result = pftwin("fit", plain, "-o", output, *options)
     assert result.exit_code == 3, result.output
     assert result.stdout.startswith("INVALID: residual of position: ")
+    table = [line for line in result.stdout.splitlines() if line.startswith("│")]
+    assert [line.split()[1] for line in table if "at its bound" not in line] == ["K1", "L1"]
+    assert "at its bound" in table[1]  # below the value of K1, as the sentence names it
     assert "flagged: INVALID: residual of position: " in result.stderr
     assert json.loads(output.read_text())["doubts"][0].startswith("residual of position: ")
 

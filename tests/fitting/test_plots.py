@@ -64,6 +64,13 @@ def test_correlations_and_intervals_are_the_estimates(estimate):
     assert "[%]" in right.get_xlabel()
 
 
+def test_a_parameter_at_its_bound_is_marked_beside_its_interval(estimate):
+    assert not [t for t in estimate.plot.correlation().axes[1].texts if t.get_text()]
+    bounded = dataclasses.replace(estimate, upper=np.array([300.0, 1.0, 600.0]))
+    (mark,) = (t for t in bounded.plot.correlation().axes[1].texts if t.get_text())
+    assert (mark.get_text(), mark.xy[1]) == ("at its bound", 2)  # K2, the last row
+
+
 def test_nuisance_is_left_out_of_the_correlations(estimate):
     estimate = dataclasses.replace(estimate, auxiliary=estimate.names[-1:])
     left, right = estimate.plot.correlation().axes[:2]

@@ -119,6 +119,14 @@ def test_the_fit_with_its_intervals_and_sentence(fit_seen):
     assert fit_seen.rows["seed"] == [["7"]]
 
 
+def test_a_parameter_at_its_bound_is_marked_in_the_table(tmp_path):
+    free = estimate()
+    upper = np.where(np.arange(len(VALUES)) == 0, free.values, free.upper)
+    seen = words_of(fitted(tmp_path, upper=upper))
+    marked = [seen.rows[name][0][1].endswith(", at its bound") for name in VALUES]
+    assert marked == [True, *[False] * (len(VALUES) - 1)]
+
+
 def test_fitted_nuisance_is_reported_though_the_scene_lacks_it(tmp_path):
     name = "contact.friction.coefficient"
     values = {**VALUES, name: (0.031, 0.002)}

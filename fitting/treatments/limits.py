@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 
 NO_NUMBER = ("dislocation_time", "dislocation_flexion", "re_engagement_time", "re_engagement_flexion")  # may be NaN
+_WHOLE = ("dislocations", "dislocation_side", "tracks_at_end")  # counts, sides and yes or no: never in %
 _UNIT_SIZE = {"m": 1e-3, "rad": 0.01, "N": 1.0}  # scale of the margin if the limit is 0
 _WRITTEN = re.compile(r"\s*(\w+)\s*(<=|>=)(.*)")
 
@@ -60,7 +61,7 @@ class Limit:
             raise InputError(f"found {text!r}", where="limit", expected=example)
         (outcome, sense), (number, unit) = match.groups()[:2], written
         Limit(outcome, at_most=number)  # refuses an outcome that takes no limit
-        units = UNITS[MEASURES[outcome].unit]
+        units = _units_of(outcome)
         if unit not in units:
             expected = f"{outcome} in {' or '.join(u or 'plain numbers' for u in units)}"
             raise InputError(f"found {text!r}", where="limit", expected=expected)
@@ -87,7 +88,12 @@ class Limit:
 def limitable() -> list[tuple[str, tuple[str, ...], str]]:
     """Outcomes that can be limited: name, units in which it may be written ("" for a plain number), meaning."""
     numbers = ((name, about) for name, about in MEASURES.items() if name not in NO_NUMBER)
-    return [(name, tuple(UNITS[about.unit]), about.long_name) for name, about in numbers]
+    return [(name, tuple(_units_of(name)), about.long_name) for name, about in numbers]
+
+
+def _units_of(outcome: str) -> dict[str, float]:
+    """Units in which a limit on an outcome may be written, with their sizes in its SI unit."""
+    return {"": 1.0} if outcome in _WHOLE else UNITS[MEASURES[outcome].unit]
 
 
 def smallest_margin(data: Dataset, limits: Sequence[Limit]) -> Floats:

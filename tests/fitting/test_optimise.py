@@ -245,6 +245,9 @@ def test_limits_as_people_write_them(text, limit):
         ("dislocation_margin>=3", "expected: dislocation_margin in mm or cm or m"),
         ("dislocation_margin>=3 N", "dislocation_margin in mm"),
         ("lateral_share<=1 mm", "plain numbers or %"),
+        ("dislocations<=50 %", "expected: dislocations in plain numbers$"),  # a count
+        ("tracks_at_end>=100 %", "expected: tracks_at_end in plain numbers$"),  # yes or no
+        ("dislocation_side<=0 %", "expected: dislocation_side in plain numbers$"),  # 1, -1 or 0
         ("pain<=3", "no limit on 'pain'"),
         ("dislocation_margin>3 mm", "such as"),
         ("dislocation_margin>=e mm", "such as"),

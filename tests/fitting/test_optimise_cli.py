@@ -112,6 +112,11 @@ def test_limits_are_listed_with_their_units(command, option):
     rows = [[cell.strip() for cell in line.strip("│").split("│")] for line in result.stdout.splitlines()]
     listed = {row[0]: row[1].split(", ") for row in rows if row[0] in MEASURES}
     assert set(listed) == set(MEASURES) - set(NO_NUMBER)
+    assert {name for name, units in listed.items() if units == ["number"]} == {
+        "dislocations",
+        "dislocation_side",
+        "tracks_at_end",
+    }
     sizes = {"mm": 1e-3, "cm": 1e-2, "m": 1, "um": 1e-6, "deg": math.pi / 180, "rad": 1, "N": 1, "mN": 1e-3, "%": 0.01}
     for name, units in listed.items():
         for unit in units:

@@ -34,11 +34,11 @@ QUICK = Coverage(
     "twin, and in 28 to 76 % on one that differs from it",
     "95 % bands of the rig's case 1, predicted from fits of case 2, contained the true value in 4 % (tilt), 46 % (peak"
     " contact force) and 88 % (lateral offset) of repeated experiments",
-    "plans that were safe in nine of ten draws were safe in 5 of 14 plants of the virtual rig",
+    "plans that were safe in nine of ten draws were safe in 5 of 14 synthetic knees",
     "too narrow for a knee",
 )
 QUICK_WITH_NUISANCE = Coverage(
-    "95 % intervals of fits with nuisance 'rig', on 28 plants of the virtual rig, contained the true value in 82 of "
+    "95 % intervals of fits with nuisance 'rig', on 28 synthetic knees, contained the true value in 82 of "
     "112 cases where a force was measured, and in 78 of 112 from positions alone",
     _NO_BANDS,
     _NO_PLANS,
@@ -50,14 +50,14 @@ SIMULATIONS = NOT_KNOWN._replace(
 )
 SIMULATIONS_WITH_NUISANCE = Coverage(
     "95 % intervals of posteriors with nuisance 'rig', trained once on positions and a force, contained the true value"
-    " in 89 to 100 % of synthetic plants, by parameter and kind of plants; learned in rounds, before springs stiffened"
+    " in 89 to 100 % of synthetic knees, by parameter and kind of knee; learned in rounds, before springs stiffened"
     " in them, in 23 of 24 cases, and 24 of 24 from positions alone",
     "Bands of 90 % (not 95) of six outcomes of treated knees, predicted from posteriors with nuisance 'rig' that were "
-    "trained once on positions and a force, contained the true value in 78 to 100 % of synthetic plants, by outcome "
+    "trained once on positions and a force, contained the true value in 78 to 100 % of synthetic knees, by outcome "
     "and kind",
     "plans from posteriors with nuisance 'rig', trained once on positions and a force, were safe in 67 of 73 synthetic"
-    " plants where nine of ten draws had to be",
-    "bands of 90 % contained the true value in 78 to 100 % of synthetic plants",
+    " knees where nine of ten draws had to be",
+    "bands of 90 % contained the true value in 78 to 100 % of synthetic knees",
 )
 
 

@@ -23,7 +23,7 @@ from pftwin.model.scene_parameters import find
 
 Bounds = float | Mapping[str, float | tuple[float, float]]
 DEFAULT_BOUNDS = 0.3
-REQUESTED, BETWEEN_TRIALS = "what was asked for", "differences between trials"  # kinds of parameters
+REQUESTED, BETWEEN_TRIALS = "requested parameters", "differences between trials"  # kinds of parameters
 _EDGE = 1e-9  # least distance of iterates from the bounds, as a share of the range
 _FAR = 3  # standard deviations from the bounds beyond which a prior excludes them
 

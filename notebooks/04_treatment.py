@@ -101,10 +101,10 @@ outcome_figure(data)
 #
 # A smaller change does less harm. The search finds the smallest transfer that keeps the button 3 mm from dislocating,
 # for the estimate itself and in nine of ten draws. **Draws are not knees**: the transfer found this way from a quick
-# fit was safe in 5 of 14 plants of the virtual rig. The 95 % bands are also too narrow: those of case 1, predicted from
+# fit was safe in 5 of 14 synthetic knees. The 95 % bands are also too narrow: those of case 1, predicted from
 # fits of case 2, contained the true value in 4 % (tilt), 46 % (peak contact force) and 88 % (lateral offset) of
 # repeated experiments. A posterior that includes what the twin lacks ([notebook 3](03_fit_tendons.ipynb)) does better:
-# its transfers were safe in 67 of 73 synthetic plants.
+# its transfers were safe in 67 of 73 synthetic knees.
 
 # %%
 margin = Limit("dislocation_margin", at_least=0.003)

@@ -49,6 +49,7 @@ def test_table_says_from_where_on_nothing_dislocates(treated):
     assert "medialisation [mm]" in outcome.stdout
     assert "100 % of draws" in outcome.stdout
     assert "bands would be narrower by [%]" in outcome.stdout
+    assert "requested parameters" in outcome.stdout
     assert SYNTHETIC in outcome.stdout
     assert "estimated from synthetic measurements" in outcome.stdout
     assert f"in brackets: 95 % interval over the draws, without those that failed; {QUICK.bands}" in outcome.stdout

@@ -221,7 +221,8 @@ def _widest_source(data: Dataset) -> list[str]:
     which = f" ({', '.join(map(str, names))})" if len(names) <= _MOST_NAMES else ""
     low, high = (f"{100 * share:.0f}" for share in (shares.min(), shares.max()))
     span = low if low == high else f"{low} to {high}"
-    return [f"Widest source of the bands: {name}{which}. If it were known, they would be {span} % narrower."]
+    known = f"If this source were known, the bands would be {span} % narrower"
+    return [f"Widest source of the bands: {name}{which}. {known}."]
 
 
 def reservations(data: Dataset) -> list[str]:

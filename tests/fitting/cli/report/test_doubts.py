@@ -9,6 +9,7 @@ from report_pages import fitted, prediction, words_of
 from small_scene import small_result
 
 from fitting.cli.report.run import ReportedRun
+from fitting.parameters import REQUESTED
 from pftwin.dynamics.status import Status
 
 OUTCOMES = ("largest_offset", "peak_contact_force", "mean_tilt", "medial_share")
@@ -78,7 +79,8 @@ def test_what_widens_the_bands_most_is_told(tmp_path):
     draws = np.random.default_rng(0).normal(size=(41, 2))
     outcomes = dict.fromkeys(OUTCOMES, (("variant", "sample"), draws[:, :1].T))
     numbers = {"parameters": (("sample", "parameter"), draws)}
-    kinds = {"parameter": ["K1", "mu"], "parameter_kind": ("parameter", ["springs", "friction"])}
+    kinds = {"parameter": ["K1", "mu"], "parameter_kind": ("parameter", [REQUESTED, "friction"])}
     said = how_sure(Dataset({**outcomes, **numbers}, kinds, {"variants_missing": 2}))
     assert said[0] == "The prediction was interrupted: 2 variants are missing."
-    assert said[1] == "Widest source of the bands: springs (K1). If it were known, they would be 100 % narrower."
+    known = "If this source were known, the bands would be 100 % narrower."
+    assert said[1] == f"Widest source of the bands: requested parameters (K1). {known}"

@@ -44,11 +44,15 @@ def exit_flagged(why: str) -> NoReturn:
 
 
 def check_trust(result: Result) -> None:
-    """Ends with `FLAGGED` if a motion is not valid (`pftwin.results.verdict`) or frames are inaccurate."""
+    """Ends with `FLAGGED` if a motion is not valid (`pftwin.results.verdict`) or frames are inaccurate.
+
+    Of a motion that is not valid, the command has already shown the reasons.
+    """
     from pftwin.dynamics.status import Status
+    from pftwin.results.verdict import INVALID
 
     if not result.verdict.valid:
-        exit_flagged(f"{result.verdict.describe()} ({result.scene_name})")
+        exit_flagged(f"{result.scene_name} is {INVALID}")
     if inaccurate := result.status & Status.INACCURATE:
         exit_flagged(f"{inaccurate.describe()} ({result.scene_name})")
 

@@ -104,7 +104,7 @@ def equilibrium(*, knee: SceneOptions, json: JsonOption = None) -> None:
     from pftwin.dynamics.equilibrium_report import invalid_start
     from pftwin.dynamics.simulate import equilibrium as solve
     from pftwin.dynamics.status import Status
-    from pftwin.results.verdict import verdict_of
+    from pftwin.results.verdict import INVALID, verdict_of
 
     name = chosen.scene.name
     with spinner(f"solving for the equilibrium of {name}"):
@@ -124,7 +124,7 @@ def equilibrium(*, knee: SceneOptions, json: JsonOption = None) -> None:
     if not report.converged:
         exit_flagged(f"{name}: no equilibrium was found; try: a start pose nearer to where the patella rests")
     if not verdict.valid:
-        exit_flagged(f"{verdict.describe()} ({name})")
+        exit_flagged(f"{name} is {INVALID}")
 
 
 def _reported(report: EquilibriumReport, scene: Scene) -> list[tuple[str, str]]:

@@ -147,6 +147,17 @@ def test_validate_shows_the_rows_of_table_1(toy: Path, tmp_path: Path) -> None:
     assert " ".join(result.output.split()).count(said) == 1
 
 
+@pytest.mark.parametrize("command", ["simulate", "equilibrium", "validate"])
+def test_why_a_motion_is_invalid_is_said_once(toy: Path, tmp_path: Path, command: str) -> None:
+    """The equilibrium is farther from the start of the file than a limit allows."""
+    options = {"simulate": ("-o", tmp_path / "o.nc", *STEP), "equilibrium": (), "validate": STEP}[command]
+    result = pftwin("--allow", "most_start_turn_deg=0.001", command, toy, *options)
+    assert result.exit_code == 3, result.output
+    assert result.stdout.startswith("INVALID: the equilibrium is ")
+    assert " ".join(result.output.split()).count("most_start_turn_deg") == 1
+    assert "flagged: toy is INVALID" in result.stderr
+
+
 def test_validate_doubts_forces_in_another_unit(toy: Path, tmp_path: Path) -> None:
     """A contact force of some 20 N in a column of kilonewtons: the doubt comes first, and the exit code is 3."""
     rows = "".join(f"{0.01 * k:.2f},{20 + k / 10:.1f}\n" for k in range(41))

@@ -92,6 +92,12 @@ def test_one_rule_for_one_motion_and_for_many():
     assert 0 < sum(alone) < 300
 
 
+def test_a_summary_gives_the_reason_of_its_verdict_once():
+    invalid = flagged({Status.INACCURATE: 20, Status.FACETS_INACCURATE: 2}).summary()
+    assert invalid.count(Status.INACCURATE.describe()) == 1  # in the verdict, and not once more as a status
+    assert f"status: 2 of 41 frames: {Status.FACETS_INACCURATE.describe()}" in invalid
+
+
 def test_a_harmless_remark_is_the_last_line():
     lines = flagged({Status.LEFT_PATCH: 3}).summary().splitlines()
     assert lines[-1].startswith("remark: 3 of 41 frames: a loaded contact lies outside the fitted surface")

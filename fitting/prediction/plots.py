@@ -24,10 +24,10 @@ if TYPE_CHECKING:
 BAND = (0.025, 0.975)  # quantiles over samples: 95 %
 MOST_FAILED = 0.1  # share of failed draws beyond which a band must not be used
 PANELS = (
-    ("largest_offset", 1e3, "off the groove's bottom, largest [mm]"),
-    ("peak_contact_force", 1.0, "contact force, peak [N]"),
-    ("mean_tilt", 1.0, "tilt, mean, lateral positive [deg]"),
-    ("medial_share", 100.0, "share of force on the medial facet [%]"),
+    ("largest_offset", 1e3, "largest distance off\nthe groove's bottom [mm]"),
+    ("peak_contact_force", 1.0, "peak contact force [N]"),
+    ("mean_tilt", 1.0, "mean tilt,\nlateral positive [deg]"),
+    ("medial_share", 100.0, "share of force on\nthe medial facet [%]"),
 )
 _MOST_LINES = 6
 
@@ -99,12 +99,12 @@ def outcome_figure(data: Dataset, title: str | None = None, *, axes: Any = None)
         if own is None:
             figure, own = style.panels_in_rows(len(PANELS), 2, height=2.45)
             style.title(figure, title or data.attrs["title"])
-            style.footer(figure, _note(data))
+            style.footer(figure, _note(data) or None)
         for ax, (outcome, scale, label) in zip(own, PANELS, strict=True):
             for i, (name, rows) in enumerate(_lines(data, names)):
                 _draw(ax, data, names[0], outcome, scale, rows, name, i)
             ax.set_ylabel(label, fontsize=style.SMALL)
-            ax.set_xlabel(axis)
+            ax.set_xlabel(axis, fontsize=style.SMALL)
         threshold = 1e3 * data.attrs["threshold"]
         own[0].axhline(threshold, color="black", linewidth=0.8, linestyle=":")
         own[0].annotate(
@@ -118,7 +118,7 @@ def outcome_figure(data: Dataset, title: str | None = None, *, axes: Any = None)
 
 
 def _note(data: Dataset) -> str:
-    parts = ["crosses: dislocated"]
+    parts = ["crosses: dislocated"] if (_by_estimate(data)["dislocations"] > 0).any() else []
     if "sample" in data.dims:
         lost = int(draws_failed(data).sum())
         without = f", less {lost} of all variants together that did not run" if lost else ""

@@ -178,6 +178,27 @@ def test_response_curves_are_the_outcomes_and_bands_their_quantiles(prediction):
     assert "95 % of 40 draws from the estimate" in said
     assert "synthetic measurements" in said
     assert all("[" in ax.get_ylabel() for ax in figure.axes)
+    assert said.startswith("crosses: dislocated; ")
+
+
+def test_crosses_are_explained_only_where_there_are_any(prediction):
+    (below,) = footers(outcome_figure(prediction.isel(variant=[1, 2, 3])))
+    assert "crosses" not in below.get_text()
+
+
+@pytest.mark.parametrize("height", [None, 4.8])  # as of the report
+def test_labels_are_no_longer_than_their_axes(prediction, height):
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    figure = outcome_figure(prediction)
+    if height is not None:
+        figure.set_size_inches(figure.get_figwidth(), height)
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    for ax in figure.axes:
+        for axis, side in ((ax.yaxis, "height"), (ax.xaxis, "width")):
+            written = getattr(axis.label.get_window_extent(canvas.get_renderer()), side)
+            assert written <= getattr(ax.bbox, side), axis.label.get_text()
 
 
 def test_a_prediction_without_a_varying_amount_is_refused(prediction):

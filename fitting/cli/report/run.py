@@ -83,10 +83,23 @@ class ReportedRun:
     @property
     def marks(self) -> list[tuple[int, str]]:
         """Number of frames with each flag, and the flag in words; flags that do not affect the verdict come last."""
+        return [mark for remark in (False, True) for mark in self._marks(remark=remark)]
+
+    @property
+    def remarks(self) -> list[str]:
+        """What a summary of the result calls remarks: flags that do not affect the verdict, with their frames."""
+        return [f"{count} of {self.data.sizes['time']} frames: {words}" for count, words in self._marks(remark=True)]
+
+    @property
+    def flagged(self) -> bool:
+        """Whether any frame has a flag that is not a remark."""
+        return bool(self._marks(remark=False))
+
+    def _marks(self, *, remark: bool) -> list[tuple[int, str]]:
         status, about = self.data["status"].values, self.data["status"].attrs
         words = np.atleast_1d(about.get("flag_descriptions", str(about.get("flag_meanings", "")).split()))
-        flags = sorted(zip(np.atleast_1d(about.get("flag_masks", [])), words, strict=True), key=_is_remark)
-        counts = ((int(np.count_nonzero(status & int(mask))), str(text)) for mask, text in flags)
+        flags = zip(np.atleast_1d(about.get("flag_masks", [])), words, strict=True)
+        counts = ((int(np.count_nonzero(status & int(m))), str(text)) for m, text in flags if _is_remark(m) == remark)
         return [(count, text) for count, text in counts if count]
 
     @cached_property
@@ -112,5 +125,5 @@ class ReportedRun:
         )
 
 
-def _is_remark(flag: tuple[Any, str]) -> bool:
-    return bool(int(flag[0]) & REMARKS)
+def _is_remark(mask: Any) -> bool:
+    return bool(int(mask) & REMARKS)

@@ -15,6 +15,7 @@ from fitting.cli.report.command import report_page as report
 from fitting.cli.report.material import Material
 from fitting.cli.report.run import ReportedRun
 from fitting.nuisance import Nuisance
+from pftwin.dynamics.status import Status
 from pftwin.model.measured import SYNTHETIC
 
 
@@ -102,6 +103,37 @@ def test_flagged_frames_are_counted(file):
     ((frames, words),) = run.marks
     assert frames == 3
     assert f"3 of 41 frames: {words}" in words_of(material).text
+
+
+def of_flag(path, flag: Status, frames: int, name: str | None = None) -> ReportedRun:
+    """The run of a file with a flag in its first frames, and no other."""
+    run = ReportedRun.of_file(path, name)
+    run.data["status"].values[:] = np.where(np.arange(41) < frames, int(flag), 0)
+    return run
+
+
+def verdict_in(text: str) -> str:
+    """The words between the headings of the verdict and of the view."""
+    return " ".join(text.partition("Verdict")[2].partition("The knee")[0].split())
+
+
+def test_a_remark_stands_with_the_verdict(file):
+    """As in the summary of `pftwin simulate`; frames with another flag are referred to."""
+    run = of_flag(file, Status.LEFT_PATCH, 3)
+    text = words_of(Material(file, "remarked", runs=[run], files=[file])).text
+    assert verdict_in(text).endswith(f"Remark: 3 of 41 frames: {Status.LEFT_PATCH.describe()}.")
+    assert "Some frames of" not in text
+    run = of_flag(file, Status.INACCURATE, 2)
+    text = words_of(Material(file, "flagged", runs=[run], files=[file])).text
+    assert "Remark" not in text
+    assert f"Some frames of {run.name} are flagged: see Data quality." in text
+
+
+def test_the_verdict_on_several_valid_motions_is_said_once(file):
+    runs = [of_flag(file, Status.OK, 0, name) for name in ("nominal", "fitted")]
+    said = verdict_in(words_of(Material(file, "two", runs=runs, files=[file])).text)
+    assert said.startswith("Valid: nominal and fitted. nominal: ")
+    assert said.count("Valid") == 1
 
 
 def test_the_fit_with_its_intervals_and_sentence(fit_seen):

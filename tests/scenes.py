@@ -230,11 +230,11 @@ def run(scene: Scene, start: Solution, substeps: int = 10):
 
 def starting_as_it_is(scene: Scene) -> Solution:
     """The scene's own start pose in the place of an equilibrium, of whose types it is: programs serve both."""
-    return _as_it_is(at_start(scene))
+    return eqx.filter_jit(traced_as_it_is)(at_start(scene))
 
 
-@eqx.filter_jit
-def _as_it_is(scene: Scene) -> Solution:
+def traced_as_it_is(scene: Scene) -> Solution:
+    """`starting_as_it_is` of a scene that may be traced."""
     pose = scene.center_of_mass_pose()
     still = first_guide(scene).instant(Patella.at_rest(pose.position, pose.orientation), 0.0)
     made = Solution(pose, System.of(scene).remember(still), J(0.0), J(0), jnp.zeros((6, 6)), J(0.0))

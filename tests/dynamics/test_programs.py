@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from scenes import J, contact, flat_patch, knee, starting_as_it_is
+from scenes import J, contact, flat_patch, knee, traced_as_it_is
 
 from pftwin.dynamics.frame_states import first_guide, frame_states
 from pftwin.dynamics.state import System
@@ -36,7 +36,7 @@ def program(scene: Scene):
 
     def move(arrays):
         scene = eqx.combine(arrays, static)
-        return frame_states(scene, start=starting_as_it_is(scene)).states.position
+        return frame_states(scene, start=traced_as_it_is(scene)).states.position
 
     return jax.make_jaxpr(move)(arrays).jaxpr
 

@@ -120,7 +120,7 @@ class Page:
     def _legend_text(self) -> str:
         motions, colours = self._shown_motions()
         lines = [*notes([self._before.recorded], self.newtons), *self._notes, words.NOT_FOR_PATIENTS]
-        return words.with_margins(legend([m.recorded for m in motions], colours, lines).replace("max-width:290px", ""))
+        return words.with_margins(legend([m.recorded for m in motions], colours, lines))
 
     def _sliders(self) -> dict[str, Any]:
         """Adds a slider for every knob, in folders; `_offer` hides those that do not apply to a model."""

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pftwin.base.arrays import Floats
 from pftwin.results.plots import COLOURS
 from pftwin.results.viewer import bones, knee, page
 from pftwin.results.viewer.knee import k3d, paler, time_series
@@ -17,13 +19,15 @@ if TYPE_CHECKING:
     from k3d.objects import Drawable
     from k3d.plot import Plot
 
-DISTANCE = 370.0  # of the camera [mm]
-ANGLE = 30.0  # vertical field of view [deg]
-KNEE = 110.0  # minimum width of the view for one knee [mm]
+DISTANCE = 370.0  # of the camera, for a vertical field of view of 30 deg [mm]
+ANGLE = 1.0  # vertical field of view of the page [deg]: nearly parallel, so that like knees side by side look alike
+PAN_SPEED = 0.3 * np.tan(np.radians(ANGLE / 2)) / np.tan(np.radians(15.0))  # k3d multiplies it by the distance
+HEIGHT = {"one": 198.0, "several": 250.0}  # minimum height of the view, of one knee or several side by side [mm]
+JOINT = 50.0  # the part of the femur that views show whole: above and below the middle of the patella's path [mm]
 GAP = 130.0  # between knees side by side [mm]
 # Direction from the joint to the camera, and the up direction: femur axes x proximal, y lateral, z anterior.
 _FROM = {
-    "anterior": ((0.12, 0.12, 1.0), (1, 0, 0)),
+    "anterior": ((0.12, 0.0, 1.0), (1, 0, 0)),
     "lateral": ((0.05, 1.0, 0.15), (1, 0, 0)),
     "medial": ((0.05, -1.0, 0.15), (1, 0, 0)),
     "skyline": ((-1.0, 0.0, 0.25), (0, 0, 1)),
@@ -33,20 +37,19 @@ _ROUND = (1.0, 2.0, 5.0)
 ROOM = [-250.0, -100.0, -200.0, 300.0, 100.0, 150.0]  # bounding box for k3d's camera [mm]
 ALIKE = 2.0  # tibias whose origins, and points 100 mm away, differ by less are drawn once [mm]
 MOST = 0.98  # quantile of the forces that counts as large
-SIDE = 68.0  # distance of the words "lateral" and "medial" from the middle [mm]
+SIDE = 5.0  # distance of the words "lateral" and "medial" from the joint and from the patella's whole path [mm]
+_PATELLA = ("patella", "patella (schematic)", "button")
+_FEMUR = ("femur", "femur (schematic)")
+_POINTS = 500  # of a part, approximately, of which the extent is taken
 
 
-def views(result: Recorded, width: float = 0.0) -> dict[str, list[float]]:
-    """Returns cameras by name: position, target and up direction, nine numbers each [mm].
-
-    Knees side by side over a `width` [mm] have more distant cameras and no side views, where one would hide the others.
-    """
+def views(result: Recorded, names: Sequence[str] = tuple(_FROM)) -> dict[str, list[float]]:
+    """Returns cameras by name: position, target and up direction, nine numbers each [mm]."""
     center = MM * np.nanmean(result.data["sphere_center"].values, axis=0)
     target = np.array([center[0] + 8.0, center[1] * 0.5, center[2] - 12.0])
     found = {}
-    names = ("anterior", "skyline") if width else _FROM
     for name, (toward, up) in ((n, _FROM[n]) for n in names):
-        place = target + (DISTANCE + width) * np.asarray(toward) / np.linalg.norm(toward)
+        place = target + DISTANCE * np.asarray(toward) / np.linalg.norm(toward)
         found[name] = [float(v) for v in (*place, *target, *up)]
     return found
 
@@ -65,8 +68,10 @@ def plot(results: Sequence[Recorded], *, side_by_side: bool = False) -> tuple[Pl
     most = max((float(p.color_range[1]) for p in _coloured(own)), default=None)
     said = page.notes(results, newtons, most)
     times = np.unique(np.round(np.concatenate([r.times for r in results]), 4))
-    aside = GAP * (len(results) - 1) if apart else 0.0
-    shown = views(results[0], aside)
+    several = apart and len(results) > 1
+    # Side by side there are no side views, where one knee would hide the others.
+    shown = views(results[0], ("anterior", "skyline") if several else tuple(_FROM))
+    corners = _extent([*shared, *(part for parts in own for part in parts)], shown["anterior"][3])
     made = k3d().plot(
         background_color=0xFFFFFF,
         grid_visible=False,
@@ -75,16 +80,17 @@ def plot(results: Sequence[Recorded], *, side_by_side: bool = False) -> tuple[Pl
         colorbar_object_id=0,  # no colour bar: the legend states the scale
         grid=_room(len(results) if apart else 1),
         camera_fov=ANGLE,
+        camera_pan_speed=PAN_SPEED,
         axes_helper=0.0,
         lighting=1.4,
         height=680,
         time=float(times[0]),
         name=page.title(results),
-        camera=shown["anterior"],
+        camera=[],  # the controls set it, to fit the page; k3d would set one given here again, after them
     )
     for drawn in [*shared, *(part for parts in own for part in parts)]:
         made += drawn
-    for label in _sides(shown, len(results) if apart else 1):
+    for label in _sides(shown["anterior"][3:6], corners):
         made += label
     made += _text_label("legend", page.legend(results, codes, said), (0.01, 0.015), "lt")
     numbers = time_series(times, [page.readout(results, codes, t) for t in times])
@@ -94,12 +100,13 @@ def plot(results: Sequence[Recorded], *, side_by_side: bool = False) -> tuple[Pl
         "end": float(times[-1]),
         "views": shown,
         "angle": ANGLE,
-        "width": KNEE + aside,
+        "height": HEIGHT["several" if several else "one"],
+        "extent": corners.tolist(),
         "results": [
             {"name": r.name, "colour": c, "ids": [p.id for p in parts]}
             for r, c, parts in zip(results, codes, own, strict=True)
         ],
-        "patellae": [p.id for parts in own for p in parts if p.name in ("patella", "patella (schematic)", "button")],
+        "patellae": [p.id for parts in own for p in parts if p.name in _PATELLA],
     }
     return made, control
 
@@ -166,12 +173,37 @@ def _room(count: int) -> list[float]:
     return [ROOM[0], ROOM[1] - aside, ROOM[2], ROOM[3], ROOM[4] + aside, ROOM[5]]
 
 
-def _sides(shown: dict[str, list[float]], count: int) -> list[Drawable]:
-    """The labels "lateral" and "medial" beside the knees."""
-    x, _, z = shown["anterior"][3:6]
-    look = {"color": 0x888888, "size": 0.9, "is_html": True, "label_box": False, "reference_point": "cc"}
-    words = [("lateral", _place(0, count) + SIDE), ("medial", _place(count - 1, count) - SIDE)]
-    return [k3d().text(page.side(side), position=[x, y, z], name=side, **look) for side, y in words]
+def _extent(drawn: Sequence[Any], middle: float) -> Floats:
+    """Corners (k, 3) [mm] of boxes round what a view is to show whole: the femur near the joint, and the patella in all
+    frames.
+
+    Args:
+        drawn: the plot's objects.
+        middle: height of the joint [mm].
+    """
+    boxes = []
+    for part in drawn:
+        if part.name not in (*_FEMUR, *_PATELLA):
+            continue
+        found = part.vertices[:: max(len(part.vertices) // _POINTS, 1)]
+        if part.name in _FEMUR:
+            found = found[np.abs(found[:, 0] - middle) < JOINT]
+        matrix = part.model_matrix
+        poses = np.stack(list(matrix.values())) if isinstance(matrix, dict) else np.asarray(matrix)[None]
+        placed = np.einsum("nij,vj->nvi", poses[:, :3, :3], found) + poses[:, None, :3, 3]
+        boxes.append(np.stack([placed.min(axis=(0, 1)), placed.max(axis=(0, 1))]))
+    return np.array([corner for box in boxes for corner in product(*box.T)], dtype=np.float64).round(1)
+
+
+def _sides(middle: Sequence[float], corners: Floats) -> list[Drawable]:
+    """The labels "lateral" and "medial" beside the knees; in the anterior view lateral is on the left."""
+    look = {"color": 0x888888, "size": 0.9, "is_html": True, "label_box": False}
+    words = [("lateral", corners[:, 1].max() + SIDE, "rc"), ("medial", corners[:, 1].min() - SIDE, "lc")]
+    x, _, z = middle
+    return [
+        k3d().text(page.side(side), position=[x, float(y), z], name=side, reference_point=edge, **look)
+        for side, y, edge in words
+    ]
 
 
 def per_centimetre(results: Sequence[Recorded]) -> float:

@@ -135,9 +135,11 @@ def _page(html: Path, size: tuple[int, int]) -> Iterator[Any]:
                 remedy="playwright install chromium",
             ) from error
         try:
-            shown = browser.new_context(viewport={"width": size[0], "height": size[1] + 88}, offline=True).new_page()
+            shown = browser.new_context(viewport={"width": size[0], "height": size[1]}, offline=True).new_page()
             shown.goto(html.as_uri())
             shown.wait_for_function("document.querySelector('.pftwin')?.viewer !== undefined", timeout=_PATIENCE)
+            bar = int(shown.evaluate("document.querySelector('.pftwin').offsetHeight"))
+            shown.set_viewport_size({"width": size[0], "height": size[1] + bar})
             yield shown
         except Error as error:
             raise InputError(

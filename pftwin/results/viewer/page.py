@@ -59,12 +59,13 @@ def side(name: str) -> str:
 def legend(results: Sequence[Recorded], codes: Sequence[str], said: Sequence[str]) -> str:
     """Returns the legend as HTML: names with their colours, and the notes."""
     rows = [
-        f"<div><span style='display:inline-block;width:11px;height:11px;margin-right:6px;background:{code}'></span>"
-        f"<b>{escape(r.name)}</b></div>"
+        "<span style='display:inline-block;margin-right:12px'>"
+        f"<span style='display:inline-block;width:11px;height:11px;margin-right:6px;background:{code}'></span>"
+        f"<b>{escape(r.name)}</b></span>"
         for r, code in zip(results, codes, strict=True)
     ]
     small = "".join(f"<div style='font-size:11px;color:#555'>{escape(line)}</div>" for line in said)
-    return f'<div style="{_BOX};max-width:290px">{"".join(rows)}{small}</div>'
+    return f'<div class="pftwin-legend" style="{_BOX}">{"".join(rows)}{small}</div>'
 
 
 def readout(results: Sequence[Recorded], codes: Sequence[str], time: float) -> str:
@@ -84,8 +85,9 @@ def readout(results: Sequence[Recorded], codes: Sequence[str], time: float) -> s
         ]
         rows.append(f"<tr>{''.join(cells)}</tr>")
     head = "".join(f"<td style='{_RIGHT};color:#555'>{h}</td>" for h in ("flexion", "tilt", "shift", "contact"))
-    table = f"<table style='border-spacing:0;font:inherit'><tr><td></td>{head}<td></td></tr>{''.join(rows)}</table>"
-    return f'<div style="{_BOX};font-variant-numeric:tabular-nums"><b>{time:.2f} s</b>{table}</div>'
+    first = f"<tr><td style='padding-right:8px;white-space:nowrap'><b>{time:.2f} s</b></td>{head}<td></td></tr>"
+    table = f"<table style='border-spacing:0;font:inherit'>{first}{''.join(rows)}</table>"
+    return f'<div class="pftwin-numbers" style="{_BOX};font-variant-numeric:tabular-nums">{table}</div>'
 
 
 def _cell(value: float, unit: str, digits: int) -> str:

@@ -169,6 +169,19 @@ def test_results_are_overlaid_in_colours_with_the_bones_once():
     assert not own[0] & own[1]
 
 
+@pytest.mark.parametrize("side_by_side", [False, True])
+def test_lateral_and_medial_are_written_beyond_the_patella(result, side_by_side):
+    """The patella's bone is 30 mm wide or more; side by side the first knee is 65 mm lateral of the middle."""
+    position = result.position.copy()
+    position[[5, 30], 1] += [0.06, -0.09]
+    drawn = view({"one": dataclasses.replace(result, position=position), "two": result}, side_by_side=side_by_side)
+    aside = 65.0 if side_by_side else 0.0
+    lateral, medial = (named(drawn, side) for side in ("lateral", "medial"))
+    assert lateral.position[1] > 1e3 * position[:, 1].max() + 15 + aside
+    assert medial.position[1] < min(1e3 * position[:, 1].min() - 15 + aside, 1e3 * result.position[:, 1].min() - aside)
+    assert (lateral.reference_point, medial.reference_point) == ("rc", "lc")  # the words extend away from the knees
+
+
 def test_a_component_that_was_moved_is_drawn_for_itself(result):
     scene = result.scene
     k = scene.index("contact")

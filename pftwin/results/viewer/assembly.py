@@ -98,6 +98,7 @@ def plot(results: Sequence[Recorded], *, side_by_side: bool = False) -> tuple[Pl
     control = {
         "begin": float(times[0]),
         "end": float(times[-1]),
+        "opening": opening(results),
         "views": shown,
         "angle": ANGLE,
         "height": HEIGHT["several" if several else "one"],
@@ -204,6 +205,18 @@ def _sides(middle: Sequence[float], corners: Floats) -> list[Drawable]:
         k3d().text(page.side(side), position=[x, float(y), z], name=side, reference_point=edge, **look)
         for side, y, edge in words
     ]
+
+
+def opening(results: Sequence[Recorded]) -> float:
+    """Returns the time at which a page opens [s]: that of the largest offset from the groove if a patella dislocates,
+    else the beginning."""
+    found = []
+    for result in results:
+        out, offset = result.series("dislocated"), result.series("groove_offset")
+        if out is not None and offset is not None and (out > 0).any():
+            far = np.where(out > 0, np.abs(offset), 0.0)
+            found.append((float(far.max()), float(result.times[np.argmax(far)])))
+    return max(found)[1] if found else float(min(r.times[0] for r in results))
 
 
 def per_centimetre(results: Sequence[Recorded]) -> float:

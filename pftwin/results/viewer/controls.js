@@ -197,6 +197,6 @@
     k3d.setMenuVisibility(false);
     k3d.resizeHelper();
     look('anterior');
-    show(control.begin);
+    show(control.opening);
     bar.viewer = { k3d, control, show, look, seeThrough, drawn: () => !busy };
 }(K3DInstance, /*CONTROL*/null));

@@ -182,6 +182,16 @@ def test_lateral_and_medial_are_written_beyond_the_patella(result, side_by_side)
     assert (lateral.reference_point, medial.reference_point) == ("rc", "lc")  # the words extend away from the knees
 
 
+def test_a_page_opens_where_a_dislocated_patella_is_farthest(result):
+    one = Recorded.of(result)
+    offset, out = np.zeros(one.times.size), np.zeros(one.times.size)
+    assert plot([one])[1]["opening"] == one.times[0]
+    offset[[3, 20, 25]], out[15:30] = [0.05, -0.03, 0.02], 1  # the largest while it is out is in frame 20
+    data = one.data.assign(groove_offset=("time", offset), dislocated=("time", out))
+    gone = dataclasses.replace(one, name="gone", data=data)
+    assert plot([one, gone])[1]["opening"] == pytest.approx(0.20)
+
+
 def test_a_component_that_was_moved_is_drawn_for_itself(result):
     scene = result.scene
     k = scene.index("contact")

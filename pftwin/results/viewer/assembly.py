@@ -65,7 +65,9 @@ def plot(results: Sequence[Recorded], *, side_by_side: bool = False) -> tuple[Pl
     newtons = per_centimetre(results)
     apart = side_by_side or len(results) == 1
     shared, own = _apart(results, codes, newtons) if apart else _overlaid(results, codes, newtons)
-    most = max((float(p.color_range[1]) for p in _coloured(own)), default=None)
+    coloured = _coloured(own)
+    most = max((float(p.color_range[1]) for p in coloured), default=None)
+    bare = f"#{coloured[0].color:06X}" if coloured else None
     said = page.notes(results, newtons, most)
     times = np.unique(np.round(np.concatenate([r.times for r in results]), 4))
     several = apart and len(results) > 1
@@ -92,7 +94,7 @@ def plot(results: Sequence[Recorded], *, side_by_side: bool = False) -> tuple[Pl
         made += drawn
     for label in _sides(shown["anterior"][3:6], corners):
         made += label
-    made += _text_label("legend", page.legend(results, codes, said), (0.01, 0.015), "lt")
+    made += _text_label("legend", page.legend(results, codes, said, bare), (0.01, 0.015), "lt")
     numbers = time_series(times, [page.readout(results, codes, t) for t in times])
     made += _text_label("numbers", numbers, (0.99, 0.985), "rb")
     control = {

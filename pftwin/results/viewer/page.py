@@ -15,7 +15,7 @@ import numpy as np
 from pftwin.base.output import check_place
 from pftwin.base.text_files import write_text
 from pftwin.results.verdict import INVALID
-from pftwin.results.viewer.bones import tells_pressure
+from pftwin.results.viewer.bones import HOT, tells_pressure
 from pftwin.results.viewer.recorded import Recorded
 
 if TYPE_CHECKING:
@@ -56,8 +56,15 @@ def side(name: str) -> str:
     return f"<span style=\"font-family:system-ui,'Segoe UI',Helvetica,Arial,sans-serif\">{escape(name)}</span>"
 
 
-def legend(results: Sequence[Recorded], codes: Sequence[str], said: Sequence[str]) -> str:
-    """Returns the legend as HTML: names with their colours, and the notes."""
+def legend(results: Sequence[Recorded], codes: Sequence[str], said: Sequence[str], bare: str | None = None) -> str:
+    """Returns the legend as HTML: names with their colours, and the notes.
+
+    Args:
+        results: the results shown.
+        codes: their colours.
+        said: the notes.
+        bare: colour of the femur without contact, which starts a colour bar below the notes; None without one.
+    """
     rows = [
         "<span style='display:inline-block;margin-right:12px'>"
         f"<span style='display:inline-block;width:11px;height:11px;margin-right:6px;background:{code}'></span>"
@@ -65,7 +72,9 @@ def legend(results: Sequence[Recorded], codes: Sequence[str], said: Sequence[str
         for r, code in zip(results, codes, strict=True)
     ]
     small = "".join(f"<div style='font-size:11px;color:#555'>{escape(line)}</div>" for line in said)
-    return f'<div class="pftwin-legend" style="{_BOX}">{"".join(rows)}{small}</div>'
+    stops = ",".join([bare or "", *(f"{code} {100 * share:g}%" for share, code in HOT)])
+    scale = f"<div style='width:130px;height:7px;margin:3px 0;background:linear-gradient(90deg,{stops})'></div>"
+    return f'<div class="pftwin-legend" style="{_BOX}">{"".join(rows)}{small}{"" if bare is None else scale}</div>'
 
 
 def readout(results: Sequence[Recorded], codes: Sequence[str], time: float) -> str:

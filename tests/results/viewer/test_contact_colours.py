@@ -12,7 +12,7 @@ from small_scene import small_result
 from pftwin.results.scene_geometry import geometry
 from pftwin.results.viewer import view
 from pftwin.results.viewer.assembly import plot
-from pftwin.results.viewer.bones import depths_on_femur
+from pftwin.results.viewer.bones import METAL, depths_on_femur
 from pftwin.results.viewer.recorded import Recorded
 
 pytest.importorskip("k3d", reason="the viewer needs the extra `viewer`")
@@ -85,6 +85,16 @@ def test_knees_side_by_side_have_one_scale_and_their_own_bones():
     for o, motion, way in zip(patellae, (deep, deeper), aside, strict=True):
         np.testing.assert_allclose(o.model_matrix["0.1000"][:3, 3], 1e3 * motion.position[10] + [0, way, 0], atol=1e-3)
     assert [o.name for o in drawn.objects].count("femur (schematic)") == 2
+
+
+def test_a_legend_of_colours_has_a_colour_bar():
+    """It starts with the colour of a component without contact, as METAL is drawn; overlaid knees have no colours."""
+    result = small_result()
+    deep = dataclasses.replace(result, position=result.position - [0, 0, 0.0005])
+    for drawn, bars in ((view(deep), 1), (view({"one": deep, "two": result}), 0)):
+        legend = next(o.text for o in drawn.objects if o.name == "legend")
+        assert legend.count("linear-gradient") == legend.count("Colours on the femur") == bars
+        assert legend.upper().count(f"{METAL},#F2C14E 25%,#E4572E 60%,#7A0C2E 100%") == bars
 
 
 def test_layers_tell_their_pressure_at_a_depth():

@@ -16,7 +16,8 @@ from fitting.cli.live.knobs import GROUPS, KNOBS
 from fitting.cli.live.motion import AS_SET, Band, Shown, ShownMotion
 from fitting.cli.live.words import AFTER, BEFORE
 from fitting.prediction.predicting import reservations
-from pftwin.results.viewer.assembly import per_centimetre, views
+from pftwin.results.viewer.assembly import per_centimetre
+from pftwin.results.viewer.framing import views
 from pftwin.results.viewer.page import legend, notes, readout
 
 if TYPE_CHECKING:

@@ -17,7 +17,7 @@ from fitting.cli.live.engine import Engine
 from fitting.cli.live.session import Session
 from fitting.cli.live.threads import Worker
 from pftwin.base.errors import MissingExtraError
-from pftwin.results.viewer.assembly import views
+from pftwin.results.viewer.framing import views
 
 
 def viser() -> Any:

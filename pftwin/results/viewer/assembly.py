@@ -1,57 +1,28 @@
-"""Assembly of the 3D plot: objects of each result, shared bodies, legend, numbers and cameras."""
+"""Assembly of the 3D plot: objects of each result, shared bodies, legend and numbers, settings of the controls."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pftwin.base.arrays import Floats
 from pftwin.results.plots import COLOURS
 from pftwin.results.viewer import bones, knee, page
+from pftwin.results.viewer.framing import ANGLE, HEIGHT, PAN_SPEED, PATELLA, extent, opening, sides, views
 from pftwin.results.viewer.knee import k3d, paler, time_series
 from pftwin.results.viewer.recorded import Mesh, Recorded
-from pftwin.results.viewer.shapes import MM
 
 if TYPE_CHECKING:
     from k3d.objects import Drawable
     from k3d.plot import Plot
 
-DISTANCE = 370.0  # of the camera, for a vertical field of view of 30 deg [mm]
-ANGLE = 1.0  # vertical field of view of the page [deg]: nearly parallel, so that like knees side by side look alike
-PAN_SPEED = 0.3 * np.tan(np.radians(ANGLE / 2)) / np.tan(np.radians(15.0))  # k3d multiplies it by the distance
-HEIGHT = {"one": 198.0, "several": 250.0}  # minimum height of the view, of one knee or several side by side [mm]
-JOINT = 50.0  # the part of the femur that views show whole: above and below the middle of the patella's path [mm]
 GAP = 130.0  # between knees side by side [mm]
-# Direction from the joint to the camera, and the up direction: femur axes x proximal, y lateral, z anterior.
-_FROM = {
-    "anterior": ((0.12, 0.0, 1.0), (1, 0, 0)),
-    "lateral": ((0.05, 1.0, 0.15), (1, 0, 0)),
-    "medial": ((0.05, -1.0, 0.15), (1, 0, 0)),
-    "skyline": ((-1.0, 0.0, 0.25), (0, 0, 1)),
-}
 LONGEST = 80.0  # approximate length of the arrow of a large force [mm]
 _ROUND = (1.0, 2.0, 5.0)
 ROOM = [-250.0, -100.0, -200.0, 300.0, 100.0, 150.0]  # bounding box for k3d's camera [mm]
 ALIKE = 2.0  # tibias whose origins, and points 100 mm away, differ by less are drawn once [mm]
 MOST = 0.98  # quantile of the forces that counts as large
-SIDE = 5.0  # distance of the words "lateral" and "medial" from the joint and from the patella's whole path [mm]
-_PATELLA = ("patella", "patella (schematic)", "button")
-_FEMUR = ("femur", "femur (schematic)")
-_POINTS = 500  # of a part, approximately, of which the extent is taken
-
-
-def views(result: Recorded, names: Sequence[str] = tuple(_FROM)) -> dict[str, list[float]]:
-    """Returns cameras by name: position, target and up direction, nine numbers each [mm]."""
-    center = MM * np.nanmean(result.data["sphere_center"].values, axis=0)
-    target = np.array([center[0] + 8.0, center[1] * 0.5, center[2] - 12.0])
-    found = {}
-    for name, (toward, up) in ((n, _FROM[n]) for n in names):
-        place = target + DISTANCE * np.asarray(toward) / np.linalg.norm(toward)
-        found[name] = [float(v) for v in (*place, *target, *up)]
-    return found
 
 
 def plot(results: Sequence[Recorded], *, side_by_side: bool = False) -> tuple[Plot, dict[str, Any]]:
@@ -71,15 +42,14 @@ def plot(results: Sequence[Recorded], *, side_by_side: bool = False) -> tuple[Pl
     said = page.notes(results, newtons, most)
     times = np.unique(np.round(np.concatenate([r.times for r in results]), 4))
     several = apart and len(results) > 1
-    # Side by side there are no side views, where one knee would hide the others.
-    shown = views(results[0], ("anterior", "skyline") if several else tuple(_FROM))
-    corners = _extent([*shared, *(part for parts in own for part in parts)], shown["anterior"][3])
+    shown = views(results[0], several=several)
+    corners = extent([*shared, *(part for parts in own for part in parts)], shown["anterior"][3])
     made = k3d().plot(
         background_color=0xFFFFFF,
         grid_visible=False,
         camera_auto_fit=False,
         grid_auto_fit=False,
-        colorbar_object_id=0,  # no colour bar: the legend states the scale
+        colorbar_object_id=0,  # not k3d's colour bar: the legend has one
         grid=_room(len(results) if apart else 1),
         camera_fov=ANGLE,
         camera_pan_speed=PAN_SPEED,
@@ -92,7 +62,7 @@ def plot(results: Sequence[Recorded], *, side_by_side: bool = False) -> tuple[Pl
     )
     for drawn in [*shared, *(part for parts in own for part in parts)]:
         made += drawn
-    for label in _sides(shown["anterior"][3:6], corners):
+    for label in sides(shown["anterior"][3:6], corners):
         made += label
     made += _text_label("legend", page.legend(results, codes, said, bare), (0.01, 0.015), "lt")
     numbers = time_series(times, [page.readout(results, codes, t) for t in times])
@@ -109,7 +79,7 @@ def plot(results: Sequence[Recorded], *, side_by_side: bool = False) -> tuple[Pl
             {"name": r.name, "colour": c, "ids": [p.id for p in parts]}
             for r, c, parts in zip(results, codes, own, strict=True)
         ],
-        "patellae": [p.id for parts in own for p in parts if p.name in _PATELLA],
+        "patellae": [p.id for parts in own for p in parts if p.name in PATELLA],
     }
     return made, control
 
@@ -174,51 +144,6 @@ def _room(count: int) -> list[float]:
     """Bounding box for k3d's camera [mm]."""
     aside = GAP * 0.5 * (count - 1)
     return [ROOM[0], ROOM[1] - aside, ROOM[2], ROOM[3], ROOM[4] + aside, ROOM[5]]
-
-
-def _extent(drawn: Sequence[Any], middle: float) -> Floats:
-    """Corners (k, 3) [mm] of boxes round what a view is to show whole: the femur near the joint, and the patella in all
-    frames.
-
-    Args:
-        drawn: the plot's objects.
-        middle: height of the joint [mm].
-    """
-    boxes = []
-    for part in drawn:
-        if part.name not in (*_FEMUR, *_PATELLA):
-            continue
-        found = part.vertices[:: max(len(part.vertices) // _POINTS, 1)]
-        if part.name in _FEMUR:
-            found = found[np.abs(found[:, 0] - middle) < JOINT]
-        matrix = part.model_matrix
-        poses = np.stack(list(matrix.values())) if isinstance(matrix, dict) else np.asarray(matrix)[None]
-        placed = np.einsum("nij,vj->nvi", poses[:, :3, :3], found) + poses[:, None, :3, 3]
-        boxes.append(np.stack([placed.min(axis=(0, 1)), placed.max(axis=(0, 1))]))
-    return np.array([corner for box in boxes for corner in product(*box.T)], dtype=np.float64).round(1)
-
-
-def _sides(middle: Sequence[float], corners: Floats) -> list[Drawable]:
-    """The labels "lateral" and "medial" beside the knees; in the anterior view lateral is on the left."""
-    look = {"color": 0x888888, "size": 0.9, "is_html": True, "label_box": False}
-    words = [("lateral", corners[:, 1].max() + SIDE, "rc"), ("medial", corners[:, 1].min() - SIDE, "lc")]
-    x, _, z = middle
-    return [
-        k3d().text(page.side(side), position=[x, float(y), z], name=side, reference_point=edge, **look)
-        for side, y, edge in words
-    ]
-
-
-def opening(results: Sequence[Recorded]) -> float:
-    """Returns the time at which a page opens [s]: that of the largest offset from the groove if a patella dislocates,
-    else the beginning."""
-    found = []
-    for result in results:
-        out, offset = result.series("dislocated"), result.series("groove_offset")
-        if out is not None and offset is not None and (out > 0).any():
-            far = np.where(out > 0, np.abs(offset), 0.0)
-            found.append((float(far.max()), float(result.times[np.argmax(far)])))
-    return max(found)[1] if found else float(min(r.times[0] for r in results))
 
 
 def per_centimetre(results: Sequence[Recorded]) -> float:

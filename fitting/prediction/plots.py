@@ -164,7 +164,7 @@ def _draw(
 
 
 _COLUMNS = (
-    ("largest_offset", 1e3, "off groove [mm]", ".1f"),
+    ("largest_offset", 1e3, "lateral of groove [mm]", ".1f"),
     ("mean_tilt", 1.0, "tilt [deg]", ".1f"),
     ("mean_shift", 1e3, "shift [mm]", ".1f"),
     ("peak_contact_force", 1.0, "peak force [N]", ".1f"),
@@ -179,11 +179,12 @@ def outcome_sheet(data: Dataset, most: int) -> Sheet:
     several = len(set(data["scene"].values)) > 1
     headings = [*(["scene"] if several else []), *headings, "dislocation", *(c[2] for c in _COLUMNS)]
     amounts = [in_shown_unit(data, n)[0] for n in names]
+    farthest = data["largest_offset"]
+    signed = data.assign(largest_offset=farthest.where(data["largest_lateral_offset"] >= farthest, -farthest))
+    outcomes = [(central_and_range(scale * signed[name]), form) for name, scale, _, form in _COLUMNS]
     lines, count = [], data.sizes["variant"]
-    sides = {"largest_offset": _sides(data)}
-    outcomes = [(central_and_range(f * data[n]), form, sides.get(n, [""] * count)) for n, f, _, form in _COLUMNS]
     for i in range(min(count, most)):
-        cells = [_band(found, i, form, side[i]) for found, form, side in outcomes]
+        cells = [_band(found, i, form) for found, form in outcomes]
         scene = [str(data["scene"].values[i])] if several else []
         lines.append((*scene, *(f"{a[i]:.4g}" for a in amounts), _dislocation(data, i), *cells))
     title = str(data.attrs.get("title", "Treatment prediction"))
@@ -194,17 +195,10 @@ def outcome_sheet(data: Dataset, most: int) -> Sheet:
     return Sheet(title, tuple(headings), tuple(lines), words=(), notes=notes, keys=keys)
 
 
-def _sides(data: Dataset) -> list[str]:
-    """To which side of its groove each variant's button strays most."""
-    first = _by_estimate(data)
-    lateral = first["largest_lateral_offset"].values >= first["largest_offset"].values
-    return [" lateral" if here else " medial" for here in lateral]
-
-
-def _band(found: tuple[Floats, Floats, Floats], i: int, form: str, side: str) -> str:
+def _band(found: tuple[Floats, Floats, Floats], i: int, form: str) -> str:
     value, low, high = (numbers[i] for numbers in found)
     band = f" ({low:{form}} to {high:{form}})" if np.isfinite(low) else ""
-    return f"{value:{form}}{side}{band}" if np.isfinite(value) else "-"
+    return f"{value:{form}}{band}" if np.isfinite(value) else "-"
 
 
 def _dislocation(data: Dataset, i: int) -> str:

@@ -183,8 +183,8 @@ def test_parameters_of_the_scene_have_their_units(fit_seen):
 def test_the_prediction_is_told_row_by_row(fit_seen):
     (row,) = fit_seen.rows["10"]
     assert row[0] == "none; 0 % of draws"
-    assert row[1].startswith("15.0 lateral (")  # 0.02 m less 5 steps of 1 mm
-    assert fit_seen.rows["20"][0][1].startswith("10.0 medial (")
+    assert row[1].startswith("15.0 (")  # 0.02 m less 5 steps of 1 mm
+    assert fit_seen.rows["20"][0][1].startswith("-10.0 (")
     assert "25.2 (" in row[4] or "25.3 (" in row[4]
     assert "Without dislocation from 10 mm of transfer medialisation on." in fit_seen.text
     assert "other parameters" not in fit_seen.text

@@ -11,7 +11,7 @@ from scenes import RADIUS, contact, fitted, flat_patch, look, patch_of, vec
 from scipy.optimize import minimize
 
 from pftwin import rig
-from pftwin.geometry.contact.facets import ASTRAY, FAN, SPACING, FollowedPoint, follow_facets, scan_facets
+from pftwin.geometry.contact.facets import ASTRAY, FAN, SPACING, FollowedPoint, follow_facets, followed, scan_facets
 from pftwin.geometry.patch.polynomial import PolynomialPatch, exponents
 from pftwin.model.effects.contact_law import Flores, Hertz
 
@@ -133,7 +133,7 @@ def test_a_converged_point_is_kept_where_the_fan_sees_no_minimum():
     middle = float(surface.chart.foot(c)[1])
     assert float(first) == float(last)
     assert true[1] - (middle + float(first) * radius) > ASTRAY * SPACING * radius  # or this shows nothing
-    place = FollowedPoint(J(true[0]), J(true[1]), J(1.0))
+    place = FollowedPoint(J(true[0]), J(true[1]), J(1.0), away(*true))
     found = eqx.filter_jit(follow_facets)(surface.unstacked(), c, J(radius), (place, place))
     nearest = min(found.medial, found.lateral, key=lambda p: float(p.distance))
     assert (float(nearest.u), float(nearest.v)) == pytest.approx(tuple(true), abs=1e-6)
@@ -215,9 +215,9 @@ def tracked(surface, c, starts, steps: int):
     def step(places, _):
         found = follow_facets(surface, c, J(RADIUS), places)
         points = found.medial, found.lateral
-        return tuple(FollowedPoint(p.u, p.v, p.settled) for p in points), jnp.stack([p.distance for p in points])
+        return tuple(map(followed, points)), jnp.stack([p.distance for p in points])
 
-    return jax.lax.scan(step, tuple(FollowedPoint(J(0.0), v, J(1.0)) for v in starts), None, steps)[1]
+    return jax.lax.scan(step, tuple(FollowedPoint(J(0.0), v, J(1.0), J(RADIUS)) for v in starts), None, steps)[1]
 
 
 @pytest.mark.parametrize("seen", [(-0.008,), (0.008,), (-0.008, 0.008)])
@@ -251,3 +251,31 @@ def test_neither_of_two_converged_points_leaves_for_a_minimum_that_only_the_fan_
     assert place > 0.2 * RADIUS
     assert min(-medial, lateral) - place > ASTRAY * SPACING * RADIUS  # or this shows nothing
     np.testing.assert_allclose(tracked(misread, c, (J(-place), J(place)), 12), distance, atol=1e-7)
+
+
+def test_a_point_without_contact_yields_to_a_facet_that_comes_near():
+    """The button slides medially on the lateral facet of a groove with a dent beyond it; its lateral point is still at
+    the dent's bottom, 3 mm away, when the medial facet touches.
+    """
+
+    def dented(u, v):
+        dents = ((0.00330601, -0.01375197, 0.0088673), (-0.00282506, 0.0189133, 0.00532728))
+        return 17.5184579 * v**2 + sum(a * np.exp(-(((v - c) / w) ** 2)) for a, c, w in dents)
+
+    patch = fitted(dented, 12, (0.024, 0.026))
+    path = np.array([(0.0, y, height_over(patch, y, 3e-5)) for y in np.linspace(3.6e-3, 2.5e-3, 12)])
+
+    @eqx.filter_jit
+    def ridden(path, places):
+        def step(places, c):
+            found = follow_facets(patch.unstacked(), vec(*c), J(RADIUS), places)
+            return (followed(found.medial), followed(found.lateral)), jnp.stack(
+                [found.medial.distance, found.lateral.distance]
+            )
+
+        return jax.lax.scan(step, places, path)[1]
+
+    starts = tuple(FollowedPoint(J(0.0), J(v), J(1.0), J(d)) for v, d in ((8.9e-3, RADIUS - 3e-5), (23.0e-3, 0.0243)))
+    deepest = [nearest(patch, c)[0] for c in path]
+    np.testing.assert_allclose(ridden(J(path), starts).min(axis=1), deepest, atol=2e-6)
+    assert nearest(patch, path[-1])[1] > 8.5e-3  # the medial facet, or this shows nothing

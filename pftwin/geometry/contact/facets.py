@@ -8,9 +8,9 @@ start would jump between them. Two points are tracked, each with one Newton step
 - Restarts: the distance is sampled on a coarse fan across the groove. If neither point is near the fan's first (medial)
   minimum, the medial point restarts there; the lateral point likewise at the last minimum. So an approaching facet is
   found before it touches. The fan may be wrong: it is coarse, and for a spline it samples a polynomial near it. So a
-  converged point leaves its minimum only towards its own side, and while the other point stays there. A point whose
-  minimum has vanished moves to the other point. If the distance still falls at the fan's end, as on a wall steeper than
-  the fan is wide, a point beyond the end is kept.
+  converged point that touches leaves its minimum only towards its own side, and while the other point stays there. A
+  point whose minimum has vanished moves to the other point. If the distance still falls at the fan's end, as on a wall
+  steeper than the fan is wide, a point beyond the end is kept.
 - Overlap counts once. If the button is also pressed in at the ridge between the two points, the contacts overlap, and
   the stored energy is V(medial) + V(lateral) - V(ridge): both in full where the ridge is not touched, that of one point
   where the other point and the ridge meet and vanish. So no force jumps where facets separate or merge. Forces are the
@@ -34,6 +34,7 @@ from pftwin.geometry.patch.closest import ClosestPoint, Surface, newton_step
 SPACING = 0.11  # of the fan's samples across the groove, in radii
 FAN = tuple(SPACING * k for k in range(-6, 7))  # positions of the samples, in radii from the sphere's centre
 LONGEST = 0.12  # longest Newton step, in radii
+NEAR = 0.03  # clearance, in radii, below which a converged point is kept against the fan
 MERGED = 0.02  # separation, in radii, below which two points count as one
 REACH = 2.2  # validity of the polynomial through five samples, in spacings from the fan's middle
 FLAT = 1e-10  # a much lower ridge does not count [m]
@@ -48,6 +49,12 @@ class FollowedPoint(NamedTuple):
     u: Scalar
     v: Scalar
     settled: Scalar  # 1 if it had converged to a minimum, else 0; a float, which XLA fuses with its neighbours
+    distance: Scalar  # of the sphere's centre from it at the last step [m]
+
+
+def followed(p: ClosestPoint, du: Scalar | float = 0.0, dv: Scalar | float = 0.0) -> FollowedPoint:
+    """A closest point to start from at the next step, moved along with the sphere by (du, dv) [m]."""
+    return FollowedPoint(p.u + du, p.v + dv, p.settled, stop_gradient(p.distance))
 
 
 class Ridge(NamedTuple):
@@ -83,20 +90,23 @@ def follow_facets(surface: Surface, c: Vec3, radius: Scalar, places: tuple[Follo
     astray = ASTRAY * SPACING * radius
     in_order = places[0].v <= places[1].v
     together = jnp.abs(places[1].v - places[0].v) < MERGED * radius
-    starts, converged = [], [p.settled > 0 for p in places]  # and stays there
+    starts = []
+    # Whether a point is at a minimum that touches, or may in a moment, and stays there. One that does not touch would
+    # keep both points from a new facet.
+    needed = [(p.settled > 0) & (p.distance < (1 + NEAR) * radius) for p in places]
     for k, (own, other, sample) in enumerate(zip(places, places[::-1], seen, strict=True)):
         fan_v = surface.clipped(middle + sample * radius)
         at_end = [jnp.abs(fan_v - end) < 0.5 * SPACING * radius for end in ends]
         far, other_far = (_too_far(surface.clipped(p.v) - fan_v, at_end, astray) for p in (own, other))
         outward = fan_v < own.v if k == 0 else fan_v > own.v
-        new = far & other_far & ~(converged[k] & ~(outward & together & converged[1 - k]))
-        converged[k] &= ~new
-        # If only the other point is near the fan's minimum, keep a converged own minimum, which may be too shallow for
-        # the fan; else join the other point, which is more exact than the fan.
-        joins = far & ~other_far & ~(converged[k] & (in_order | ~converged[1 - k]))
+        new = far & other_far & ~(needed[k] & ~(outward & together & needed[1 - k]))
+        needed[k] &= ~new
+        # If only the other point is near the fan's minimum, keep an own minimum that is needed, and may be too shallow
+        # for the fan; else join the other point, which is more exact than the fan.
+        joins = far & ~other_far & ~(needed[k] & (in_order | ~needed[1 - k]))
         u = jnp.where(new, near, jnp.where(joins, other.u, own.u))
         v = jnp.where(new, fan_v, jnp.where(joins, other.v, own.v))
-        starts.append(FollowedPoint(u, v, own.settled))
+        starts.append(FollowedPoint(u, v, own.settled, own.distance))
     # A minimum that has just split off from the common one is too near for the fan to resolve.
     spacing = SPACING * radius
     apart = stop_gradient(_other_minimum(section, (0.5 * (starts[0].v + starts[1].v) - middle) / spacing))

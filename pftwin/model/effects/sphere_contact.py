@@ -15,7 +15,15 @@ import jax.numpy as jnp
 from pftwin.base.leaves import traced_once
 from pftwin.base.quantities import quantity
 from pftwin.base.spatial import Scalar, Vec3
-from pftwin.geometry.contact.facets import MERGED, Facets, FollowedPoint, facets_from, follow_facets, medial_of_groove
+from pftwin.geometry.contact.facets import (
+    MERGED,
+    Facets,
+    FollowedPoint,
+    facets_from,
+    follow_facets,
+    followed,
+    medial_of_groove,
+)
 from pftwin.geometry.patch.closest import ClosestPoint, Surface
 from pftwin.model.effects.base import Instant, Load, Observable
 from pftwin.model.effects.contact import BY_FACET, ButtonSphere, Contact, Touch, facet_report, load_of
@@ -54,7 +62,7 @@ class SphereContact(ButtonSphere):
     def guess(self, now: Instant) -> ContactMemory:
         """See `Effect`: both points start below the sphere's centre; no contact has begun."""
         c, _ = self.centre_in_chart(now)
-        foot = FollowedPoint(*self.surface.chart.foot(c), jnp.zeros_like(c.x))
+        foot = FollowedPoint(*self.surface.chart.foot(c), jnp.zeros_like(c.x), jnp.zeros_like(c.x))
         return ContactMemory((foot, foot), self.law.no_contact_yet(now.patella.position.x, 2))
 
     def remember(self, now: Instant) -> ContactMemory:
@@ -63,8 +71,7 @@ class SphereContact(ButtonSphere):
 
         def improve(_: Scalar, places: tuple[FollowedPoint, FollowedPoint]) -> tuple[FollowedPoint, FollowedPoint]:
             found = follow_facets(self.surface, c, self.radius, places)
-            medial, lateral = (FollowedPoint(p.u, p.v, p.settled) for p in (found.medial, found.lateral))
-            return medial, lateral
+            return followed(found.medial), followed(found.lateral)
 
         start = self.guess(now)
         return start._replace(places=jax.lax.fori_loop(0, SEARCH_STEPS, improve, start.places))
@@ -106,7 +113,7 @@ class SphereContact(ButtonSphere):
             overlap = less * self.law.elastic_ratio(on_ridge)
             bears, stores = 1 - overlap, 1 - overlap * on_ridge
             touches.append(self.touch(now, p, normal, -p.normal.dot(velocity), speed, bears, stores))
-            places.append(FollowedPoint(p.u + p.drift_u.dot(way), p.v + p.drift_v.dot(way), p.settled))
+            places.append(followed(p, p.drift_u.dot(way), p.drift_v.dot(way)))
         (one, two), (medial, lateral) = touches, places
         return one, two, ContactMemory((medial, lateral), load_of([one.push, two.push])[1])
 

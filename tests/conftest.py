@@ -6,6 +6,7 @@ import gc
 import os
 from pathlib import Path
 
+import hypothesis
 import jax
 import pytest
 
@@ -20,6 +21,8 @@ jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.0)
 jax.config.update("jax_traceback_in_locations_limit", 0)  # where an operation was written: nobody reads it in a program
 jax.config.update("jax_numpy_dtype_promotion", "strict")
 jax.config.update("jax_numpy_rank_promotion", "raise")
+hypothesis.settings.register_profile("pftwin", deadline=None)  # a busy machine is no failure
+hypothesis.settings.load_profile("pftwin")
 gc.set_threshold(100_000, 20, 20)  # tracing makes many objects, little garbage: looking for it took a tenth of the time
 
 OPTIMISATION = "--xla_backend_optimization_level"

@@ -69,13 +69,27 @@ class Material:
 
         found = [f"{run.verdict.describe()} ({run.name})" for run in self.runs if not run.verdict.valid]
         found += [f"{e.sentence()} ({name})" for name, e in self.estimates.items() if e.invalid]
+        found += (
+            [f"{self.objection} (the treatment's estimate)"] if self.objection and not self.invalid_estimates else []
+        )
         variants = "" if self.treatment is None else invalid_variants(self.treatment) or narrow_bands(self.treatment)
         return [*found, *([f"{variants} (treatment)"] if variants else [])]
 
     def without_basis(self) -> str:
         """Names of the INVALID motions and fits that invalidate the prediction; empty if there are none."""
         unsound = [r.name for r in self.runs if r.name != NOMINAL and not r.verdict.valid]
-        return " and ".join([*unsound, *(name for name, e in self.estimates.items() if e.invalid)])
+        estimates = self.invalid_estimates or (["the treatment's estimate"] if self.objection else [])
+        return " and ".join([*unsound, *estimates])
+
+    @property
+    def invalid_estimates(self) -> list[str]:
+        """Names of the INVALID estimates."""
+        return [name for name, e in self.estimates.items() if e.invalid]
+
+    @property
+    def objection(self) -> str:
+        """Why nothing may be concluded from the prediction's own estimate; empty if it is valid."""
+        return "" if self.treatment is None else str(self.treatment.attrs.get("objection", ""))
 
     def doubts(self) -> list[str]:
         """Signs that the prediction and the rest of the report are about different knees."""
@@ -223,6 +237,7 @@ def _check_same(name: str, given: Scene | None, path: Path) -> None:
 
 def _prediction(path: Path) -> Dataset:
     """Loads a prediction of `pftwin treat`; InputError for any other file."""
+    from pftwin import __version__
     from pftwin.files.result_files import load_dataset
 
     data = load_dataset(path)
@@ -239,7 +254,7 @@ def _prediction(path: Path) -> Dataset:
         raise InputError(
             "no prediction of treatments in it",
             where=path,
-            expected="what `pftwin treat` wrote",
+            expected=f"what `pftwin treat` of pftwin {__version__} wrote",
             remedy="pftwin treat --case 2 --estimate fit.json --tto-medial 0:20:4 -o variants.nc",
         )
     return data

@@ -31,6 +31,15 @@ def test_a_prediction_of_another_fit_is_called_so(tmp_path):
     assert "The prediction is of another knee; this report is of small knee." in text
 
 
+def test_a_prediction_from_an_estimate_that_is_invalid_is_left_out(tmp_path):
+    material = fitted(tmp_path)
+    material.treatment = prediction(objection="INVALID: the forces look as if they were in kN")
+    text = words_of(material).text
+    assert "INVALID: the forces look as if they were in kN (the treatment's estimate)" in text
+    assert "No treatment is reported, because this is INVALID: the treatment's estimate." in text
+    assert "medialisation on" not in text
+
+
 def test_a_motion_that_may_not_be_spoken_of_comes_first_and_nothing_is_said_of_its_tracking(tmp_path):
     material = fitted(tmp_path)
     result = small_result()

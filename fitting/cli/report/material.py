@@ -69,9 +69,8 @@ class Material:
 
         found = [f"{run.verdict.describe()} ({run.name})" for run in self.runs if not run.verdict.valid]
         found += [f"{e.sentence()} ({name})" for name, e in self.estimates.items() if e.invalid]
-        found += (
-            [f"{self.objection} (the treatment's estimate)"] if self.objection and not self.invalid_estimates else []
-        )
+        if self.objection and not self.invalid_estimates:
+            found.append(f"{self.objection} (the treatment's estimate)")
         variants = "" if self.treatment is None else invalid_variants(self.treatment) or narrow_bands(self.treatment)
         return [*found, *([f"{variants} (treatment)"] if variants else [])]
 

@@ -9,18 +9,14 @@ import subprocess
 import sys
 from pathlib import Path
 
-import jax
 import numpy as np
 import pytest
+from commands import pftwin, refused
 from toy_scene_files import SCENE, write_toy
-from typer.testing import CliRunner, Result
 
-from pftwin import rig
 from pftwin.base.errors import InputError
-from pftwin.cli import app
 from pftwin.dynamics.status import Status
 from pftwin.files.result_files import load_dataset
-from pftwin.files.scene_file import load_scene, load_scene_file
 from pftwin.geometry.mesh.mesh import save_mesh
 from pftwin.geometry.patch.implant import rig_implant
 from pftwin.model.scene import Scene
@@ -31,28 +27,11 @@ patella = { body = "patella" }
 forces = "forces.csv"
 contact_force = "contact"
 """
-EXAMPLE = ("case1_forces.csv", "case1_markers.trc", "femoral_component.stl")  # files that `init` writes
 STEP = ("--dt", "0.005")  # one step for all tests: one program to compile
 COMMANDS = (
     *("demo", "simulate", "equilibrium", "validate", "fit-surface", "doctor-mesh"),
     *("init", "fit", "treat", "optimise", "plan-experiment", "explain", "audit"),
 )
-
-
-def pftwin(*arguments: object) -> Result:
-    return CliRunner().invoke(app, [str(a) for a in arguments], env={"COLUMNS": "160", "NO_COLOR": "1"})
-
-
-def refused(*arguments: object) -> str:
-    """The one message of a command that ends with exit code 2."""
-    result = pftwin(*arguments)
-    assert result.exit_code == 2, result.output
-    assert isinstance(result.exception, SystemExit)
-    assert result.stdout == ""
-    errors = [line for line in result.stderr.splitlines() if line.startswith("error: ")]
-    assert len(errors) == 1
-    assert "Traceback" not in result.output
-    return result.stderr
 
 
 @pytest.fixture(scope="module")
@@ -346,41 +325,6 @@ def test_json_keeps_to_the_standard(tmp_path: Path) -> None:
 
     write_json({"a": np.array([1.0, np.nan]), "b": float("inf"), "c": (1, None)}, str(tmp_path / "a.json"))
     assert json.loads((tmp_path / "a.json").read_text()) == {"a": [1.0, None], "b": None, "c": [1, None]}
-
-
-def test_init_writes_an_example_that_simulates(tmp_path: Path) -> None:
-    result = pftwin("init", tmp_path / "new" / "knee")
-    assert result.exit_code == 0, result.output
-    folder = tmp_path / "new" / "knee"
-    assert sorted(p.name for p in folder.iterdir()) == [*EXAMPLE, "scene.toml"]
-    assert f"next: pftwin simulate {folder / 'scene.toml'}" in result.stdout
-    result = pftwin("validate", folder / "scene.toml", "--json", "-", "--dt", "0.002")
-    assert result.exit_code == 0, result.output
-    assert json.loads(result.stdout)["synthetic"] is True
-
-
-def test_init_overwrites_nothing(tmp_path: Path) -> None:
-    mine = EXAMPLE[1]
-    (tmp_path / mine).write_text("mine")
-    assert f"{mine}: is there already" in refused("init", tmp_path)
-    assert [p.name for p in tmp_path.iterdir()] == [mine]
-    assert (tmp_path / mine).read_text() == "mine"
-
-
-def test_init_of_the_rig_is_the_rigs_own_case(tmp_path: Path) -> None:
-    result = pftwin("init", tmp_path, "--case", 1)
-    assert result.exit_code == 0, result.output
-    ours, theirs = load_scene(tmp_path / "scene.toml"), rig.case(1)
-    assert [e.name for e in ours.effects] == [e.name for e in theirs.effects]
-    at, true = (s.motion.tibia.frames(1.23).origin.array() for s in (ours, theirs))
-    np.testing.assert_allclose(at, true, atol=1e-5)
-    for one, other in ((ours.effects, theirs.effects), (ours.patella, theirs.patella), (ours.start, theirs.start)):
-        for a, b in zip(jax.tree.leaves(one), jax.tree.leaves(other), strict=True):
-            np.testing.assert_allclose(a, b, rtol=1e-6, atol=1e-5)  # the mesh's file is in single precision
-    measured = load_scene_file(tmp_path / "scene.toml").measured
-    assert measured is not None
-    np.testing.assert_allclose(measured.center, rig.measured(1).center, atol=1e-9)
-    np.testing.assert_allclose(measured.contact_force, rig.measured(1).contact_force, atol=1e-9)
 
 
 def run(*arguments: object, cwd: Path) -> subprocess.CompletedProcess[str]:

@@ -7,18 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner, Result
+from commands import pftwin
 
 from pftwin.base.errors import InputError, MissingExtraError, OutputError, PftwinError
-from pftwin.cli import app
 from pftwin.cli.exit_codes import ExitCode, Interrupted, code_of, report_written_on_interrupt
 from pftwin.geometry.mesh.mesh import SurfaceMesh, save_mesh
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "command_line.md"
-
-
-def pftwin(*arguments: object) -> Result:
-    return CliRunner().invoke(app, [str(a) for a in arguments], env={"COLUMNS": "160", "NO_COLOR": "1"})
 
 
 def test_errors_about_input_and_about_outcomes_differ():

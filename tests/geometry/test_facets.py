@@ -209,15 +209,20 @@ class Misread(PolynomialPatch):
 
 
 @eqx.filter_jit
-def tracked(surface, c, starts, steps: int):
-    """Distances of both points at each step (steps, 2), from converged points at these v."""
+def tracked(surface, path, places):
+    """Distances of both points from the centres of a path (n, 3), (n, 2), from converged points (v, distance)."""
 
-    def step(places, _):
-        found = follow_facets(surface, c, J(RADIUS), places)
+    def step(places, c):
+        found = follow_facets(surface, vec(*c), J(RADIUS), places)
         points = found.medial, found.lateral
         return tuple(map(followed, points)), jnp.stack([p.distance for p in points])
 
-    return jax.lax.scan(step, tuple(FollowedPoint(J(0.0), v, J(1.0), J(RADIUS)) for v in starts), None, steps)[1]
+    starts = tuple(FollowedPoint(J(0.0), J(v), J(1.0), J(distance)) for v, distance in places)
+    return jax.lax.scan(step, starts, J(path))[1]
+
+
+def resting(c, steps=12):
+    return np.tile(c, (steps, 1))
 
 
 @pytest.mark.parametrize("seen", [(-0.008,), (0.008,), (-0.008, 0.008)])
@@ -230,11 +235,11 @@ def test_a_converged_point_outlasts_a_fan_that_contradicts_it(seen):
         return 25 * (v - middle) ** 2 if len(seen) == 1 else 2e-3 * x**2 * (x**2 - 2)
 
     other = fitted(contradicting, 4)
-    c = vec(0, 0, RADIUS - 3e-5)
+    c = (0.0, 0.0, RADIUS - 3e-5)
     valley = fitted(lambda u, v: 10 * v**2, 4)
     misread = Misread(valley.chart, valley.coefficients, valley.center, valley.half_size, 4, other)
-    assert (np.abs(bottom(misread, c, J(RADIUS), J(0.0))) > ASTRAY * SPACING).all()  # or this shows nothing
-    nearer = tracked(misread, c, (J(0.0), J(0.0)), 12).min(axis=1)
+    assert (np.abs(bottom(misread, vec(*c), J(RADIUS), J(0.0))) > ASTRAY * SPACING).all()  # or this shows nothing
+    nearer = tracked(misread, resting(c), ((0.0, RADIUS), (0.0, RADIUS))).min(axis=1)
     np.testing.assert_allclose(nearer, RADIUS - 3e-5, atol=1e-9)
 
 
@@ -246,11 +251,13 @@ def test_neither_of_two_converged_points_leaves_for_a_minimum_that_only_the_fan_
     high = height_over(groove, 0, 3e-5)
     distance, place = nearest(groove, (0, 0, high))
     misread = Misread(groove.chart, groove.coefficients, groove.center, groove.half_size, 8, steeper)
-    c = vec(0, 0, high)
-    medial, lateral = (RADIUS * float(sample) for sample in bottom(misread, c, J(RADIUS), J(0.0)))
+    c = (0.0, 0.0, high)
+    medial, lateral = (RADIUS * float(sample) for sample in bottom(misread, vec(*c), J(RADIUS), J(0.0)))
     assert place > 0.2 * RADIUS
     assert min(-medial, lateral) - place > ASTRAY * SPACING * RADIUS  # or this shows nothing
-    np.testing.assert_allclose(tracked(misread, c, (J(-place), J(place)), 12), distance, atol=1e-7)
+    np.testing.assert_allclose(
+        tracked(misread, resting(c), ((-place, distance), (place, distance))), distance, atol=1e-7
+    )
 
 
 def test_a_point_without_contact_yields_to_a_facet_that_comes_near():
@@ -265,17 +272,7 @@ def test_a_point_without_contact_yields_to_a_facet_that_comes_near():
     patch = fitted(dented, 12, (0.024, 0.026))
     path = np.array([(0.0, y, height_over(patch, y, 3e-5)) for y in np.linspace(3.6e-3, 2.5e-3, 12)])
 
-    @eqx.filter_jit
-    def ridden(path, places):
-        def step(places, c):
-            found = follow_facets(patch.unstacked(), vec(*c), J(RADIUS), places)
-            return (followed(found.medial), followed(found.lateral)), jnp.stack(
-                [found.medial.distance, found.lateral.distance]
-            )
-
-        return jax.lax.scan(step, places, path)[1]
-
-    starts = tuple(FollowedPoint(J(0.0), J(v), J(1.0), J(d)) for v, d in ((8.9e-3, RADIUS - 3e-5), (23.0e-3, 0.0243)))
+    starts = (8.9e-3, RADIUS - 3e-5), (23.0e-3, 0.0243)
     deepest = [nearest(patch, c)[0] for c in path]
-    np.testing.assert_allclose(ridden(J(path), starts).min(axis=1), deepest, atol=2e-6)
+    np.testing.assert_allclose(tracked(patch, path, starts).min(axis=1), deepest, atol=2e-6)
     assert nearest(patch, path[-1])[1] > 8.5e-3  # the medial facet, or this shows nothing

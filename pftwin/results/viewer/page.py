@@ -72,9 +72,11 @@ def legend(results: Sequence[Recorded], codes: Sequence[str], said: Sequence[str
         for r, code in zip(results, codes, strict=True)
     ]
     small = "".join(f"<div style='font-size:11px;color:#555'>{escape(line)}</div>" for line in said)
-    stops = ",".join([bare or "", *(f"{code} {100 * share:g}%" for share, code in HOT)])
-    scale = f"<div style='width:130px;height:7px;margin:3px 0;background:linear-gradient(90deg,{stops})'></div>"
-    return f'<div class="pftwin-legend" style="{_BOX}">{"".join(rows)}{small}{"" if bare is None else scale}</div>'
+    scale = ""
+    if bare is not None:
+        stops = ",".join([bare, *(f"{code} {100 * share:g}%" for share, code in HOT)])
+        scale = f"<div style='width:130px;height:7px;margin:3px 0;background:linear-gradient(90deg,{stops})'></div>"
+    return f'<div class="pftwin-legend" style="{_BOX}">{"".join(rows)}{small}{scale}</div>'
 
 
 def readout(results: Sequence[Recorded], codes: Sequence[str], time: float) -> str:

@@ -3,6 +3,7 @@ Every text that states a 95 % interval or a band takes its caveat from here, so 
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import NamedTuple
 
 
@@ -59,6 +60,16 @@ SIMULATIONS_WITH_NUISANCE = Coverage(
     " knees where nine of ten draws had to be",
     "bands of 90 % contained the true value in 78 to 100 % of synthetic knees",
 )
+
+
+def widened_coverage(factors: Mapping[str, float], plants: Mapping[str, int]) -> Coverage:
+    """Coverage of intervals that a calibration widened by factors of parameters, on numbers of plants by kind."""
+    wider = ", ".join(f"{name} {times:.2g}" for name, times in factors.items())
+    knees = ", ".join(f"{count} {kind}" for kind, count in plants.items())
+    return NOT_KNOWN._replace(
+        intervals=f"95 % intervals are those of the fit times factors ({wider}) with which they contain the true value "
+        f"in 95 % of the synthetic knees of each kind that a calibration tried ({knees})"
+    )
 
 
 def coverage_of(simulated: bool, nuisance: bool, trials: bool, varies: bool) -> Coverage:

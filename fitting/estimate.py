@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import MISSING, asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from fitting.coverage import Coverage, coverage_of
+from fitting.coverage import Coverage, coverage_of, widened_coverage
 from fitting.nuisance import EXACT, REACH, Nuisance
 from fitting.parameters import Applied, weights_in
 from fitting.programs import unit_of
@@ -91,6 +91,8 @@ class Estimate:
     substeps: int = 0  # time steps between two frames; 0: not known
     readings: dict[str, str] = field(default_factory=dict)  # units of channels that are neither poses nor forces
     covariances: dict[str, list[list[float]]] = field(default_factory=dict)  # of noise that was stated as a covariance
+    widened: dict[str, float] = field(default_factory=dict)  # factors of intervals, by parameter, after a calibration
+    plants: dict[str, int] = field(default_factory=dict)  # number that it was calibrated on, by kind
     trials: tuple[FittedTrial, ...] = field(default=(), repr=False)  # what was fitted; empty if read from a file
 
     @property
@@ -138,8 +140,17 @@ class Estimate:
     @property
     def coverage(self) -> Coverage:
         """Measured coverage of intervals, bands and plans of such fits, in words."""
+        if self.widened:
+            return widened_coverage(self.widened, self.plants)
         nuisance, trials = len(self.auxiliary) > len(self.differences), len(self.trial_rmse) > 1
         return coverage_of(self.draws is not None, nuisance, trials, bool(self.varies))
+
+    def widened_by(self, factors: Sequence[float], plants: Mapping[str, int]) -> Estimate:
+        """A copy whose standard deviations and intervals of the requested parameters are larger by these factors (d,),
+        which a calibration on plants found; correlations are kept. For estimates without draws."""
+        scale = np.append(factors, np.ones(len(self.names) - len(factors)))
+        widened = dict(zip(self.names, map(float, factors), strict=False))
+        return replace(self, covariance=self.covariance * np.outer(scale, scale), widened=widened, plants=dict(plants))
 
     @property
     def at_bounds(self) -> tuple[str, ...]:
@@ -259,7 +270,7 @@ class Estimate:
             self.readings,
             self.units[:asked],
         )
-        return f"{said}{beyond}. {'But ' if self.draws is None else ''}{self.coverage.intervals}"
+        return f"{said}{beyond}. {'' if self.widened or self.draws is not None else 'But '}{self.coverage.intervals}"
 
     def summary(self) -> str:
         """A text table of the values, with the remarks."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -54,16 +54,33 @@ class SetUp(NamedTuple):
             problem.parameters.varies,
         )
 
+    def plain(self) -> dict[str, Any]:
+        """Plain values, for files."""
+        return {**self._asdict(), "nuisance": asdict(self.nuisance)}
+
+    @staticmethod
+    def restored(facts: Mapping[str, Any]) -> SetUp:
+        """The set-up from plain values. Raises KeyError, TypeError or IndexError if they are none."""
+        held: dict[str, Any] = {key: facts[key] for key in SetUp._fields if key != "varies"}
+        held |= {key: tuple(facts[key]) for key in ("free", "channels", "frames")}
+        held |= {key: {n: (v[0], v[1]) for n, v in facts[key].items()} for key in ("bounds", "priors")}
+        held |= {"nuisance": Nuisance(**facts["nuisance"]), "varies": facts.get("varies", {})}  # older files have none
+        return SetUp(**held)
+
     def parameters(self, scenes: Sequence[Scene]) -> tuple[list[Scene], list[Parameters]]:
         """The scenes with nuisance effects added, and the free parameters of each."""
         return free_in_trials(scenes, self.free, self.bounds, self.priors, self.nuisance, self.varies)
 
+    def check_frames(self, scenes: Sequence[Scene], where: str) -> None:
+        """Raises InputError for another number of trials or frames."""
+        if (found := tuple(scene.motion.times.size for scene in scenes)) != self.frames:
+            expected = f"{listed(self.frames)}, as it was set up for"
+            raise InputError(f"{listed(found)} frames", where=where, expected=expected)
+
     def objective(self, scenes: Sequence[Scene], measured: Sequence[Measured]) -> Objective:
         """The measurements of such scenes. Raises InputError for another number of frames, a channel that was not
         measured, or channels that differ from those in training."""
-        if (found := tuple(scene.motion.times.size for scene in scenes)) != self.frames:
-            said = f"{listed(found)} frames"
-            raise InputError(said, where=measured[0].source, expected=f"{listed(self.frames)}, as it was trained for")
+        self.check_frames(scenes, measured[0].source)
         target = objective_of(scenes, measured, "likelihood", self.channels, self.noise, "linear", self.springs)
         if target.channels != self.channels:
             found = f"{', '.join(target.channels)} measured"
@@ -109,6 +126,11 @@ def refuse_weights(measured: Sequence[Measured]) -> None:
             raise InputError(
                 "frames have weights", where=data.source, expected="measurements without weights", remedy=remedy
             )
+
+
+def widened_in_words(free: Sequence[str], factors: Sequence[float]) -> str:
+    """By how much intervals of the requested parameters were widened; empty if by nothing."""
+    return ", ".join(f"{name} {times:.2g}" for name, times in zip(free, factors, strict=False) if times > 1)
 
 
 def listed(numbers: Sequence[int]) -> str:

@@ -6,7 +6,7 @@ import json
 import os
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 from zipfile import BadZipFile
@@ -28,7 +28,7 @@ from fitting.methods.problem import Problem
 from fitting.nuisance import Nuisance
 from fitting.objective import Objective
 from fitting.outcome import Outcome, estimate_of, judge
-from fitting.set_up import SetUp, bridged, from_nominal, listed, refuse_weights
+from fitting.set_up import SetUp, bridged, from_nominal, listed, refuse_weights, widened_in_words
 from fitting.trials import Recordings, Scenes, trials_of
 from pftwin.base.arrays import Floats, Rows
 from pftwin.base.errors import InputError
@@ -68,6 +68,7 @@ class TrainedPosterior:
     seed: int
     seconds: float  # duration of the training [s]
     widened: tuple[float, ...] = ()  # factors (d,) by which intervals are widened after a calibration
+    plants: Mapping[str, int] = field(default_factory=dict)  # number of plants of that calibration, by kind
     doubts: tuple[str, ...] = ()  # about the recording that it was trained on
 
     def estimate(
@@ -102,6 +103,9 @@ class TrainedPosterior:
         doubts = [*(f"{doubt} (in training)" for doubt in self.doubts), *doubts, *more]
         of = (SIMULATIONS, given, self.set_up.springs, extra, doubts, allowed, began)
         estimate = estimate_of(problem, outcome, *of)
+        if self.plants:
+            estimate.widened = dict(zip(self.set_up.free, self.widened, strict=True))
+            estimate.plants = dict(self.plants)
         compiled()
         judge(estimate)
         return estimate
@@ -168,13 +172,12 @@ class TrainedPosterior:
 
     def facts(self) -> dict[str, Any]:
         """Plain values, for JSON and the file."""
-        plain = {**self.set_up._asdict(), "nuisance": asdict(self.set_up.nuisance)}
-        return {"format": FORMAT, **plain, **{key: getattr(self, key) for key in _FACTS}}
+        return {"format": FORMAT, **self.set_up.plain(), **{key: getattr(self, key) for key in _FACTS}}
 
     def sentence(self) -> str:
         """Which recordings it answers, and from what it was learned."""
         s = self.set_up
-        more = ", ".join(f"{name} {times:.2g}" for name, times in zip(s.free, self.widened, strict=False) if times > 1)
+        more = widened_in_words(s.free, self.widened)
         return (
             f"answers recordings of {listed(s.frames)} frames of {s.scene_name}, by {', '.join(s.channels)}; learned "
             f"from {self.simulations - self.dropped:,} simulations in {self.seconds:.0f} s"
@@ -222,11 +225,7 @@ class TrainedPosterior:
             facts = json.loads(str(held["facts"]))
             if facts["format"] != FORMAT:
                 raise ValueError(f"its format is {facts['format']!r}")
-            pairs: dict[str, Any] = {k: {n: (v[0], v[1]) for n, v in facts[k].items()} for k in ("bounds", "priors")}
-            own: dict[str, Any] = {key: tuple(facts[key]) for key in ("free", "channels", "frames")}
-            own |= {key: facts[key] for key in ("scene_name", "noise", "springs")}
-            own["varies"] = facts.get("varies", {})  # older files have none
-            set_up = SetUp(**own, **pairs, nuisance=Nuisance(**facts["nuisance"]))
+            set_up = SetUp.restored(facts)
             noise = Noise(held["deviations"], held["correlations"], facts["span"])
             summaries = Summaries(*(held[f"summaries_{key}"] for key in Summaries._fields))
             probes = Probes(*(held[f"probes_{key}"] for key in Probes._fields))
@@ -237,6 +236,7 @@ class TrainedPosterior:
                 count = sum(key.startswith(f"network{i}_") for key in held)
                 nets.append(network_of(*sizes, [held[f"network{i}_{j}"] for j in range(count)]))
             table = Table(facts["block"], noise.deviations)
+            facts.setdefault("plants", {})  # older files have none
             rest: dict[str, Any] = {key: facts[key] for key in _FACTS}
             rest |= {key: tuple(facts[key]) for key in ("widened", "doubts")}
             told = {"noise": noise, "added": SummaryNoise(held["root"], noise.span), "usual": facts["usual"]}
@@ -251,5 +251,5 @@ class TrainedPosterior:
 
 
 _EXPECTED = f"a file of {FORMAT!r}, as `pftwin train-posterior -o` writes it"
-_FACTS = ("substeps", "simulations", "dropped", "seed", "seconds", "widened", "doubts")
+_FACTS = ("substeps", "simulations", "dropped", "seed", "seconds", "widened", "plants", "doubts")
 _ARRAYS = ("middle", "size", "center", "scale")

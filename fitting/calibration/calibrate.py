@@ -21,7 +21,6 @@ from fitting.inference.infer import DRAWS
 from fitting.nuisance import EXACT, Nuisance
 from fitting.parameters import Parameter
 from fitting.programs import reading_units
-from fitting.set_up import listed
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError, PftwinError
 from pftwin.model.measured import Measured
@@ -76,9 +75,7 @@ def calibrate(
     scenes = [scene] if isinstance(scene, Scene) else list(scene)
     for one in scenes:
         check(one)
-    if (frames := tuple(one.motion.times.size for one in scenes)) != trained.set_up.frames:
-        expected = f"{listed(trained.set_up.frames)}, as it was set up for"
-        raise InputError(f"{listed(frames)} frames", where=scenes[0].name, expected=expected)
+    trained.set_up.check_frames(scenes, scenes[0].name)
     if operation is not None:
         operation.check(scenes[0])
     lab = laboratory or Laboratory()

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
-from typing import Any, NamedTuple
+import os
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from fitting.estimate import Estimate
-from fitting.fit import METHODS, SIMULATIONS, SPRING_PARAMETERS, fit_tendons
+from fitting.fit import METHODS, SIMULATIONS, SPRING_PARAMETERS, Progress, fit_tendons
 from fitting.inference.infer import DRAWS
 from fitting.measured_channels import force_fields, measured_channels
 from fitting.methods.problem import Problem
@@ -18,20 +20,26 @@ from fitting.nuisance import Nuisance
 from fitting.objective import SPRINGS
 from fitting.parameters import Bounds
 from fitting.programs import POSITION
-from fitting.set_up import SetUp, listed, refuse_weights
+from fitting.set_up import SetUp, listed, refuse_weights, widened_in_words
 from fitting.trials import free_in_trials, objective_of, trials_of
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
+from pftwin.base.text_files import read_json, restored_numbers, write_json_file
 from pftwin.model.measured import Measured
 from pftwin.model.scene import Scene
 
+FORMAT = "pftwin calibrated fit 1"
 
-class QuickFit(NamedTuple):
+
+@dataclass(frozen=True)
+class QuickFit:
     """`fit_tendons` for every recording of a set-up; made by `QuickFit.of`."""
 
     set_up: SetUp
     method: str
     measured: tuple[tuple[str, ...], ...]  # channels that were measured in each trial of the first recording
+    widened: tuple[float, ...] = ()  # factors (d,) by which intervals are widened after a calibration
+    plants: Mapping[str, int] = field(default_factory=dict)  # number of plants that it was calibrated on, by kind
 
     @staticmethod
     def of(
@@ -73,18 +81,23 @@ class QuickFit(NamedTuple):
         measured: Measured | Sequence[Measured | None] | None = None,
         *,
         limits: Mapping[str, tuple[float, float]] | None = None,
+        progress: Callable[[Progress], None] | None = None,
     ) -> Estimate:
         """As `fit_tendons`, with the channels that were measured in each trial of the first recording.
 
         Raises:
+            InputError: another number of trials or frames than in the first recording.
             PftwinError: as `fit_tendons`.
         """
         s = self.set_up
         scenes, given = trials_of(scene, measured)
+        s.check_frames(scenes, given[0].source)
         kept = [_only(*each, s.springs) for each in zip(self.measured, scenes, given, strict=True)]
         names = ("free", "bounds", "priors", "nuisance", "varies", "noise", "springs")
         asked: dict[str, Any] = {name: getattr(s, name) for name in names}
-        return fit_tendons(scenes, kept, method=self.method, use=s.channels, limits=limits, **asked)
+        asked |= {"limits": limits, "progress": progress}
+        found = fit_tendons(scenes, kept, method=self.method, use=s.channels, **asked)
+        return found.widened_by(self.widened, self.plants) if self.widened else found
 
     def draws(
         self,
@@ -106,8 +119,43 @@ class QuickFit(NamedTuple):
 
     def sentence(self) -> str:
         """What is fitted, and by which method."""
-        s = self.set_up
-        return f"fits by {self.method} of {listed(s.frames)} frames of {s.scene_name}, by {', '.join(s.channels)}"
+        s, more = self.set_up, widened_in_words(self.set_up.free, self.widened)
+        said = f"fits by {self.method} of {listed(s.frames)} frames of {s.scene_name}, by {', '.join(s.channels)}"
+        return said + (f"; widened by a calibration: {more} times" if more else "")
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Writes a JSON file, complete or not at all.
+
+        Raises:
+            OutputError: if it cannot be written.
+        """
+        own = {name: getattr(self, name) for name in ("method", "measured", "widened", "plants")}
+        write_json_file(path, {"format": FORMAT, "set_up": self.set_up.plain(), **own})
+        return Path(path)
+
+    @staticmethod
+    def load(path: str | os.PathLike[str]) -> QuickFit:
+        """Reads what `save` wrote.
+
+        Raises:
+            InputError: no such file, or it holds no such fit.
+        """
+        expected = f"a file of {FORMAT!r}, as `pftwin calibrate --method --widen` writes it"
+        facts = restored_numbers(read_json(path, expected=expected))
+        try:
+            if facts.get("format") != FORMAT:
+                raise ValueError(f"its format is {facts.get('format')!r}")
+            set_up, method = SetUp.restored(facts["set_up"]), str(facts["method"])
+            measured = tuple(tuple(map(str, channels)) for channels in facts["measured"])
+            widened = tuple(float(times) for times in facts["widened"])
+            plants = {kind: int(count) for kind, count in facts["plants"].items()}
+            if method not in METHODS:
+                raise ValueError(f"no method {method!r}")
+            if len(widened) not in (0, len(set_up.free)):
+                raise ValueError(f"its factors are not those of {', '.join(set_up.free)}")
+        except (ValueError, KeyError, TypeError, AttributeError, IndexError) as error:
+            raise InputError(f"no calibrated fit: {error}", where=path, expected=expected) from None
+        return QuickFit(set_up, method, measured, widened, plants)
 
 
 def _only(channels: Sequence[str], scene: Scene, data: Measured, springs: Mapping[str, str]) -> Measured:

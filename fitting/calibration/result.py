@@ -6,7 +6,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,17 +15,21 @@ from scipy.stats import binomtest
 from fitting.calibration.operations import OUTCOMES, Operated
 from fitting.prediction.outcomes import MEASURES
 from pftwin.base.arrays import Floats
+from pftwin.base.errors import InputError
 from pftwin.base.quantities import as_read
 from pftwin.base.text_files import write_json_file
 
 if TYPE_CHECKING:
     from fitting.calibration.plots import CalibrationPlots
+    from fitting.calibration.quick_fit import QuickFit
     from fitting.trained import TrainedPosterior
 
+Calibrated = TypeVar("Calibrated", bound="TrainedPosterior | QuickFit")
 
 FORMAT = "pftwin calibration 1"
 LEVELS = (0.5, 0.8, 0.9, 0.95)
 INTERVALS, BANDS = 0.95, 0.9  # nominal levels that are judged: of parameters' intervals, of predicted bands
+TO_WIDEN = 19  # fewest answers of each kind: a further error exceeds the largest of n with probability 1 / (n + 1)
 _SURE = 0.95  # joint confidence of the intervals of all parameters' coverage that are compared with the level
 _LEAST_TOLD = 0.5  # plants are too few if even full coverage of them does not exclude this coverage
 _MOST_RUN = 0.5  # least share of draws that must run for a prediction to count
@@ -80,14 +84,12 @@ class Answers(NamedTuple):
 
     @property
     def factors(self) -> Floats:
-        """Factors (d,) by which intervals must be widened to reach their level; 1 if none is too narrow."""
-        if _NARROW not in self._verdicts():
-            return np.ones(self.ranks.shape[1])
-        # The quantile that covers a further plant with the nominal probability (split conformal: Vovk et al. 2005).
+        """Factors (d,), at least 1, with which intervals contain the true value of a further plant with the nominal
+        probability: a quantile of the errors (split conformal: Vovk et al. 2005)."""
         count = len(self.ranks)
-        rank = min(np.ceil((count + 1) * self.level) / count, 1.0)
-        times = np.quantile(np.abs(self.errors) / self.half_widths, rank, axis=0, method="higher")
-        return np.maximum(times, 1.0)
+        rank = min(int(np.ceil((count + 1) * self.level)), count)
+        times = np.sort(np.abs(self.errors) / self.half_widths, axis=0)
+        return np.maximum(times[rank - 1], 1.0)
 
     def verdict(self, names: tuple[str, ...]) -> str:
         """Whether intervals reach their nominal coverage, as far as the number of plants can show."""
@@ -205,13 +207,22 @@ class Calibration:
             return f"{what} are as reliable as stated on all kinds of plants tried"
         return f"{what} are NOT shown to be as reliable as stated: {'; '.join(self._failing())}"
 
-    def widened(self, trained: TrainedPosterior) -> TrainedPosterior:
-        """The posterior, widened so that its intervals would have contained the true value on every kind of plants.
+    def widened(self, calibrated: Calibrated) -> Calibrated:
+        """What was calibrated, widened so that its intervals would have contained the true value on every kind of
+        plants. Check it on plants of another seed.
 
-        Check it on plants of another seed.
+        Raises:
+            InputError: too few valid answers for some kind.
         """
-        factors = np.max([a.factors for a in self.kinds.values()], axis=0)
-        return replace(trained, widened=tuple((factors * (trained.widened or 1.0)).tolist()))
+        for kind, answers in self.kinds.items():
+            if len(answers.ranks) < TO_WIDEN:
+                found = f"{len(answers.ranks)} valid answers for plants {kind!r}"
+                raise InputError(
+                    found, where="widen", expected=f"at least {TO_WIDEN} of each kind", remedy="more plants"
+                )
+        factors = np.max([a.factors for a in self.kinds.values()], axis=0) * (calibrated.widened or 1.0)
+        plants = {kind: len(answers.ranks) for kind, answers in self.kinds.items()}
+        return replace(calibrated, widened=tuple(factors.tolist()), plants=plants)
 
     def rows(self) -> list[tuple[str, ...]]:
         """Rows of a table of intervals, a column for each kind: see `Answers.column`; half widths in per cent."""

@@ -14,7 +14,7 @@ from pftwin.base.sheet import Sheet
 from pftwin.base.written_amounts import amount
 from pftwin.cli.exit_codes import exit_flagged
 from pftwin.cli.scenes import on_scene
-from pftwin.cli.terminal import JsonOption, check_outputs, check_suffix, present, progress, spinner, written_line
+from pftwin.cli.terminal import JsonOption, check_outputs, check_suffix, present, progress, show, spinner, written_line
 
 if TYPE_CHECKING:
     from fitting.calibration.operations import Operation
@@ -69,7 +69,11 @@ def calibrate(
     ] = 0.9,
     widen: Annotated[
         Path | None,
-        Option(metavar="WIDER.npz", help="Also write the posterior, widened to cover as stated on these plants."),
+        Option(
+            metavar="WIDER",
+            help="Also write the posterior (.npz) or, with --method, the fit (.json, for `pftwin fit --calibrated`),"
+            " with intervals widened to contain the true value in 95 % of these plants.",
+        ),
     ] = None,
     seed: Annotated[int, Option(metavar="N", min=0, help="Seed of all random choices.")] = 0,
     figures: Annotated[bool, Option("--figures/--no-figures", help="Write figures next to the output.")] = True,
@@ -84,8 +88,10 @@ def calibrate(
     `pftwin calibrate walk.toml stairs.toml --method least_squares --plants 20 -o quick.json`
     """
     check_suffix(output, [".json"], "calibrations are JSON")
-    if widen is not None:
+    if widen is not None and method is None:
         check_suffix(widen, [".npz"], "trained posteriors are files of NumPy's")
+    elif widen is not None:
+        check_suffix(widen, [".json"], "calibrated fits are JSON")
     errors = {
         "marker_noise": amount(marker_noise, "m", "--marker-noise", least=0),
         "force_noise": amount(force_noise, "N", "--force-noise", least=0),
@@ -95,6 +101,7 @@ def calibrate(
     from fitting.calibration.laboratory import Laboratory
     from fitting.calibration.plants import BY_NAME, PLANTS
     from fitting.calibration.quick_fit import QuickFit
+    from fitting.calibration.result import TO_WIDEN
     from fitting.trained import TrainedPosterior
 
     known, chosen = PLANTS | BY_NAME, names_in(kinds) if kinds is not None else tuple(PLANTS)
@@ -108,10 +115,15 @@ def calibrate(
     )
     allowed, scenes = knee.limits(), [trial.scene for trial in knee.load()]
     asked = knee.asked(scenes[0])
-    _check_what(trained, method, asked, widen)
+    _check_what(trained, method, asked)
+    if widen is not None and plants < TO_WIDEN:
+        raise InputError(f"{plants} plants", where="--widen", expected=f"at least {TO_WIDEN} of each kind")
     operation = _operation(amounts, meet or [], samples, confidence)
-    posterior = None if trained is None else TrainedPosterior.load(trained, scenes)
-    answering = posterior or QuickFit.of(scenes, method=str(method), **asked)
+    answering: TrainedPosterior | QuickFit
+    if trained is not None:
+        answering = TrainedPosterior.load(trained, scenes)
+    else:
+        answering = QuickFit.of(scenes, method=str(method), **asked)
     with progress("simulating plants") as shown:
         found = run(
             answering,
@@ -125,26 +137,24 @@ def calibrate(
             progress=lambda kind, done, of: shown(done, of, what=f"plants {kind}"),
         )
     files = [str(found.save(output))]
-    if widen is not None and posterior is not None:
-        files.append(str(found.widened(posterior).save(widen)))
     if figures:
         with spinner("drawing"):
             files += [str(p) for p in found.plot.save(output.with_suffix(""))]
     parts = [*_sheets_of(found, answering.set_up.scene_name), found.sentence(), found.trained, written_line(files)]
     present({**found.to_dict(), "files": files}, *parts, json=json)
+    if widen is not None:
+        show(written_line([found.widened(answering).save(widen)]), json=json)
     if not found.holds:
         exit_flagged(found.sentence())
 
 
-def _check_what(trained: Path | None, method: str | None, asked: dict[str, Any], widen: Path | None) -> None:
+def _check_what(trained: Path | None, method: str | None, asked: dict[str, Any]) -> None:
     """Raises InputError unless exactly one of posterior and method is given, with options that apply to it."""
     if (trained is None) == (method is None):
         found = "neither --trained nor --method" if trained is None else "both --trained and --method"
         raise InputError(found, expected="exactly one of them: a trained posterior, or a method to run for each plant")
-    if method is not None and widen is not None:
-        raise InputError("--widen with --method", expected="--trained: only a trained posterior can be widened")
     if method is None:
-        refuse_settled(asked)
+        refuse_settled(asked, "--trained")
 
 
 def _operation(amounts: Given, meet: list[str], samples: int, confidence: float) -> Operation | None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -27,7 +29,6 @@ if TYPE_CHECKING:
     from fitting.estimate import Estimate
     from fitting.fit import Progress
     from fitting.posterior.result import Posterior
-    from pftwin.model.scene import Scene
 
 
 @on_scene
@@ -50,6 +51,10 @@ def fit(
     trained: Annotated[
         Path | None,
         Option(metavar="FILE.npz", help="Use a posterior from `pftwin train-posterior` instead of a new fit."),
+    ] = None,
+    calibrated: Annotated[
+        Path | None,
+        Option(metavar="FILE.json", help="Fit as `pftwin calibrate --method --widen` has: its settings and intervals."),
     ] = None,
     posterior: Annotated[
         int | None,
@@ -74,17 +79,25 @@ def fit(
     for path, trial in zip(knee.scene or [], trials, strict=False):
         if trial.scene.measured is None:
             raise InputError("nothing to compare with", where=path, expected="a table [measured] in the scene file")
+    if (settled := _settled(trained, calibrated)) is not None:
+        refuse_settled(asked, settled)
     if posterior is not None:
-        _check_posterior(objective)
+        _check_posterior(objective, settled)
     scenes = [within(trial.scene, spans) for trial in trials]
-    if trained is None:
-        estimate = _fitted(scenes, asked, limits)
-    else:
+    if trained is not None:
         from fitting.trained import TrainedPosterior
 
-        refuse_settled(asked)
         with spinner("answering"):
             estimate = TrainedPosterior.load(trained, scenes).estimate(scenes, limits=limits)
+    elif calibrated is not None:
+        from fitting.calibration.quick_fit import QuickFit
+
+        quick = QuickFit.load(calibrated)
+        estimate = _fitted(quick.method, checkpoint, partial(quick.estimate, scenes, limits=limits))
+    else:
+        from fitting.fit import fit_tendons
+
+        estimate = _fitted(method, checkpoint, partial(fit_tendons, scenes, limits=limits, **asked))
     interrupted = estimate.reason.startswith("interrupted")
     with report_written_on_interrupt(output, checkpoint):
         draws = None if interrupted else posterior
@@ -163,17 +176,21 @@ def train_posterior(
     present({**found.facts(), "files": files}, sheet, found.sentence(), written_line(files), json=json)
 
 
-def _fitted(scenes: list[Scene], asked: dict[str, Any], limits: dict[str, Any] | None) -> Estimate:
-    """Fits, and shows progress on stderr."""
-    from fitting.fit import fit_tendons
+def _settled(trained: Path | None, calibrated: Path | None) -> str | None:
+    """The option that names a file with the fit's settings, if any; InputError for two."""
+    if trained is not None and calibrated is not None:
+        raise InputError("both --trained and --calibrated", expected="one of them: each has its own settings")
+    return "--trained" if trained is not None else "--calibrated" if calibrated is not None else None
 
-    method = asked["method"]
-    with report_written_on_interrupt(asked["checkpoint"]), progress(f"{method}: compiling") as shown:
+
+def _fitted(method: str, checkpoint: Path | None, fitted: Callable[..., Estimate]) -> Estimate:
+    """Fits, and shows progress on stderr."""
+    with report_written_on_interrupt(checkpoint), progress(f"{method}: compiling") as shown:
 
         def tell(p: Progress) -> None:
             shown(p.iteration, p.of, f"{p.iteration}/{p.of}  best {p.best:.6g}  spread {p.spread:.2g}", method)
 
-        return fit_tendons(scenes, progress=tell, limits=limits, **asked)
+        return fitted(progress=tell)
 
 
 def _report(estimate: Estimate, output: Path, json: str | None, *, figures: bool, posterior: int | None) -> None:
@@ -220,12 +237,16 @@ def _report(estimate: Estimate, output: Path, json: str | None, *, figures: bool
     present({**facts, "files": files}, *first, *sheets, *lines[len(first) :], json=json)
 
 
-def _check_posterior(objective: str) -> None:
-    """Raises before the fit if its posterior could not be sampled: no likelihood, or blackjax is not installed."""
+def _check_posterior(objective: str, settled: str | None) -> None:
+    """Raises before the fit if its posterior could not be sampled: no likelihood, intervals that a calibration
+    widened, which the likelihood does not know, or blackjax is not installed."""
     from fitting.posterior.sampling import chain_runner
 
     if objective == "paper":
         raise InputError("the paper's objective is no likelihood", where="--posterior", remedy="--objective likelihood")
+    if settled == "--calibrated":
+        expected = "one of them: intervals that a calibration widened are wider than the likelihood's"
+        raise InputError("--calibrated with --posterior", expected=expected)
     chain_runner()
 
 

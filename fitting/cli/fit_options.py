@@ -25,7 +25,7 @@ DuringOption = Annotated[
 ]
 _SHARE = 0.3  # default half width of the bounds, as a share of the nominal value
 _BOUNDS = 'a share, such as 0.3; or "L1=0.03:0.05", "L1=30:50 mm"'
-_AS_TRAINED: dict[str, Any] = {  # defaults of the options that training has fixed
+_SETTLED: dict[str, Any] = {  # defaults of the options that a trained posterior or a calibrated fit has fixed
     "method": "least_squares",
     "objective": "likelihood",
     "free": ("K1", "L1", "K2", "L2"),
@@ -137,11 +137,12 @@ def _unit_of_channel(name: str) -> str:
     return {"position": "m", "orientation": "rad"}.get(name, "" if "." in name else "N")  # dotted: a reading, own unit
 
 
-def refuse_settled(asked: dict[str, Any]) -> None:
-    """Raises InputError if an option that a trained posterior has fixed differs from its default."""
-    if settled := [f"--{name}" for name, value in asked.items() if value != _AS_TRAINED.get(name)]:
-        found = f"a trained posterior and {', '.join(settled)}"
-        raise InputError(found, where="--trained", expected="no such options: training has fixed them")
+def refuse_settled(asked: dict[str, Any], where: str) -> None:
+    """Raises InputError if an option that a file given by the option `where` has fixed differs from its default."""
+    if settled := [f"--{name}" for name, value in asked.items() if value != _SETTLED.get(name)]:
+        raise InputError(
+            f"{', '.join(settled)} beside it", where=where, expected="no such options: its file has fixed them"
+        )
 
 
 def time_spans(given: list[str] | None) -> list[tuple[float, ...]]:

@@ -59,7 +59,7 @@ def test_other_posteriors_are_told_apart(width, said, holds):
 
 
 def test_a_posterior_is_widened_until_its_intervals_would_have_held():
-    """By 1 / 0.6 where all are too narrow by 0.6; those that hold or are too wide are left as they are."""
+    """By 1 / 0.6 where all are too narrow by 0.6; those that are too wide are left as they are."""
     found = Calibration(NAMES, {"twin": answers(0.6, count=4000), "wide": answers(2.0)}, "a posterior", 0, 1.0)
     np.testing.assert_allclose(found.kinds["twin"].factors, 1 / 0.6, rtol=0.06)
     np.testing.assert_array_equal(found.kinds["wide"].factors, 1.0)

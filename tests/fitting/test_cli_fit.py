@@ -179,7 +179,7 @@ def test_two_trials_are_fitted_and_planned(toy, tmp_path):
 )
 def test_what_was_settled_in_training_is_not_stated_again(toy, tmp_path, options, named):
     said = refused("fit", toy, "-o", tmp_path / "fit.json", "--trained", tmp_path / "knee.npz", *options)
-    assert "a trained posterior and" in said
+    assert "beside it; expected: no such options: its file has fixed them" in said
     assert named in said
 
 
@@ -202,8 +202,8 @@ def test_a_posterior_is_trained_once_and_answers(toy, tmp_path):
     assert written["names"] == ["K1", "L1"]
     assert "a posterior trained by" in written["reason"]
     assert len(written["draws"]) == 2000
-    calibration, wider = tmp_path / "calibration.json", tmp_path / "wider.npz"
-    options = ("--plants", 3, "--kinds", "misplaced,stiffening", "--cutoff", 0, "--widen", wider, "--seed", 3)
+    calibration = tmp_path / "calibration.json"
+    options = ("--plants", 3, "--kinds", "misplaced,stiffening", "--cutoff", 0, "--seed", 3)
     result = pftwin("calibrate", toy, "--trained", trained, "-o", calibration, *options)
     assert result.exit_code in (0, 3), result.output
     written = json.loads(calibration.read_text())
@@ -212,7 +212,6 @@ def test_a_posterior_is_trained_once_and_answers(toy, tmp_path):
     assert sum(counts[key] for key in ("answered", "doubted", "refused", "dropped")) == 3
     assert (result.exit_code == 0) is written["holds"]
     assert "SYNTHETIC plants" in result.stdout
-    assert wider.exists()
     assert {p.name for p in tmp_path.glob("calibration_*.png")} == {"calibration_coverage.png", "calibration_ranks.png"}
 
 
@@ -228,7 +227,9 @@ def test_a_calibration_is_of_a_posterior_or_of_a_search(toy, tmp_path):
     plain, trained = ("calibrate", toy, "-o", tmp_path / "c.json"), ("--trained", tmp_path / "no.npz")
     assert "neither --trained nor --method" in refused(*plain)
     assert "both --trained and --method" in refused(*plain, *trained, "--method", "least_squares")
-    assert "a trained posterior and --free, --use" in refused(*plain, *trained, "--free", "K1", "--use", "all")
-    assert "trained posterior can be widened" in refused(*plain, "--method", "gradient", "--widen", tmp_path / "w.npz")
+    assert "--trained: --free, --use beside it" in refused(*plain, *trained, "--free", "K1", "--use", "all")
+    assert "calibrated fits are JSON" in refused(*plain, "--method", "gradient", "--widen", tmp_path / "w.npz")
     assert "method: 'best'" in refused(*plain, "--method", "best")
+    few = refused(*plain, "--method", "gradient", "--widen", tmp_path / "w.json", "--plants", 18)
+    assert "--widen: 18 plants; expected: at least 19 of each kind" in few
     assert not list(tmp_path.iterdir())

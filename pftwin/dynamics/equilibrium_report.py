@@ -24,6 +24,7 @@ from pftwin.model.limits import not_pulled
 from pftwin.model.scene import Scene
 
 _NEUTRAL = 1e-6  # fraction of the largest eigenvalue below which a direction counts as neutral
+_OVERLAP = 1e-3  # indentation at the recorded start above which it is named; loads in extension give less [m]
 Seen = Mapping[str, Mapping[str, Any]]
 
 
@@ -185,19 +186,39 @@ def start_offset(scene: Scene, found: Solution) -> tuple[Scalar, Scalar]:
 
 def invalid_start(scene: Scene, start: EquilibriumReport | Start) -> tuple[str, ...]:
     """Reasons not to trust any motion of a scene with limits: fewer lines than `least_upward_lines` pull the patella
-    upward at the start, or the equilibrium is far from the recorded start. A failed search has its own status flag.
+    upward at the start, or the equilibrium is far from the recorded start, with an overlap there that may explain it. A
+    failed search has its own status flag.
     """
     limits = scene.limits
     if limits is None or not start.converged:
         return not_pulled(scene)
     shift, turn = 1e3 * start.moved, float(np.degrees(start.turned))
     pairs = ((shift, "mm", "most_start_shift_mm"), (turn, "deg", "most_start_turn_deg"))
-    far = (
+    far = [
         f"the equilibrium is {found:.1f} {unit} from the recorded start (at most {getattr(limits, name):g}: {name})"
         for found, unit, name in pairs
         if found > getattr(limits, name)
-    )
-    return (*not_pulled(scene), *far)
+    ]
+    return (*not_pulled(scene), *far, *(_overlap_at_start(scene) if far else ()))
+
+
+def largest_indentation(seen: Seen) -> float:
+    """Largest penetration among effects' observables [m]; 0 if nothing touches, NaN without a contact."""
+    depths = [np.asarray(v) for report in seen.values() for key, v in report.items() if key.startswith("indentation")]
+    return max((float(np.max(d, initial=0.0, where=np.isfinite(d))) for d in depths), default=float("nan"))
+
+
+def _overlap_at_start(scene: Scene) -> tuple[str, ...]:
+    """A message if a contact is deeper than `_OVERLAP` where the patella was recorded, or too deep to be found."""
+    seen = on_host(_observe_at(at_start(scene.unnamed()), scene.center_of_mass_pose())[1])
+    deepest = largest_indentation(seen)
+    if deepest > _OVERLAP:
+        depth = f"{1e3 * deepest:.1f} mm"
+    elif any(np.any(report.get("too_deep", 0.0) > 0) for report in seen.values()):
+        depth = "more than the contact search can measure"
+    else:
+        return ()
+    return (f"the surfaces in contact overlap by {depth} at the recorded start",)
 
 
 def _eigenvalues(stiffness: NDArray[np.float64]) -> NDArray[np.float64]:

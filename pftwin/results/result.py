@@ -23,7 +23,7 @@ from pftwin.base.rotations import (
 )
 from pftwin.base.spatial import Quaternion
 from pftwin.dynamics.equilibrium import Solution
-from pftwin.dynamics.equilibrium_report import EquilibriumReport, invalid_start, on_host
+from pftwin.dynamics.equilibrium_report import EquilibriumReport, invalid_start, largest_indentation, on_host
 from pftwin.dynamics.error_estimate import ErrorEstimate
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.observe import Observation
@@ -240,10 +240,7 @@ class Result:
     @property
     def largest_indentation(self) -> float:
         """Largest penetration over all frames and contacts [m]; 0 if nothing touches, NaN without a contact."""
-        depths = [v for r in self.effects.values() for k, v in r.items() if k.startswith("indentation")]
-        present = [d[np.isfinite(d)] for d in depths]
-        deepest = [float(d.max()) for d in present if d.size]
-        return max([0.0, *deepest]) if deepest else float("nan")  # negative values are gaps
+        return largest_indentation(self.effects)
 
     @cached_property
     def groove(self) -> tuple[Floats, Floats] | None:

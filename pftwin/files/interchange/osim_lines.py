@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 BODIES = ("femur", "tibia", "ground")
 POINTS = ("PathPoint", "ConditionalPathPoint", "MovingPathPoint")
 _STRENGTH = "max_isometric_force"
+_LEAST = 1e-6  # shorter lines have no direction [m]
 
 
 class OsimStrand(NamedTuple):
@@ -53,6 +54,7 @@ class PatellarMuscle(NamedTuple):
     strength: float | None  # maximum isometric force [N]
     plain: bool = True  # whether it is the muscle's only segment at the patella, with two fixed end points
     wraps: tuple[str, ...] = ()  # names of the objects over which the segment may wrap
+    coincident: bool = False  # whether the segment's ends coincide at the model's default coordinates
 
     @property
     def name(self) -> str:
@@ -67,7 +69,8 @@ class PatellarMuscle(NamedTuple):
     @property
     def takes_tension(self) -> bool:
         """Whether a scene can include it with a share of a total tension."""
-        return self.plain and self.body in BODIES and self.strength is not None and self.strength > 0
+        usable = self.plain and not self.coincident and self.body in BODIES
+        return usable and self.strength is not None and self.strength > 0
 
     def describe(self) -> str:
         """Why it was left out, and its two ends, so that users can add it to the scene."""
@@ -77,6 +80,8 @@ class PatellarMuscle(NamedTuple):
             return f"it comes from the {self.body}, which a scene does not have; {ends}"
         if not self.plain:
             return f"its points move, or it passes over the patella: only one line can be taken; {ends}"
+        if self.coincident:
+            return f"its line has no length where the model has the patella; {ends}"
         return f"its activation says how strongly it pulls: give a tension in [[prescribed_tension]]; {ends}"
 
 
@@ -128,7 +133,16 @@ def _muscles(knee: OsimKnee) -> Iterator[PatellarMuscle]:
         newtons = None if strength is None else float(strength.numbers(1)[0])
         plain = len(pairs) == 1 and points[i].tag == points[j].tag == POINTS[0]
         wraps = tuple(w.name for w in path_wraps(force) if w.covers(min(i, j), max(i, j)))
-        yield PatellarMuscle(force, at[i][1], at[j][1], at[j][0], newtons, plain, wraps)
+        coincident = plain and at[j][0] in BODIES and _distance(knee, at[i], at[j]) < _LEAST
+        yield PatellarMuscle(force, at[i][1], at[j][1], at[j][0], newtons, plain, wraps, coincident)
+
+
+def _distance(knee: OsimKnee, *points: tuple[str, Floats]) -> float:
+    """Distance of two points, each in a part's frame, at the model's default coordinates [m]."""
+    tree = knee.model.tree
+    poses = (tree.pose(knee.name(part), tree.values({}, 1), 1)[0] for part, _ in points)
+    start, end = (pose[:3, :3] @ own + pose[:3, 3] for pose, (_, own) in zip(poses, points, strict=True))
+    return float(np.linalg.norm(end - start))
 
 
 def shared_tensions(muscles: Sequence[PatellarMuscle], total: float) -> dict[str, float]:

@@ -13,7 +13,7 @@ from pftwin.base.text_files import write_text
 from pftwin.files.interchange import osim_motion
 from pftwin.files.interchange.osim_document import Element, read_osim
 from pftwin.files.interchange.osim_knee import FOLDER, PARTS, OsimKnee, Written, bones, find_knee, load_mesh
-from pftwin.files.interchange.osim_lines import PatellarMuscle, ligament_lines, pulls
+from pftwin.files.interchange.osim_lines import POINTS, PatellarMuscle, ligament_lines, pulls
 from pftwin.files.interchange.osim_model import CONTACT, LIGAMENT, SURFACE, LeftOut, OsimContact, read_model
 from pftwin.files.interchange.osim_toml import poses_csv, report, scene_text
 from pftwin.files.interchange.osim_wraps import Wraps
@@ -255,6 +255,10 @@ def _left_out_force(force: Element, muscles: Sequence[PatellarMuscle]) -> LeftOu
     """Why a force is left out; for a muscle of the patella with its two ends, so that users can add it to the scene."""
     if muscle := next((m for m in muscles if (m.element.tag, m.name) == (force.tag, force.name)), None):
         return LeftOut(force.tag, force.name, muscle.describe())
-    if force.tag == "Ligament" or not list(force.all("PathPoint")):
+    points = list(force.all("PathPoint"))
+    if force.tag == "Ligament" or not points:
         return LeftOut(force.tag, force.name, f"pftwin has no effect like <{force.tag}>")
+    places = {(p.words("socket_parent_frame"), *p.numbers_of("location", (0.0, 0.0, 0.0))) for p in points}
+    if len(places) == 1 and next(force.all(*POINTS[1:]), None) is None:
+        return LeftOut(force.tag, force.name, "its path has no length: all its points are in the same place")
     return LeftOut(force.tag, force.name, "it does not pull at the patella; the bones' motion is prescribed")

@@ -6,7 +6,7 @@ import re
 
 import numpy as np
 import pytest
-from knee_models import FEMUR, FEMUR_AT, MUSCLE, PATELLA, TIBIA, model, point, write_knee
+from knee_models import FEMUR, FEMUR_AT, MUSCLE, PATELLA, START, TIBIA, model, point, write_knee
 from scipy.spatial.transform import Rotation
 
 from pftwin.base.errors import InputError
@@ -93,12 +93,12 @@ def test_what_comes_from_elsewhere_has_no_tension():
 PATH = ((FEMUR, (0.035, 0.22, 0.012)), (FEMUR, (0.04, 0.12, 0.01)), (PATELLA, (-0.008, 0.02, 0.0)))
 
 
-def only(folder, forces: str):
+def only(folder, forces: str, **options):
     """What is told of an import whose muscles are these."""
     text = model()
     text = text.replace(MUSCLE, forces)
     assert forces in text
-    return import_osim(write_knee(folder / "model", text), folder / "scene")
+    return import_osim(write_knee(folder / "model", text), folder / "scene", **options)
 
 
 def test_a_path_may_begin_at_the_patella(tmp_path):
@@ -120,6 +120,19 @@ def test_points_that_move_and_paths_over_the_patella_are_left_out(tmp_path):
     why = {part.name: part.why for part in told.left_out}
     for name in ("moving", "over"):
         assert why[name].startswith("its points move, or it passes over the patella")
+
+
+def test_a_muscle_without_length_is_left_out_by_name(tmp_path):
+    """One between a point of the femur and the patella's origin, which the model puts there; and two of one place."""
+    place = (START["pf_tx_r"], START["pf_ty_r"], START["pf_tz_r"])
+    origin = (PATELLA, (0.0, 0.0, 0.0))
+    forces = muscle("pulls", 900, *PATH) + muscle("none", 900, (FEMUR, place), origin)
+    forces += muscle("twice", 900, origin, origin) + muscle("once", 900, origin)
+    told = only(tmp_path, forces, quadriceps=10.0)
+    assert told.tensions == {"pulls": 10.0}
+    why = {part.name: part.why for part in told.left_out}
+    assert why["none"].startswith("its line has no length where the model has the patella; insertion_m = [0, 0, 0]")
+    assert why["twice"] == why["once"] == "its path has no length: all its points are in the same place"
 
 
 def test_names_that_a_scene_cannot_tell_apart_are_refused():

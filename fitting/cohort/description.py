@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,6 +15,7 @@ from fitting.nuisance import Nuisance
 from fitting.treatments import KINDS
 from fitting.treatments.treatment import Way
 from pftwin.base.errors import InputError
+from pftwin.base.text_files import shortened_list
 from pftwin.base.written_amounts import several_amounts
 from pftwin.files.scene_file.document import Document
 from pftwin.files.scene_file.problems import validated
@@ -269,12 +269,13 @@ def _contact(table: PatientTable) -> str:
 
 def _check_names(table: CohortTable, document: Document) -> None:
     """Raises InputError for names that differ only in case, which many file systems do not distinguish."""
-    counts = Counter(p.name.lower() for p in table.patient)
-    for i, patient in enumerate(table.patient):
-        if (count := counts[patient.name.lower()]) > 1:
-            where = document.where("patient", i, "name")
-            expected = "names that differ by more than capital letters"
-            raise InputError(f"{count} patients are called {patient.name!r}", where=where, expected=expected)
+    names = [p.name.lower() for p in table.patient]
+    for name in names:
+        if len(same := [i for i, other in enumerate(names) if other == name]) > 1:
+            where, *others = (document.where("patient", i, "name") for i in same)
+            also = shortened_list([other.removeprefix(f"{document.path}, ") for other in others], 3)
+            found = f"{len(same)} patients are called {table.patient[same[0]].name!r}, also {also}"
+            raise InputError(found, where=where, expected="names that differ by more than capital letters")
 
 
 def _check_size(treatments: tuple[Amounts, ...], table: CohortTable, document: Document) -> None:

@@ -84,8 +84,15 @@ def test_choices_are_those_of_fits():
         ("schema = 2\n[fit]\n" + PATIENT, "cohort.toml, line 1, schema: found 2; expected: one of 1"),
         ("schema = 1\n" + PATIENT, "neither a fit nor a treatment; expected: a table [fit]"),
         (HEAD, "patient: is missing; expected: tables [[patient]]: who"),
-        (HEAD + PATIENT + PATIENT, "line 14, [[patient]] number 1 (A), name: 2 patients are called 'A'"),
-        (HEAD + PATIENT + PATIENT.replace('"A"', '"a"'), "expected: names that differ by more than capital letters"),
+        (
+            HEAD + PATIENT + PATIENT,
+            "line 14, [[patient]] number 1 (A), name: 2 patients are called 'A', also line 18, ",
+        ),
+        (
+            HEAD + PATIENT + PATIENT.replace('"A"', '"B"') + PATIENT.replace('"A"', '"a"'),
+            "cohort.toml, line 14, [[patient]] number 1 (A), name: 2 patients are called 'A', also line 22, [[patient]]"
+            " number 3 (a), name; expected: names that differ by more than capital letters",
+        ),
         (HEAD + PATIENT.replace('"A"', '"../A"'), "name: found '../A'"),
         (HEAD + PATIENT.replace('"A"', '"aux"'), "found 'aux', which Windows takes for a device"),
         (HEAD + PATIENT.replace("case = 1", ""), "[[patient]] number 1 (A): neither scene nor case given"),

@@ -30,9 +30,13 @@ def increasing_times(times: ArrayLike, *, where: object) -> NDArray[np.float64]:
         raise InputError(f"row {bad[0] + 1} has no finite time", where=where, expected="a time in seconds on every row")
     if (bad := np.flatnonzero(np.diff(t) <= 0)).size:
         i = int(bad[0]) + 1
-        found = f"repeats the time {t[i]:.9g} s"
-        if t[i] < t[i - 1]:
-            found = f"goes back in time: {t[i]:.9g} s after {t[i - 1]:.9g} s"
+        now, before = (f"{v:.9g}" for v in (t[i], t[i - 1]))
+        if t.any() and np.all(t == np.round(t)):  # files of poses may count frames
+            found = f"repeats the time {now} (frame number or seconds)"
+            back = f"goes back in time: {now} after {before} (frame numbers or seconds)"
+        else:
+            found, back = f"repeats the time {now} s", f"goes back in time: {now} s after {before} s"
+        found = back if t[i] < t[i - 1] else found
         remedy = "sort the rows and remove repeated ones"
         raise InputError(f"row {i + 1} {found}", where=where, expected="strictly increasing times", remedy=remedy)
     return t

@@ -95,6 +95,22 @@ def test_frames_may_be_missing(tmp_path, numbers):
         read_poses(path)
 
 
+@pytest.mark.parametrize(
+    ("numbers", "found"),
+    [
+        ((11, 12, 12), "row 3 repeats the time 12 (frame number or seconds)"),
+        ((11, 13, 12), "row 3 goes back in time: 12 after 13 (frame numbers or seconds)"),
+        ((1.5, 2.5, 2.5), "row 3 repeats the time 2.5 s"),
+    ],
+)
+def test_frame_numbers_are_not_called_seconds(tmp_path, numbers, found):
+    path = written(tmp_path / "a.sto", {"femur": matrices(1)}, np.array([*numbers, 14, 15, 16, 17], float))
+    for rate in (None, 30):
+        with pytest.raises(InputError) as said:
+            read_poses(path, rate=rate)
+        assert found in str(said.value)
+
+
 def test_no_bodies_are_none_and_a_held_frame_is_one_of_all_bodies(tmp_path):
     paused = matrices(1)[[0, 1, 2, 2, 4, 5, 6]]
     path = written(tmp_path / "a.sto", {"femur": paused, "tibia": matrices(2)})

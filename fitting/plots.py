@@ -60,13 +60,15 @@ class EstimatePlots:
         """
         from matplotlib.figure import Figure
 
-        from pftwin.results.plots.style import PAGE, figure_of, given_axes, house_style, title
+        from pftwin.results.plots.style import PAGE, figure_of, given_axes, house_style, shortened, title
 
         own = given_axes(axes, 2, "for the correlations, and for the values")
         with house_style(axes__grid=False):
             if own is None:
                 tall = 1.4 + 0.32 * max(5, self._estimate.asked)
-                figure = Figure(figsize=(PAGE, tall))
+                longest = max(len(shortened(name)) for name in self._estimate.names[: self._estimate.asked])
+                wide = PAGE + 0.14 * max(0, longest - 12)  # names stand beside both panels
+                figure = Figure(figsize=(wide, tall))
                 own = list(figure.subplots(1, 2, width_ratios=[1.0, 1.1]))
                 title(figure, fitted_to(self._estimate))
             _correlations(own[0], self._estimate)
@@ -170,10 +172,13 @@ def fitted_to(e: Estimate) -> str:
 
 
 def _correlations(ax: Axes, e: Estimate) -> None:
+    from pftwin.results.plots.style import shortened
+
     p, correlation = e.asked, e.correlation[: e.asked, : e.asked]
+    names = [shortened(name) for name in e.names[:p]]
     picture = ax.imshow(correlation, vmin=-1, vmax=1, cmap="RdBu_r")
-    ax.set_xticks(range(p), e.names[:p], rotation=90 if p > 6 else 0)
-    ax.set_yticks(range(p), e.names[:p])
+    ax.set_xticks(range(p), names, rotation=90 if p > 6 else 0)
+    ax.set_yticks(range(p), names)
     for i in range(p if p <= _WRITTEN else 0):
         for j in range(p):
             colour = "white" if abs(correlation[i, j]) > 0.6 else "black"
@@ -185,7 +190,7 @@ def _correlations(ax: Axes, e: Estimate) -> None:
 
 def _values(ax: Axes, e: Estimate) -> None:
     """Values in percent of the nominal ones, since units differ; in units of 1 where the nominal value is zero."""
-    from pftwin.results.plots.style import COLOURS, TINY
+    from pftwin.results.plots.style import COLOURS, TINY, shortened
 
     rows, nominal, values = np.arange(e.asked), e.nominal[: e.asked], e.values[: e.asked]
     scale = np.where(nominal == 0, 1.0, np.abs(nominal))
@@ -196,6 +201,6 @@ def _values(ax: Axes, e: Estimate) -> None:
         look = {"textcoords": "offset points", "ha": "center", "va": "bottom", "fontsize": TINY}
         ax.annotate(mark, (off[row], row), xytext=(0, 5), **look)
     ax.axvline(0, color="black", linewidth=0.8)
-    ax.set_yticks(rows, e.names[: e.asked])
+    ax.set_yticks(rows, [shortened(name) for name in e.names[: e.asked]])
     ax.set_ylim(len(rows) - 0.5, -0.5)
     ax.set(xlabel="deviation from the nominal value [%]", title="Estimate with 95 % intervals")

@@ -50,7 +50,7 @@ def corner_figure(estimate: Estimate, posterior: Posterior | None = None) -> Fig
     from matplotlib.patches import Patch
 
     from fitting.plots import fitted_to
-    from pftwin.results.plots.style import COLOURS, PAGE, house_style, title
+    from pftwin.results.plots.style import COLOURS, PAGE, house_style, shortened, title
 
     if posterior is not None and posterior.names != estimate.names:
         found, expected = f"a posterior of {', '.join(posterior.names)}", f"of {', '.join(estimate.names)}"
@@ -70,7 +70,7 @@ def corner_figure(estimate: Estimate, posterior: Posterior | None = None) -> Fig
                 _marginal(axes, estimate, i, float(scale[i]), None if draws is None else draws[:, i])
             else:
                 _pair(axes, estimate, (j, i), scale, draws)
-            _name(axes, i, j, [f"{n} [{u or '-'}]" for n, u in zip(estimate.names, units, strict=True)])
+            _name(axes, i, j, [f"{shortened(n, 20)} [{u or '-'}]" for n, u in zip(estimate.names, units, strict=True)])
         figure.align_labels()
         what = "normal distribution about the estimate, not sampled" if posterior is None else posterior.sentence()
         title(figure, fitted_to(estimate), what)

@@ -62,10 +62,11 @@ class BandSources(NamedTuple):
             figure = Figure(figsize=(style.PAGE, 1.3 + 0.3 * len(self.sources)))
             panels = np.ravel(figure.subplots(1, len(self.outcomes), sharey=True))
             for ax, name, column in zip(panels, self.outcomes, self.narrower.T, strict=True):
-                ax.barh(self.sources, 100 * column, color=style.COLOURS[0])
+                ax.barh(range(len(self.sources)), 100 * column, color=style.COLOURS[0])
                 ax.set_title(name.replace("_", " "), fontsize=style.SMALL)
                 ax.set_xlim(0, 100)
                 ax.set_xlabel("bands narrower,\nif it were known [%]", fontsize=style.SMALL)
+            panels[0].set_yticks(range(len(self.sources)), [style.shortened(name) for name in self.sources])
             panels[0].invert_yaxis()
             style.title(figure, f"sources of the bands of {self.title}" if self.title else "sources of the bands")
             style.footer(figure, self.note)

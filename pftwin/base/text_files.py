@@ -112,11 +112,11 @@ def csv_cells(line: str, *, path: object, number: int, delimiter: str = ",") -> 
         ) from None
 
 
-def shortened_list(names: Iterable[object], limit: int = 8) -> str:
-    """Formats the first `limit` names, and the number of further ones."""
+def shortened_list(names: Iterable[object], limit: int = 8, separator: str = ", ") -> str:
+    """Formats the first `limit` names with a separator between them, and the number of further ones."""
     items = [str(n) for n in names]
     tail = f" and {len(items) - limit} more" if len(items) > limit else ""
-    return ", ".join(items[:limit]) + tail
+    return separator.join(items[:limit]) + tail
 
 
 def refuse_repeated(names: Sequence[str], what: str, *, where: object) -> None:

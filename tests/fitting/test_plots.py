@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 import pytest
-from figure_parts import footers
+from figure_parts import clipped, footers
 from made_estimates import made_estimate, of_trial
 from scipy.stats import norm
 from small_scene import small_scene
@@ -262,6 +262,16 @@ def test_no_global_setting_is_changed_and_vectors_are_written(estimate, posterio
         for path in save_figure(figure, tmp_path / f"{i}", kinds=("png", "svg", "pdf")):
             assert path.stat().st_size > 5000
     assert settings() == before
+
+
+@pytest.mark.filterwarnings("error:constrained_layout")
+def test_long_names_of_parameters_leave_room_to_the_panels():
+    long = made_estimate({f"{'a tendon with a long name ' * 5}.stiffness": (160.0, 2.0), "L1": (0.15, 1e-3)})
+    for figure in (long.plot.correlation(), long.plot.posterior()):
+        assert clipped(figure) == []
+        assert all(
+            ax.get_window_extent().width > 50 for ax in figure.axes if ax.axison and ax.get_label() != "<colorbar>"
+        )
 
 
 def test_legends_and_titles_lie_beside_the_panels(estimate, posterior, prediction):

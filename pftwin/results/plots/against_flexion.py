@@ -83,7 +83,7 @@ def against_flexion(
             ax.set(xlabel="knee flexion [deg]", ylabel=quantity.label)
             ax.yaxis.label.set_fontsize(style.SMALL)
         if axes is None:
-            style.title(figure, title or "; ".join(dict.fromkeys(r.scene_name for r in everything)))
+            style.title(figure, title or style.scene_names(everything))
             style.footer(figure, _MEANING, _ALONE if alone else None, provenance(*everything))
             style.legend_below(figure, *style.legend_entries(own), most=2)
     return style.figure_of(own[0])

@@ -120,7 +120,7 @@ def compared(
     with style.house_style():
         if own is None:
             figure, own = style.panels_in_rows(len(panels), 3, height=1.85 + 0.14 * len(named))
-            style.title(figure, title or "; ".join(dict.fromkeys(r.scene_name for r in named.values())))
+            style.title(figure, title or style.scene_names(named.values()))
             style.footer(figure, provenance(*named.values()))
         for ax, quantity in zip(own, panels, strict=True):
             _panel(ax, quantity, named, measured, errors, against)

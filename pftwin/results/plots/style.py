@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,10 +16,13 @@ import numpy as np
 
 from pftwin.base.errors import InputError
 from pftwin.base.output import written_whole
+from pftwin.base.text_files import shortened_list
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+
+    from pftwin.results.result import Result
 
 # Without dates, the same figure gives the same file.
 _METADATA: dict[str, dict[str, Any]] = {"png": {}, "svg": {"Date": None}, "pdf": {"CreationDate": None}}
@@ -138,9 +141,26 @@ def line(i: int) -> dict[str, Any]:
     return {"color": COLOURS[i % len(COLOURS)], "linestyle": DASHES[i % len(DASHES)]}
 
 
+def shortened(name: str, most: int = 30) -> str:
+    """Returns a name with at most `most` characters: of a longer one its beginning and end, since names differ there.
+
+    For labels beside panels, which would leave no room to the panels if they were long.
+    """
+    half = (most - 1) // 2
+    return name if len(name) <= most else f"{name[: most - 1 - half]}\N{HORIZONTAL ELLIPSIS}{name[len(name) - half :]}"
+
+
 def title(figure: Any, *lines: str | None) -> None:
     """Sets the figure's title, wrapped to its width; lines that are None are skipped."""
-    figure.suptitle("\n".join(_wrapped(figure, lines, TEXT)), fontsize=TEXT)
+    for size in (TEXT, 1.25 * TEXT, 2 * TEXT):  # as if the letters were larger, if they are wide ones
+        text = figure.suptitle("\n".join(_wrapped(figure, lines, size)), fontsize=TEXT)
+        if text.get_window_extent().width <= figure.bbox.width:
+            return
+
+
+def scene_names(results: Iterable[Result]) -> str:
+    """Returns the names of the results' scenes for a title, each once."""
+    return shortened_list(dict.fromkeys(shortened(r.scene_name, 80) for r in results), 4, "; ")
 
 
 def footer(figure: Any, *lines: str | None) -> None:
@@ -174,9 +194,15 @@ def legend_below(figure: Any, handles: list[Any], labels: list[str], most: int =
             handles, labels, loc="outside lower center", ncols=columns, fontsize=SMALL,
             borderaxespad=(above_footer + _MARGIN) / SMALL,
         )  # fmt: skip
-        if columns == 1 or legend.get_window_extent().width <= figure.bbox.width:
+        if legend.get_window_extent().width <= figure.bbox.width:
             return
-        legend.remove()
+        if columns > 1:
+            legend.remove()
+    most = max(map(len, labels))
+    while legend.get_window_extent().width > figure.bbox.width and most > 10:
+        most = int(0.9 * most)
+        for text, label in zip(legend.get_texts(), labels, strict=True):
+            text.set_text(shortened(label, most))
 
 
 def legend_above(axes: Any, title: str | None = None, **more: Any) -> None:

@@ -19,6 +19,7 @@ from pftwin.files.result_files import save_dataset
 from pftwin.results.metrics import PAPER_TABLE_1, Validation
 from pftwin.results.plots import save_figure
 from pftwin.results.plots.style import COLOURS, MARKERS, TINY, WIDE, house_style, legend_below
+from pftwin.results.plots.style import title as set_title
 from pftwin.studies.accuracy.measure import AccuracyMeasured, AccuracyRow
 
 if TYPE_CHECKING:
@@ -169,7 +170,7 @@ def work_precision(rows: Sequence[AccuracyRow], title: str, *, contact: str | No
             ax.set(title=name, xlabel="time spent per simulated second [ms]")
         axes[0].set_ylabel("error of the button's centre, rms [mm]")
         legend_below(figure, *axes[0].get_legend_handles_labels(), most=4 if len(panels) > 1 else 2)
-        figure.suptitle(title)
+        set_title(figure, title)
     return figure
 
 

@@ -187,7 +187,7 @@ def audit_figure(found: Audit, title: str) -> Figure:
         path.annotate(f"tolerance {limit:g} mm", (limit, -0.75), annotation_clip=False, **{**_BESIDE, "xytext": (3, 0)})
         _bars(force, rows, data["contact_rms_N"], data["contact_max_N"])
         _time_bars(time, rows, data["time_percent"], data["time_spread_percent"])
-        path.set_yticks(range(len(rows)), [row.name for row in rows])
+        path.set_yticks(range(len(rows)), [style.shortened(row.name) for row in rows])
         path.set_ylim(len(rows) - 0.4, -1.1)
         path.set(title="Path: bar rms, line to the largest", xlabel="distance from the scene's own path [mm]")
         force.set(title="Contact force: bar rms, line to the largest", xlabel="change [N]")

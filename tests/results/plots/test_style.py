@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import dataclasses
 import subprocess
 import sys
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from figure_parts import clipped
 from small_scene import small_result
 
 from pftwin.base.errors import InputError, OutputError
 from pftwin.model.measured import Measured
 from pftwin.results.plots import COLOURS, STYLE, case_figure, house_style, save_figure
-from pftwin.results.plots.style import DASHES, MARKERS, line, title
+from pftwin.results.plots.against_flexion import against_flexion
+from pftwin.results.plots.style import DASHES, MARKERS, line, shortened, title
 
 
 @pytest.fixture(scope="module")
@@ -113,6 +116,24 @@ def test_titles_fit_their_figure(width):
         box = figure.get_suptitle(), figure._suptitle.get_window_extent()
     assert box[1].x0 >= 0
     assert box[1].x1 <= figure.bbox.x1
+
+
+@pytest.mark.parametrize("name", ["a knee with a very long name " * 5, "knee_" * 30, "W" * 150])
+@pytest.mark.filterwarnings("error:constrained_layout")
+def test_long_names_leave_room_and_are_not_clipped(result, name):
+    """Of scenes, and of results in the legend, which begin alike."""
+    named = {f"{name}{k}": dataclasses.replace(result, scene_name=f"{k}{name}") for k in range(6)}
+    for figure in (case_figure(named, None, name), against_flexion(named), against_flexion(named[f"{name}0"])):
+        assert clipped(figure) == []
+        drawn = [text.get_text() for legend in figure.legends for text in legend.get_texts()]
+        assert len(drawn) == len(set(drawn))
+        assert all(ax.get_window_extent().height > 50 for ax in figure.axes)
+
+
+def test_a_long_name_keeps_its_ends():
+    assert shortened("a" * 30) == "a" * 30
+    assert shortened("first" + "m" * 100 + "last", 12) == "firstm…mlast"
+    assert len(shortened("m" * 31)) == 30
 
 
 def test_using_a_result_does_not_import_matplotlib():

@@ -277,12 +277,8 @@ class Result:
         remarks = [f"remark: {words}" for f, words in said.items() if f in REMARKS]
         if self.impact is not None and self.impact.unresolved:
             remarks.append(f"remark: restitution: {self.impact.describe()}")
-        first = tuple(self.verdict.reasons)  # the first line has these
-        marks = [
-            f"status: {words}"
-            for f, words in said.items()
-            if f not in REMARKS and not any(reason.startswith(f.describe()) for reason in first)
-        ]
+        elsewhere = REMARKS | self.verdict.flags  # at the end, and in the first line
+        marks = [f"status: {words}" for f, words in said.items() if f not in elsewhere]
         lines = [f"{self.scene_name}: {self.times.size} frames, {self.duration:.2f} s"]
         lines.append(f"start: {self.equilibrium.description}")
         if not self.verdict.valid:

@@ -35,6 +35,7 @@ class Verdict(NamedTuple):
     """Reasons that a motion is invalid; empty if it is valid."""
 
     reasons: tuple[str, ...] = ()
+    flags: Status = Status.OK  # flags of frames that are among the reasons
 
     @property
     def valid(self) -> bool:
@@ -66,18 +67,16 @@ def verdict_of(flags: ArrayLike, more: tuple[str, ...] = ()) -> Verdict:
     """Returns the verdict on a motion from its frames' flags, (n,) bits of `Status`, and `more` reasons."""
     found = np.asarray(flags, dtype=np.int64)
     said = verdict_of_counts([np.count_nonzero(found & int(flag)) for flag in FLAGS], found.size)
-    return Verdict((*said.reasons, *more))
+    return Verdict((*said.reasons, *more), said.flags)
 
 
 def verdict_of_counts(counts: ArrayLike, frames: int) -> Verdict:
     """Returns the verdict on a motion of `frames` frames from the number with each of `FLAGS`, (flags,)."""
     found = {flag: int(count) for flag, count in zip(FLAGS, np.asarray(counts), strict=True)}
-    reasons = []
-    for flag in IN_ORDER:
-        if found[flag] > most_frames(flag, frames):
-            everywhere = flag is Status.START_NOT_IN_EQUILIBRIUM
-            reasons.append(flag.describe() if everywhere else f"{flag.describe()} ({found[flag]} of {frames} frames)")
-    return Verdict(tuple(reasons))
+    broken = [flag for flag in IN_ORDER if found[flag] > most_frames(flag, frames)]
+    everywhere = Status.START_NOT_IN_EQUILIBRIUM
+    reasons = (f.describe() + ("" if f is everywhere else f" ({found[f]} of {frames} frames)") for f in broken)
+    return Verdict(tuple(reasons), Status(sum(broken)))
 
 
 def verdict_of_file(data: Dataset) -> Verdict:

@@ -93,7 +93,9 @@ def test_one_rule_for_one_motion_and_for_many():
 
 
 def test_a_summary_gives_the_reason_of_its_verdict_once():
-    invalid = flagged({Status.INACCURATE: 20, Status.FACETS_INACCURATE: 2}).summary()
+    result = flagged({Status.INACCURATE: 20, Status.FACETS_INACCURATE: 2})
+    assert result.verdict.flags == Status.INACCURATE
+    invalid = result.summary()
     assert invalid.count(Status.INACCURATE.describe()) == 1  # in the verdict, and not once more as a status
     assert f"status: 2 of 41 frames: {Status.FACETS_INACCURATE.describe()}" in invalid
 

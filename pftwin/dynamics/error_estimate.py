@@ -56,16 +56,23 @@ class ErrorEstimate:
     contact_force: Any  # norm of the error of the contact force [N]
     medial_facet: Any  # of the magnitude of the force on each facet [N]
     lateral_facet: Any
+    force: Any  # size of the run's contact force itself (n,) [N]
     most_force: Any  # error of a force above which it is flagged, () [N]
 
     @property
-    def _all(self) -> tuple[Any, ...]:
+    def errors(self) -> tuple[Any, ...]:
+        """Errors of path, contact force, and force on the medial and the lateral facet."""
         return self.path, self.contact_force, self.medial_facet, self.lateral_facet
+
+    def with_errors(self, path: Any, contact_force: Any, medial_facet: Any, lateral_facet: Any) -> ErrorEstimate:
+        """An estimate of these errors of the same run."""
+        forces = {"contact_force": contact_force, "medial_facet": medial_facet, "lateral_facet": lateral_facet}
+        return replace(self, path=path, **forces)
 
     def times(self, path: Any, force: Any) -> ErrorEstimate:
         """The estimate with the errors of path and forces multiplied by factors."""
-        length, *forces = self._all
-        return ErrorEstimate(path * length, *(force * f for f in forces), most_force=self.most_force)
+        length, *forces = self.errors
+        return self.with_errors(path * length, *(force * f for f in forces))
 
     def with_start(self, off: float) -> ErrorEstimate:
         """The estimate with an error of the initial position `off` [m] added to the path at every frame."""
@@ -74,11 +81,11 @@ class ErrorEstimate:
     @property
     def unknown(self) -> ErrorEstimate:
         """The estimate with infinite errors at every frame."""
-        return ErrorEstimate(*(np.full_like(x, np.inf) for x in self._all), most_force=self.most_force)
+        return self.with_errors(*(np.full_like(x, np.inf) for x in self.errors))
 
     def or_larger(self, other: ErrorEstimate) -> ErrorEstimate:
         """The larger of two estimates at each frame."""
-        return ErrorEstimate(*map(np.maximum, self._all, other._all), most_force=self.most_force)
+        return self.with_errors(*map(np.maximum, self.errors, other.errors))
 
     @property
     def flags(self) -> Any:
@@ -86,17 +93,20 @@ class ErrorEstimate:
         return self.flags_beyond(MOST_PATH_ERROR)
 
     def flags_beyond(self, most_path: float) -> Any:
-        """Bits of `Status` (n,) for errors of the path above `most_path` [m] or of a force above `most_force`."""
-        most = self.most_force
+        """Bits of `Status` (n,) for errors of the path above `most_path` [m] or of a force above `most_force`, and
+        where the force is largest, if its error is as large."""
+        most, error = self.most_force, self.contact_force
+        unknown = (self.force >= self.force.max()) & (error >= self.force) & (error > LEAST_FORCE) & (error < np.inf)
         off = (self.path > most_path) | (self.contact_force > most)
         unshared = (self.medial_facet > most) | (self.lateral_facet > most)
-        return off.astype(np.int32) * int(Status.INACCURATE) + unshared.astype(np.int32) * int(Status.FACETS_INACCURATE)
+        pairs = (off, Status.INACCURATE), (unshared, Status.FACETS_INACCURATE), (unknown, Status.PEAK_UNKNOWN)
+        return sum(where.astype(np.int32) * int(flag) for where, flag in pairs)
 
     @property
     def largest(self) -> dict[str, Any]:
         """The largest error of all frames for each quantity."""
         names = ("path", "contact_force", "medial_facet", "lateral_facet")
-        return {name: values.max() for name, values in zip(names, self._all, strict=True)}
+        return {name: values.max() for name, values in zip(names, self.errors, strict=True)}
 
     def describe(self) -> str:
         """The largest errors of all frames, in words."""
@@ -119,7 +129,7 @@ def error_of(run: Course, other: Course, order: float, ratio: Any, xp: Any = np)
 
 
 def apart(a: Course, b: Course, xp: Any = np) -> ErrorEstimate:
-    """Difference of two runs at every frame; infinite where one is not finite."""
+    """Difference of a run from another at every frame; infinite where one is not finite."""
     with np.errstate(over="ignore", invalid="ignore"):
         moved = _length(a.center - b.center, xp)
         cosine = xp.abs(_dot(a.quaternion, b.quaternion))
@@ -129,7 +139,7 @@ def apart(a: Course, b: Course, xp: Any = np) -> ErrorEstimate:
         sizes = [_length(x.force, xp) for x in (a, b)]
     peaks = [xp.where(xp.isfinite(x), x, 0.0).max() for x in sizes]
     most = xp.clip(MOST_ERROR_SHARE * xp.minimum(*peaks), LEAST_FORCE, MOST_FORCE_ERROR)
-    return ErrorEstimate(*(xp.where(xp.isfinite(x), x, xp.inf) for x in found), most_force=most)
+    return ErrorEstimate(*(xp.where(xp.isfinite(x), x, xp.inf) for x in found), force=sizes[0], most_force=most)
 
 
 def _dot(a: Any, b: Any) -> Any:

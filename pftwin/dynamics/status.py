@@ -46,6 +46,7 @@ class Status(enum.IntFlag):
     INACCURATE = 512
     FACETS_INACCURATE = 1024
     END_WITHIN_WRAP = 2048
+    PEAK_UNKNOWN = 4096
 
     def describe(self) -> str:
         """Description of the flags."""
@@ -75,6 +76,8 @@ _WORDS = {
     " take shorter steps, or use the sum of both facets",
     Status.END_WITHIN_WRAP: "an end of a line lies inside its wrapping obstacle, so the line runs straight through it:"
     " move the end or make the obstacle smaller",
+    Status.PEAK_UNKNOWN: "the estimated error of the largest contact force is as large as this force itself: take"
+    " shorter steps",
     Status.START_NOT_IN_EQUILIBRIUM: "the run did not start from a converged equilibrium",
 }
 

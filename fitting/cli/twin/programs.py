@@ -19,7 +19,7 @@ from fitting.prediction.untreated import untrusted_start
 from pftwin.base.errors import InputError
 from pftwin.base.rotations import patellar_angles, tibiofemoral_angles
 from pftwin.base.spatial import Pose, Quaternion, Vec3
-from pftwin.dynamics.error_estimate import Course, ErrorEstimate, after_halving, error_of
+from pftwin.dynamics.error_estimate import Course, after_halving, error_of
 from pftwin.dynamics.frame_states import relaxed_start, start_before_search, starting_equilibrium, substeps_for
 from pftwin.dynamics.integrators import BDF2
 from pftwin.dynamics.observe import Observation, observe_on_the_way
@@ -112,10 +112,9 @@ def programs(knobs: Knobs) -> Programs:
 
     def estimate(here: Course, coarse: Course, before: list[Array], factor: Array, sound: Array) -> dict[str, Any]:
         pair = error_of(here, coarse, _INTEGRATOR.order, 2.0, jnp)
-        pair = ErrorEstimate(*(jnp.where(sound, x, jnp.inf) for x in _parts(pair)), most_force=pair.most_force)
-        larger = [jnp.maximum(factor * x, y) for x, y in zip(_parts(pair), before, strict=True)]
-        error = ErrorEstimate(*larger, most_force=pair.most_force)
-        return {"flags": error.flags, "halved": list(_parts(after_halving(pair, _INTEGRATOR.order)))}
+        pair = pair.with_errors(*(jnp.where(sound, x, jnp.inf) for x in pair.errors))
+        error = pair.with_errors(*(jnp.maximum(factor * x, y) for x, y in zip(pair.errors, before, strict=True)))
+        return {"flags": error.flags, "halved": list(after_halving(pair, _INTEGRATOR.order).errors)}
 
     three, each = jnp.zeros((n, 3)), jnp.zeros(n)
     course = Course(three, jnp.zeros((n, 4)), three, each, each)
@@ -132,10 +131,6 @@ def programs(knobs: Knobs) -> Programs:
     start_pose = [np.asarray(a, float).tolist() for a in place]
     rules = {"substeps": substeps + substeps % 2, "halvings": HALVINGS, "unconfirmed": UNCONFIRMED}
     return Programs(emitter.module.binary(), {"programs": exported, "start": start_pose, "rules": rules})
-
-
-def _parts(error: ErrorEstimate) -> tuple[Array, Array, Array, Array]:
-    return error.path, error.contact_force, error.medial_facet, error.lateral_facet
 
 
 def _changed(knobs: Knobs) -> Any:

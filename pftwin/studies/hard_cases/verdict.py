@@ -56,7 +56,7 @@ class Truth(NamedTuple):
         off = (getattr(found, n) + known_to * getattr(self.left, n) for n in QUANTITIES)
         path, force, *facets = (np.maximum(a, 0.0) for a in off)
         middle = np.abs(self.course.center[:, 1]) < MIDDLE
-        return ErrorEstimate(path, force, *(np.where(middle, 0.0, f) for f in facets), most_force=found.most_force)
+        return found.with_errors(path, force, *(np.where(middle, 0.0, f) for f in facets))
 
 
 def truths(batch: CaseBatch, starts: Any, contact: str) -> dict[str, Truth]:
@@ -73,7 +73,7 @@ def truths(batch: CaseBatch, starts: Any, contact: str) -> dict[str, Truth]:
         coarse, course = (runs.tried(k, steps).course for steps in (fine, 2 * fine))
         left = apart(course, coarse)
         values = (np.maximum.accumulate(getattr(left, name)) for name in QUANTITIES)
-        found[case.name] = Truth(course, ErrorEstimate(*values, most_force=left.most_force))
+        found[case.name] = Truth(course, left.with_errors(*values))
     return found
 
 

@@ -80,6 +80,7 @@ def plot(results: Sequence[Recorded], *, side_by_side: bool = False) -> tuple[Pl
             for r, c, parts in zip(results, codes, own, strict=True)
         ],
         "patellae": [p.id for parts in own for p in parts if p.name in PATELLA],
+        "see_through": bool(coloured),  # an opaque patella covers the colours on the femur
     }
     return made, control
 

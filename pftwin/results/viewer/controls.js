@@ -170,7 +170,7 @@
         const objects = k3d.getWorld().ObjectsListJson;
         return Promise.all(control.patellae.map((id) => {
             solid[id] = solid[id] ?? objects[id].opacity;
-            objects[id].opacity = clear ? 0.3 * solid[id] : solid[id];
+            objects[id].opacity = clear ? 0.15 * solid[id] : solid[id];
             return k3d.reload(objects[id], { opacity: objects[id].opacity });
         })).then(() => show(parseFloat(slider.value)));
     }
@@ -198,5 +198,6 @@
     k3d.resizeHelper();
     look('anterior');
     show(control.opening);
+    if (control.see_through) { seeThrough(true); }
     bar.viewer = { k3d, control, show, look, seeThrough, drawn: () => !busy };
 }(K3DInstance, /*CONTROL*/null));

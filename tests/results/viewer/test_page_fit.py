@@ -103,6 +103,31 @@ def test_every_control_is_in_reach_on_a_phone(browser, tmp_path, width):
     assert bar["y"] == pytest.approx(drawing_height(page), abs=1)  # below the drawing, not over it
 
 
+@pytest.mark.parametrize("viewport", [{"width": 1100, "height": 760}, PHONE])
+def test_the_patella_opens_see_through_where_it_covers_contact_colours(browser, tmp_path, viewport):
+    result = small_result()
+    pressed = dataclasses.replace(result, position=result.position - [0, 0, 0.0005])  # 0.5 mm farther in
+    page = opened(browser, pressed, tmp_path, viewport)
+    clear = page.get_by_label("see-through patella")
+    assert clear.is_checked()
+    assert warm_pixels(page, pressed) > 20
+    clear.uncheck()
+    page.wait_for_timeout(500)
+    assert warm_pixels(page, pressed) == 0
+    overlaid = opened(browser, {"one": pressed, "two": result}, tmp_path, viewport)  # has no contact colours
+    assert not overlaid.get_by_label("see-through patella").is_checked()
+
+
+def warm_pixels(page, result) -> int:
+    """Pixels redder than blue, as contact colours are, not the blue patella and its metal, 8 mm round the button."""
+    middle = 1e3 * result.position[0]
+    ends = [np.add(middle, [x, y, 0]).tolist() for x, y in ((8, 8), (-8, -8))]
+    left, top, right, bottom = np.array(page.evaluate(PLACES, ends)).ravel().astype(int)
+    shot = PIL.open(io.BytesIO(page.locator("canvas").first.screenshot(timeout=60_000))).convert("RGB")
+    red, _, blue = np.asarray(shot).astype(int)[top:bottom, left:right].transpose(2, 0, 1)
+    return int((red > blue).sum())
+
+
 def test_like_knees_side_by_side_look_alike(browser, tmp_path):
     """Their outlines differ by little more than an edge's blur; wide-angle cameras turn them against each other."""
     result = small_result()

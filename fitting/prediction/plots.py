@@ -77,13 +77,14 @@ def in_shown_unit(data: Dataset, name: str) -> tuple[Floats, str]:
     return scale * values, unit
 
 
-def outcome_figure(data: Dataset, title: str | None = None, *, axes: Any = None) -> Figure:
+def outcome_figure(data: Dataset, title: str | None = None, *, axes: Any = None, columns: int = 2) -> Figure:
     """Draws four outcomes against the first amount that varies; a line for each combination of other amounts and scene.
 
     Args:
         data: result of `fitting.predict`.
         title: replaces the prediction's own title.
         axes: four axes to draw into; by default a new figure.
+        columns: panels next to each other in a new figure; one makes it as narrow as a phone or a journal's column.
 
     Raises:
         InputError: a prediction in which no amount varies; another number of axes.
@@ -97,7 +98,7 @@ def outcome_figure(data: Dataset, title: str | None = None, *, axes: Any = None)
     axis = f"{names[0].replace('_', ' ')} [{in_shown_unit(data, names[0])[1]}]"
     with style.house_style():
         if own is None:
-            figure, own = style.panels_in_rows(len(PANELS), 2, height=2.45)
+            figure, own = style.panels_in_rows(len(PANELS), columns, height=2.45 if columns > 1 else 1.75)
             style.title(figure, title or data.attrs["title"])
             style.footer(figure, _note(data) or None)
         for ax, (outcome, scale, label) in zip(own, PANELS, strict=True):

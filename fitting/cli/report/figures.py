@@ -30,19 +30,29 @@ class Picture:
     figure: Any
     alternative: str
     caption: str
+    narrow: Any = None  # a figure that takes its place on a phone, whose width makes the letters of a wide one tiny
 
     @property
     def source(self) -> str:
         """The picture as a data URL; in an `img` element, even an SVG runs no scripts."""
-        kind, data = "png", self.figure
-        if not isinstance(data, bytes):
-            from pftwin.results.plots import house_style
+        return _data_url(self.figure)
 
-            kind, target = "svg+xml", io.BytesIO()
-            with house_style():
-                self.figure.savefig(target, format="svg", metadata={"Date": None})
-            data = target.getvalue()
-        return f"data:image/{kind};base64,{base64.b64encode(data).decode('ascii')}"
+    @property
+    def narrow_source(self) -> str:
+        """The narrow figure as a data URL; empty without one."""
+        return "" if self.narrow is None else _data_url(self.narrow)
+
+
+def _data_url(figure: Any) -> str:
+    kind, data = "png", figure
+    if not isinstance(data, bytes):
+        from pftwin.results.plots import house_style
+
+        kind, target = "svg+xml", io.BytesIO()
+        with house_style():
+            figure.savefig(target, format="svg", metadata={"Date": None})
+        data = target.getvalue()
+    return f"data:image/{kind};base64,{base64.b64encode(data).decode('ascii')}"
 
 
 def case(material: Material) -> Picture:
@@ -64,14 +74,14 @@ def courses(material: Material) -> Picture | str:
     """Tilt, shift, rotation and force against knee flexion; the reason as text if the knee does not bend."""
     from pftwin.results.plots import against_flexion
 
-    names = material.names
+    names, results = material.names, {r.name: r.result for r in material.runs}
     try:
-        figure = against_flexion({r.name: r.result for r in material.runs}, title=names)
+        figure, narrow = (against_flexion(results, title=names, columns=columns) for columns in (2, 1))
     except InputError as error:
         return f"No courses against knee flexion: {error}"
     alternative = f"Tilt, shift, rotation and contact force against knee flexion: {names}. Ranges are under Scene."
     lines = "Bending solid, straightening dashed, dotted while the patella is out of its groove."
-    return Picture(figure, alternative, f"Against knee flexion: {names}. {lines}")
+    return Picture(figure, alternative, f"Against knee flexion: {names}. {lines}", narrow)
 
 
 def over_the_trochlea(material: Material) -> list[Picture]:
@@ -127,7 +137,7 @@ def outcomes(data: Dataset) -> list[Picture]:
     )
     figure = outcome_figure(data)
     figure.set_size_inches(figure.get_figwidth(), 4.8)  # leaves room for the text on the first printed sheet
-    return [Picture(figure, alternative, f"Predicted outcomes against {what}.")]
+    return [Picture(figure, alternative, f"Predicted outcomes against {what}.", outcome_figure(data, columns=1))]
 
 
 def of_demo(folder: Path) -> list[Picture]:

@@ -38,6 +38,7 @@ def against_flexion(
     strokes: Strokes = "apart",
     title: str | None = None,
     axes: Any = None,
+    columns: int = 2,
 ) -> Figure:
     """Plots quantities against knee flexion: mean over the strokes of a group, with a band of one standard deviation.
 
@@ -53,7 +54,8 @@ def against_flexion(
         show: quantities to draw, one panel each, from `pftwin.results.plots.quantities.QUANTITIES`.
         strokes: "apart" (bending solid, straightening dashed), "together", or only "bending" or "straightening".
         title: replaces the scenes' names. Synthetic motion is labelled in any case.
-        axes: axes to draw into, one for each panel; by default a new figure, two panels wide.
+        axes: axes to draw into, one for each panel; by default a new figure.
+        columns: panels next to each other in a new figure; one makes it as narrow as a phone or a journal's column.
 
     Returns:
         The figure; `figure.savefig("tracking.pdf")` writes it, as do .svg and .png.
@@ -75,7 +77,7 @@ def against_flexion(
         sources.append((name, style.COLOURS[i % len(style.COLOURS)], [_source(r, None) for r in group]))
     with style.house_style():
         if own is None:
-            figure, own = style.panels_in_rows(len(panels), 2, height=2.3)
+            figure, own = style.panels_in_rows(len(panels), columns, height=2.3 if columns > 1 else 1.75)
         alone = False
         for ax, quantity in zip(own, panels.values(), strict=True):
             for name, colour, group in sources:

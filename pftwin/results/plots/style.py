@@ -88,15 +88,16 @@ def save_figure(
 
 
 def panels_in_rows(count: int, columns: int, height: float) -> tuple[Figure, list[Axes]]:
-    """Creates a figure one page wide with `count` panels in at most `columns` columns and rows of `height` [in].
+    """Creates a figure with `count` panels in at most `columns` columns and rows of `height` [in].
 
-    The panels share the horizontal axis, which is labelled under the lowest panel of each column.
+    It is one page wide, or with one column a journal's column. The panels share the horizontal axis, which is labelled under the lowest panel of each column.
     """
     from matplotlib.figure import Figure
 
+    width = COLUMN if columns == 1 else PAGE
     columns = min(columns, count)
     rows = -(-count // columns)
-    figure = Figure(figsize=(PAGE, height * rows + 0.9))
+    figure = Figure(figsize=(width, height * rows + 0.9))
     grid = list(figure.subplots(rows, columns, sharex=True, squeeze=False).ravel())
     for i, ax in enumerate(grid):
         lowest = i + columns >= count

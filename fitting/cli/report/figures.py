@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fitting.cli.pages import sentence
-from fitting.cli.report.material import Material
+from fitting.cli.report.material import NOMINAL, Material
 from pftwin.base.errors import InputError
 from pftwin.base.text_files import read_bytes
 
@@ -161,10 +161,12 @@ def of_demo(folder: Path) -> list[Picture]:
 def viewer(material: Material) -> str:
     """The viewer's page for a frame of the report; MissingExtraError without k3d, InputError if it cannot be drawn.
 
+    A nominal knee is hidden at first beside the fitted one: their bones nearly coincide and would cover each other.
     Its base URL is invalid on purpose: browsers would otherwise request the fonts that k3d's style sheet names.
     """
     from pftwin.results.viewer import view
     from pftwin.results.viewer.page import page
 
-    inside = page(view([(r.name, r.source) for r in material.runs]))
+    hidden = [NOMINAL] if material.has_nominal else []
+    inside = page(view([(r.name, r.source) for r in material.runs], hidden=hidden))
     return inside.replace("<head>", '<head><base href="about:invalid">', 1)

@@ -56,6 +56,11 @@ class Material:
         """Names of the runs, joined by "and"."""
         return " and ".join(r.name for r in self.runs)
 
+    @property
+    def has_nominal(self) -> bool:
+        """Whether the runs are the nominal and the fitted motion."""
+        return any(run.name == NOMINAL for run in self.runs)
+
     def changed_since(self, e: Estimate) -> list[str]:
         """Parameters whose values in the scene differ from the fit's nominal ones, a sign of a different scene."""
         if e.nominal_scene is None:

@@ -90,7 +90,8 @@ def save_figure(
 def panels_in_rows(count: int, columns: int, height: float) -> tuple[Figure, list[Axes]]:
     """Creates a figure with `count` panels in at most `columns` columns and rows of `height` [in].
 
-    It is one page wide, or with one column a journal's column. The panels share the horizontal axis, which is labelled under the lowest panel of each column.
+    It is one page wide, or with one column a journal's column. The panels share the horizontal axis, which is labelled
+    under the lowest panel of each column.
     """
     from matplotlib.figure import Figure
 

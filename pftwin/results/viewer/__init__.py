@@ -9,8 +9,10 @@ Uses k3d (extra `viewer`); docs/figures.md describes what is drawn.
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import TYPE_CHECKING
+
+from pftwin.base.errors import InputError
 
 if TYPE_CHECKING:
     from k3d.plot import Plot
@@ -27,6 +29,7 @@ def view(
     html: str | os.PathLike[str] | None = None,
     *,
     side_by_side: bool = False,
+    hidden: Collection[str] = (),
 ) -> Plot:
     """Shows results as a k3d plot: a notebook widget with a play button, a time slider and camera views.
 
@@ -35,10 +38,11 @@ def view(
             pairs give them names.
         html: file name of a self-contained page to write as well.
         side_by_side: draw several results next to each other, each with its own bones, instead of overlaid.
+        hidden: names of results that stay hidden until their box is checked.
 
     Raises:
         MissingExtraError: the extra `viewer` is not installed.
-        InputError: no result, a file that is not a result, or one without anything to draw.
+        InputError: no result, a file that is not a result, one without anything to draw, or an unknown hidden name.
         OutputError: the page cannot be written.
     """
     from pftwin.results.viewer.assembly import plot
@@ -47,7 +51,11 @@ def view(
     from pftwin.results.viewer.recorded import recorded
 
     k3d()
-    made, control = plot(recorded(results), side_by_side=side_by_side)
+    found = recorded(results)
+    names = [r.name for r in found]
+    if unknown := sorted(set(hidden) - set(names)):
+        raise InputError(f"no result {', '.join(unknown)}", where="hidden", expected=f"some of: {', '.join(names)}")
+    made, control = plot(found, side_by_side=side_by_side, hidden=hidden)
     add_controls(made, control)
     if html is not None:
         write_page(made, html)

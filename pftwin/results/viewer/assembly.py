@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,12 +25,15 @@ ALIKE = 2.0  # tibias whose origins, and points 100 mm away, differ by less are 
 MOST = 0.98  # quantile of the forces that counts as large
 
 
-def plot(results: Sequence[Recorded], *, side_by_side: bool = False) -> tuple[Plot, dict[str, Any]]:
+def plot(
+    results: Sequence[Recorded], *, side_by_side: bool = False, hidden: Collection[str] = ()
+) -> tuple[Plot, dict[str, Any]]:
     """Returns the plot of results and the settings of its page's controls.
 
     Args:
         results: at least one result.
         side_by_side: draw complete knees next to each other instead of overlaid (`_overlaid`).
+        hidden: names of results that stay hidden until their box is checked.
     """
     codes = [COLOURS[i % len(COLOURS)] for i in range(len(results))]
     newtons = per_centimetre(results)
@@ -76,7 +79,7 @@ def plot(results: Sequence[Recorded], *, side_by_side: bool = False) -> tuple[Pl
         "height": HEIGHT["several" if several else "one"],
         "extent": corners.tolist(),
         "results": [
-            {"name": r.name, "colour": c, "ids": [p.id for p in parts]}
+            {"name": r.name, "colour": c, "ids": [p.id for p in parts], "hidden": r.name in hidden}
             for r, c, parts in zip(results, codes, own, strict=True)
         ],
         "patellae": [p.id for parts in own for p in parts if p.name in PATELLA],

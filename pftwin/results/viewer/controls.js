@@ -146,6 +146,7 @@
         button.addEventListener('click', () => look(name));
         lower.append(button);
     });
+    const hidden = []; // boxes to uncheck once all is drawn
     if (control.results.length > 1) {
         const objects = k3d.getWorld().ObjectsListJson;
         const before = {};
@@ -162,6 +163,7 @@
                 show(parseFloat(slider.value));
             });
             lower.append(label);
+            if (result.hidden) { hidden.push(box); }
         });
     }
     const clearBox = make('input', { type: 'checkbox' }), solid = {};
@@ -199,5 +201,6 @@
     look('anterior');
     show(control.opening);
     if (control.see_through) { seeThrough(true); }
+    hidden.forEach((box) => box.click());
     bar.viewer = { k3d, control, show, look, seeThrough, drawn: () => !busy };
 }(K3DInstance, /*CONTROL*/null));

@@ -267,6 +267,8 @@ def test_what_is_no_result_is_refused(result, tmp_path):
         view(tmp_path / "other.nc")
     with pytest.raises(InputError, match="no such file"):
         view(tmp_path / "absent.nc")
+    with pytest.raises(InputError, match="hidden: no result after; expected: some of: small knee"):
+        view(result, hidden=["after"])
     with pytest.raises(InputError, match="nothing to draw"):
         view([])
     lost = dataclasses.replace(result, position=np.full_like(result.position, np.nan))

@@ -119,13 +119,26 @@ def test_the_patella_opens_see_through_where_it_covers_contact_colours(browser, 
 
 
 def warm_pixels(page, result) -> int:
-    """Pixels redder than blue, as contact colours are, not the blue patella and its metal, 8 mm round the button."""
+    """Pixels within 8 mm of the button that are redder than blue: not of the first patella, nor of bare metal."""
     middle = 1e3 * result.position[0]
     ends = [np.add(middle, [x, y, 0]).tolist() for x, y in ((8, 8), (-8, -8))]
     left, top, right, bottom = np.array(page.evaluate(PLACES, ends)).ravel().astype(int)
     shot = PIL.open(io.BytesIO(page.locator("canvas").first.screenshot(timeout=60_000))).convert("RGB")
     red, _, blue = np.asarray(shot).astype(int)[top:bottom, left:right].transpose(2, 0, 1)
     return int((red > blue).sum())
+
+
+def test_a_hidden_result_appears_with_its_box(browser, tmp_path):
+    """A blue patella, and an orange one 5 mm in front of it."""
+    result = small_result()
+    orange = dataclasses.replace(result, position=result.position - [0, 0, -0.005])
+    page = opened(browser, {"nominal": result, "fitted": orange}, tmp_path, PHONE, hidden=["fitted"])
+    boxes = [page.get_by_label(name) for name in ("nominal", "fitted")]
+    assert [box.is_checked() for box in boxes] == [True, False]
+    alone = warm_pixels(page, result)
+    boxes[1].check()
+    page.wait_for_timeout(500)
+    assert alone == 0 < warm_pixels(page, result)
 
 
 def test_like_knees_side_by_side_look_alike(browser, tmp_path):

@@ -130,7 +130,10 @@ def test_a_prediction_whose_amount_does_not_vary_has_no_figure():
 
 def test_the_viewers_page_looks_nowhere_for_its_fonts(material, monkeypatch):
     drawn = []
-    monkeypatch.setattr("pftwin.results.viewer.view", lambda runs: drawn.extend(runs) or "plot")
+    monkeypatch.setattr("pftwin.results.viewer.view", lambda runs, hidden: drawn.append((runs, hidden)) or "plot")
     monkeypatch.setattr("pftwin.results.viewer.page.page", lambda plot: f"<html><head><title>{plot}</title></head>")
     assert figures.viewer(material) == '<html><head><base href="about:invalid"><title>plot</title></head>'
-    assert [name for name, _ in drawn] == [run.name for run in material.runs]
+    (run,) = material.runs
+    assert drawn.pop() == ([("fitted", run.source)], [])
+    figures.viewer(dataclasses.replace(material, runs=[ReportedRun.of_result(run.source, "nominal"), run]))
+    assert drawn.pop() == ([("nominal", run.source), ("fitted", run.source)], ["nominal"])

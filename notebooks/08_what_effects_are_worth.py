@@ -18,7 +18,7 @@
 # Friction, inertia, damping, toe regions: every effect takes computing time and needs parameters, and some do not
 # change the result. For a knee of the virtual rig, this notebook shows:
 #
-# 1. what each effect **costs** (`explain`): operations, share of the time, stiffness, energy moved;
+# 1. what each effect **costs** (`explain`): operations, share of the time, stiffness, energy;
 # 2. what each effect **changes** (`audit`): how far the patella's path moves when you omit it, or add it.
 #
 # The rig's motion is **synthetic**: this is about the method, not about a patient. Statements about figures are
@@ -44,7 +44,7 @@ pftwin.configure(cache_dir=default_cache_dir())  # double precision and fast cod
 #
 # Case 2 of the virtual rig (synthetic) has weight, two tendons, contact, and a drag on the patella. Its patella
 # dislocates. `explain` reports for each effect how many equations it adds to a time step, what share of the step's time
-# it takes, whether it is stiff, and how much energy it moved.
+# it takes, whether it is stiff, and how much energy it exchanged with the patella.
 
 # %%
 knee = pftwin.rig.case(2, contact="P5")
@@ -54,7 +54,7 @@ Markdown(explanation_sheet(explained).markdown())
 # %%
 work = sum(part.work for part in explained.parts if part.of is None)
 print(f"work adds up to {1e3 * work:.2f} mJ, kinetic energy changed by {1e3 * explained.kinetic_change:.2f} mJ")
-assert abs(explained.energy_gap) < 1e-3  # [J] of some 3 J moved
+assert abs(explained.energy_gap) < 1e-3  # [J] of some 3 J of absolute work
 assert [part.name for part in explained.parts if part.stiff] == ["contact"]
 assert max(explained.parts, key=lambda part: part.equations).name == "contact"
 

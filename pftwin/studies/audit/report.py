@@ -35,38 +35,38 @@ _LONG = 1.0  # longer stable steps are shown as "any" [s]
 
 def explanation_sheet(found: Explanation) -> Sheet:
     """Returns a table with a row for each part, one for the shared rest, and one for the whole step."""
-    headings = ("effect", "computed by", "equations", "share of time", "explicit up to", "stiff")
+    headings = (
+        "effect", "computed by", "equations", "time [%]", "longest explicit step [ms]", "stiff", "work [mJ]",
+        "absolute work [mJ]", "heat [mJ]",
+    )  # fmt: skip
     rows = [_part(part) for part in found.parts]
-    rest = ("inertia, guided motion, solution", "", f"{found.shared_equations}", f"{found.shared_time:.0%}")
-    whole = ("one step", "", f"{found.equations}", f"{1e6 * found.step_time:.2f} us", "", "")
-    rows += [(*rest, *[""] * 5), (*whole, f"{1e3 * found.kinetic_change:+.2g} mJ kinetic", "", "")]
+    rest = ("inertia, prescribed motion, solver", "", f"{found.shared_equations}", f"{100 * found.shared_time:.0f}")
+    rows += [(*rest, *[""] * 5), ("whole step", "", f"{found.equations}", "100", *[""] * 5)]
     notes = [
-        "equations, share of time: what goes when the effect is left out; the rest is negative where leaving out one "
-        "simplifies what others share",
-        f"explicit up to: the longest step of an explicit method at the worst moment; stiff: below {_ms(found.step)}",
-        f"energy over {found.steps} steps; the effects' works miss the change of kinetic energy by "
-        f"{1e3 * found.energy_gap:.2g} mJ; {found.programs} programs compiled",
+        f"equations, time: what a step, of {1e6 * found.step_time:.2f} us, saves without the effect; savings overlap, "
+        "so what is left for the rest can be negative",
+        "longest explicit step: that an explicit method with this effect alone could take at the worst moment; stiff: "
+        f"shorter than the step of {_ms(found.step)}",
+        f"work: on the patella, over {found.steps} steps; absolute work: with work in both directions counted as "
+        "positive; heat: lost to damping and friction",
+        f"works add up to the change of kinetic energy, {_energy(found.kinetic_change)} mJ, with an error of "
+        f"{_energy(found.energy_gap)} mJ; {found.programs} programs compiled",
     ]
     if found.status:
         notes.append(f"status: {found.status.describe()}")
     doubt = "" if found.verdict == "valid" else f"{found.verdict}\n"
-    return Sheet(
-        f"{doubt}{found.scene}: {found.integrator}, steps of {_ms(found.step)}",
-        (*headings, "work on patella", "moved", "heat"),
-        tuple(rows),
-        (*["part"] * len(found.parts), "rest", "rest"),
-        (0, 1, 5),
-        tuple(notes),
-    )
+    title = f"{doubt}{found.scene}: {found.integrator}, steps of {_ms(found.step)}"
+    groups = (*["part"] * len(found.parts), "rest", "rest")
+    return Sheet(title, headings, tuple(rows), groups, (0, 1, 5), tuple(notes))
 
 
 def _part(part: PartCost) -> tuple[str, ...]:
     return (
         part.name if part.of is None else f"- of which {part.name.removeprefix(part.of + ': ')}",
         part.kind,
-        f"{part.equations:+d}",
-        f"{part.share:.1%} ± {part.spread:.1%}",
-        "any" if part.longest_step > _LONG else _ms(part.longest_step),
+        f"{part.equations}",
+        f"{100 * part.share:.1f} ± {100 * part.spread:.1f}",
+        "any" if part.longest_step > _LONG else f"{1e3 * part.longest_step:.2g}",
         "yes" if part.stiff else "no",
         *(_energy(x) for x in (part.work, part.moved, part.heat)),
     )
@@ -77,9 +77,10 @@ def _ms(seconds: float) -> str:
 
 
 def _energy(joules: float) -> str:
+    """An energy in mJ; less than a nanojoule, of rounding, is 0."""
     if not math.isfinite(joules):
         return "not finite"
-    return f"{1e3 * joules:,.0f} mJ" if abs(joules) >= 0.1 else f"{1e3 * joules:.2g} mJ"
+    return "0" if abs(joules) < 1e-9 else f"{1e3 * joules:,.0f}" if abs(joules) >= 0.1 else f"{1e3 * joules:.2g}"
 
 
 def audit_sheet(found: Audit) -> Sheet:

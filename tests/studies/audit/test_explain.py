@@ -16,7 +16,7 @@ from pftwin.model.effects.friction import Friction
 from pftwin.model.scene import Scene
 from pftwin.studies.audit import explain as module
 from pftwin.studies.audit.account import account, equations, rates
-from pftwin.studies.audit.explain import Explanation, explain
+from pftwin.studies.audit.explain import Explanation, PartCost, explain
 from pftwin.studies.audit.report import explanation_sheet
 from pftwin.studies.runs import Cost, time_in_turn
 
@@ -102,6 +102,23 @@ def test_plain_values(found):
     sheet = explanation_sheet(found)
     assert "- of which friction" in sheet.markdown()
     assert sheet.tables(200)[0].row_count == len(found.parts) + 2
+
+
+def test_the_table_has_units_in_its_head_and_numbers_below():
+    spring = PartCost("spring", "Tendon", None, 273, 0.25, 0.012, 2e-3, False, -0.5, 2.5, 1e-12)
+    made = Explanation("knee", "bdf2", 1e-3, 40, 1000, 2e-6, (spring,), 0.002, np.zeros(5, dtype=np.int32), "valid", 5)
+    sheet = explanation_sheet(made)
+    of_spring, rest, whole = (dict(zip(sheet.headings, row, strict=True)) for row in sheet.rows)
+    assert of_spring == {
+        "effect": "spring", "computed by": "Tendon", "equations": "273", "time [%]": "25.0 ± 1.2",
+        "longest explicit step [ms]": "2", "stiff": "no", "work [mJ]": "-500", "absolute work [mJ]": "2,500",
+        "heat [mJ]": "0",
+    }  # fmt: skip
+    assert (rest["equations"], rest["time [%]"]) == ("727", "75")
+    assert (whole["equations"], whole["time [%]"]) == ("1000", "100")
+    notes = " ".join(sheet.notes)
+    assert "a step, of 2.00 us" in notes
+    assert "kinetic energy, 2 mJ, with an error of -502 mJ" in notes  # -500 - 2
 
 
 def test_the_longest_explicit_step_is_that_of_the_oscillator():

@@ -18,7 +18,7 @@ from fitting.cli.live.words import AFTER, BEFORE
 from fitting.prediction.predicting import reservations
 from pftwin.results.viewer.assembly import per_centimetre
 from pftwin.results.viewer.framing import views
-from pftwin.results.viewer.page import legend, notes, readout
+from pftwin.results.viewer.page import CONTINUED, legend, notes, readout
 
 if TYPE_CHECKING:
     from viser import ClientHandle
@@ -36,6 +36,7 @@ class Page:
         self.newtons = per_centimetre([model.before.recorded])
         self._contact: str | None = None
         self._band: Band | None = None
+        self._continued = False  # whether the extrapolated surface, which the legend explains, is drawn
         self._notes = [] if engine.estimate is None else reservations(engine.estimate, synthetic=False)
         self._before, self._after = model.before, model.before.named(AS_SET)
         self._bones = Bones(client.scene, model.before.recorded)
@@ -84,7 +85,11 @@ class Page:
         self._shown = shown
         self._treated.set(shown)
         self._bones.set_component(shown.recorded)
-        self._bones.set_beyond(self._after.continued(shown.touched))
+        beyond = self._after.continued(shown.touched)
+        self._bones.set_beyond(beyond)
+        if self._continued != (beyond is not None):
+            self._continued = not self._continued
+            self._legend.content = self._legend_text()
 
     def frame(self, k: int) -> None:
         """Moves the drawing to a frame."""
@@ -120,7 +125,8 @@ class Page:
 
     def _legend_text(self) -> str:
         motions, colours = self._shown_motions()
-        lines = [*notes([self._before.recorded], self.newtons), *self._notes, words.NOT_FOR_PATIENTS]
+        pale = [CONTINUED] if self._continued else []
+        lines = [*notes([self._before.recorded], self.newtons), *pale, *self._notes, words.NOT_FOR_PATIENTS]
         return words.with_margins(legend([m.recorded for m in motions], colours, lines))
 
     def _sliders(self) -> dict[str, Any]:

@@ -24,6 +24,7 @@ from pftwin.model.measured import SYNTHETIC  # noqa: E402
 
 pytestmark = pytest.mark.slow
 SLIDER = "xpath=(//*[normalize-space(text())='{}']/ancestor::*[.//*[@role='slider']][1])[1]"
+PALE = "Pale: the fitted surface continued beyond its edge."  # where the patella dislocates to
 ORANGE = (213, 94, 0)  # of the treated knee
 
 
@@ -124,9 +125,11 @@ def test_the_page_loads_without_a_complaint_and_asks_nobody_else(browser, comman
 def test_dragging_the_tuberosity_medially_cures_case_2_on_this_page_alone(browser, command, tmp_path):
     with opened(browser, command[1]) as (page, seen), opened(browser, command[1], 820) as (other, _):
         says(page, "Dislocation: yes")
+        says(page, PALE)
         before = picture(page)
         drag(page, "medialisation [mm]", 0.72)  # to 16 mm
         says(page, "Dislocation: no")
+        page.wait_for_function("words => !document.body.innerText.includes(words)", arg=PALE, timeout=60_000)
         show_times(page)
         told = r"slider to new motion: \d+ ms \(of the last \d+: median \d+, worst \d+ ms\)"
         page.wait_for_function("told => new RegExp(told).test(document.body.innerText)", arg=told, timeout=180_000)

@@ -19,11 +19,13 @@ from numpy.typing import NDArray
 from pftwin import rig
 from pftwin.geometry.bones.tibiofemoral import FLEXION_AXIS
 from pftwin.geometry.mesh.mesh import SurfaceMesh
+from pftwin.results.plots import style
 from pftwin.rig.natural.motion import tibia_turn
 from pftwin.rig.natural.placing import rest_pose
 
 FLEXION = 45.0
-BONE, PATELLA = (0.91, 0.87, 0.79), (0.86, 0.76, 0.66)
+BONE, PATELLA = (0.91, 0.87, 0.79), (0.45, 0.66, 0.82)
+VIEWS = (("from the front and lateral", 10, -35), ("from lateral", 5, -90))  # elevation and azimuth [deg]
 
 
 def shaded(ax, parts: list[tuple[NDArray, SurfaceMesh, tuple]], elevation: float, azimuth: float) -> None:
@@ -80,16 +82,23 @@ def main() -> None:
     """Writes the figure."""
     normal = rig.Anatomy()
     figure = plt.figure(figsize=(10, 3.6), layout="constrained")
-    for place, (elevation, azimuth) in enumerate(((10, -35), (5, -90))):
-        shaded(figure.add_subplot(1, 3, place + 1, projection="3d"), assembled(normal), elevation, azimuth)
+    for place, (name, elevation, azimuth) in enumerate(VIEWS, 1):
+        drawn = figure.add_subplot(1, 3, place, projection="3d")
+        shaded(drawn, assembled(normal), elevation, azimuth)
+        drawn.set_title(name, fontsize=style.TEXT)
     ax = figure.add_subplot(1, 3, 3)
     knees = {"normal": normal, **{f"Dejour {kind}": rig.Anatomy.dejour(kind) for kind in "ABCD"}}
-    for name, anatomy in knees.items():
-        ax.plot(*outline(rig.bones(anatomy, 1.0).femur).T, label=name, linewidth=2 if name == "normal" else 1.2)
-    ax.set(xlabel="medial to lateral, mm", ylabel="anterior, mm", aspect="equal", ylim=(4, 31))
-    ax.legend(frameon=False, fontsize=8, loc="lower center", ncols=2)
-    figure.savefig(Path(__file__).resolve().parents[1] / "natural_knee.png", dpi=110)
+    for i, (name, anatomy) in enumerate(knees.items()):
+        look = {**style.line(i), "linewidth": 2.2 if name == "normal" else 1.3}
+        ax.plot(*outline(rig.bones(anatomy, 1.0).femur).T, label=name, **look)
+    ax.set(xlabel="across [mm]", ylabel="anterior [mm]", aspect="equal", ylim=(2, 31))
+    ax.set_title("axial cut of the trochlea", fontsize=style.TEXT)
+    for at, words in ((-30, "medial"), (30, "lateral")):
+        ax.text(at, 4, words, ha="center", fontsize=style.SMALL)
+    ax.legend(fontsize=style.SMALL, loc="lower center", ncols=2)
+    figure.savefig(Path(__file__).resolve().parents[1] / "natural_knee.png", dpi=140)
 
 
 if __name__ == "__main__":
-    main()
+    with style.house_style():
+        main()

@@ -69,11 +69,13 @@
         pen.fillText(title, left, 13);
         pen.fillStyle = '#555';
         pen.textAlign = 'right';
-        const digits = high - low < 10 ? 1 : 0;
-        [low, (low + high) / 2, high].forEach((v) => {
-            pen.fillText(v.toFixed(digits).replace('-', '\u2212'), left - 6, y(v) + 4);
-            pen.fillRect(left, y(v), right - left, 0.25);
-        });
+        const power = 10 ** Math.floor(Math.log10((high - low) / 5)); // ticks at 1, 2 or 5 times a power of ten
+        const gap = [1, 2, 5, 10].map((k) => k * power).find((g) => g >= (high - low) / 5);
+        const digits = Math.max(0, -Math.floor(Math.log10(gap)));
+        for (let k = Math.ceil(low / gap); k <= high / gap; k += 1) {
+            pen.fillText((k * gap).toFixed(digits).replace('-', '\u2212'), left - 6, y(k * gap) + 4);
+            pen.fillRect(left, y(k * gap), right - left, 0.25);
+        }
         pen.textAlign = 'center';
         [first, (first + last) / 2, last].forEach((t, k) => {
             pen.textAlign = ['left', 'center', 'right'][k];

@@ -53,8 +53,14 @@ def test_the_page_says_what_python_says(file):
         page.on("request", lambda r: asked.append(r.url))
         page.on("console", lambda m: messages.append(m.text))
         page.on("pageerror", lambda e: messages.append(str(e)))
+        page.add_init_script(
+            "const pen = CanvasRenderingContext2D.prototype, fill = pen.fillText; window.written = [];"
+            " pen.fillText = function (...a) { window.written.push(a[0]); fill.apply(this, a); };"
+        )
         page.goto(file.as_uri())
         until(page, "window.twin?.after.finished")
+        written = page.evaluate("() => window.written.slice(window.written.lastIndexOf('Tilt [°], lateral positive'))")
+        assert written[1:6] == ["\N{MINUS SIGN}10", "0", "10", "20", "0.0"]  # of -17 to 29 deg; then the times
         assert page.locator("#state b").inner_text() == "Dislocation: yes"
         assert "Synthetic" in page.locator("body").inner_text()
         page.evaluate(

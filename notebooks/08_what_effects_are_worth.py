@@ -63,9 +63,9 @@ assert max(explained.parts, key=lambda part: part.equations).name == "contact"
 # millisecond. Its search for the nearest points also makes up most of the computation.
 #
 # Times are less certain than the ± suggests, probably because the compiler does not always optimise the compared
-# programs alike. This notebook was run five times, on busy machines, and the last run is shown. In two of the others one
-# tendon had a share of -32 or -56 %, and in a third friction, below, took 86 % more time. Repeat the measurement if a
-# time looks wrong.
+# programs alike. This notebook was run five times, on busy machines, and the last run is shown. In two of the others
+# one tendon had a share of -32 or -56 %, and in a third friction, below, took 86 % more time. Repeat the measurement
+# if a time looks wrong.
 
 # %%
 with mpl.rc_context(STYLE):

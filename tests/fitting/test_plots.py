@@ -186,11 +186,11 @@ def test_crosses_are_explained_only_where_there_are_any(prediction):
     assert "crosses" not in below.get_text()
 
 
-@pytest.mark.parametrize("height", [None, 4.8])  # as of the report
-def test_labels_are_no_longer_than_their_axes(prediction, height):
+@pytest.mark.parametrize(("height", "columns"), [(None, 2), (4.8, 2), (None, 1)])  # the last two as of the report
+def test_labels_are_no_longer_than_their_axes(prediction, height, columns):
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-    figure = outcome_figure(prediction)
+    figure = outcome_figure(prediction, columns=columns)
     if height is not None:
         figure.set_size_inches(figure.get_figwidth(), height)
     canvas = FigureCanvasAgg(figure)

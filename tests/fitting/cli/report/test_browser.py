@@ -85,6 +85,20 @@ def test_nothing_is_wider_than_the_page(page):
         assert page.evaluate("document.documentElement.scrollWidth") <= width
 
 
+def test_what_the_treatment_does_keeps_its_letters_size_on_a_phone(page):
+    """Elsewhere as wide as a page; scaled down to a phone, letters of 9 points would be 6 pixels high."""
+    shown = "[...document.querySelectorAll('#treatment img')].map(i => [i.naturalWidth, i.clientWidth])"
+    page.set_viewport_size({"width": 1100, "height": 900})
+    page.wait_for_timeout(300)
+    ((width, drawn),) = page.evaluate(shown)
+    assert drawn == width > 600
+    page.set_viewport_size({"width": 390, "height": 900})
+    page.wait_for_timeout(300)
+    ((width, drawn),) = page.evaluate(shown)
+    assert 0.95 * width < drawn < 390
+    page.set_viewport_size({"width": 1100, "height": 900})
+
+
 @pytest.fixture
 def on_paper(page):
     """The page as it is printed, as wide as the paper between its margins."""

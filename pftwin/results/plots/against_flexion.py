@@ -77,7 +77,7 @@ def against_flexion(
         sources.append((name, style.COLOURS[i % len(style.COLOURS)], [_source(r, None) for r in group]))
     with style.house_style():
         if own is None:
-            figure, own = style.panels_in_rows(len(panels), columns, height=2.3 if columns > 1 else 1.75)
+            figure, own = style.panels_in_rows(len(panels), columns, height=2.3 if columns > 1 else 2.0)
         alone = False
         for ax, quantity in zip(own, panels.values(), strict=True):
             for name, colour, group in sources:

@@ -80,7 +80,9 @@ def late_channels(shifts: Mapping[str, TimeShift], source: str, limits: Limits) 
         words = f"measured {channel} {verb} {size} {when} against the motion of the bones"
         if s.at_least:  # slow model errors can also end there: reported, not refused
             words += ", or a model error looks like it"
-        elif s.beyond(limits["shift"][1]):
+        elif s.seconds > 0:
+            words += ", of which friction in the joint can be a part"
+        if not s.at_least and s.beyond(limits["shift"][1]):
             raise InputError(
                 words,
                 where=source,

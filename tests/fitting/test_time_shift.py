@@ -79,7 +79,7 @@ def test_words_and_the_refusal():
     said = late_channels({"position": found["position"]}, "a file", LIMITS)
     assert len(said) == 1
     assert said[0].startswith("measured position is 50 ms (+- ")
-    assert said[0].endswith(" late against the motion of the bones")
+    assert said[0].endswith(" late against the motion of the bones, of which friction in the joint can be a part")
 
 
 def test_a_short_recording_and_one_that_does_not_move_have_no_shift():

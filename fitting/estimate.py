@@ -159,6 +159,11 @@ class Estimate:
         near = np.minimum(low - self.lower, self.upper - high) < 1e-3 * (self.upper - self.lower)
         return tuple(n for n, there in zip(self.names, near, strict=True) if there)
 
+    @property
+    def set_by_bounds(self) -> tuple[str, ...]:
+        """Parameters whose value a search found at a bound: it was set by the bound, and its precision is not known."""
+        return self.at_bounds if self.draws is None else ()
+
     def bound_mark(self, name: str) -> str:
         """What tables and figures say beside a parameter of `at_bounds`; empty for others."""
         if name not in self.at_bounds:
@@ -255,20 +260,23 @@ class Estimate:
     def sentence(self) -> str:
         """The precision of the requested parameters in a sentence, or why it cannot be stated."""
         asked = self.asked
-        beyond = f". At a bound: {', '.join(self.at_bounds)}; the true value may lie beyond" if self.at_bounds else ""
+        beyond = ""
+        if self.at_bounds:
+            unknown = "the precision is not known, and " if self.set_by_bounds else ""
+            beyond = f". At a bound: {', '.join(self.at_bounds)}; {unknown}the true value may lie beyond"
         if self.invalid:
             unknown = f"The precision of {', '.join(self.names[:asked])} is not known"
             return f"{INVALID}: {'; '.join(self._objections())}. {unknown}{beyond}"
-        span, covariance = self.upper - self.lower, self.covariance[:asked, :asked]
+        told = [i for i in range(asked) if self.names[i] not in self.set_by_bounds]
         said = in_words(
-            self.names[:asked],
-            span[:asked],
-            self.values[:asked],
-            covariance,
+            tuple(self.names[i] for i in told),
+            (self.upper - self.lower)[told],
+            self.values[told],
+            self.covariance[np.ix_(told, told)],
             self.channels,
             self.coordinates,
             self.readings,
-            self.units[:asked],
+            [self.units[i] for i in told],
         )
         return f"{said}{beyond}. {'' if self.widened or self.draws is not None else 'But '}{self.coverage.intervals}"
 
@@ -280,9 +288,12 @@ class Estimate:
             low, high = self.intervals[i]
             lines += ["nuisance and differences between trials:"] if name == next(iter(self.auxiliary), None) else []
             mark = f"; {self.bound_mark(name)}" if self.bound_mark(name) else ""
+            spread, interval = f" +- {self.standard_deviations[i]:.2g}", f"95 %: {low:.6g} to {high:.6g}; "
+            if name in self.set_by_bounds:
+                spread = interval = ""
             lines.append(
-                f"  {name:<12} {self.values[i]:.6g} +- {self.standard_deviations[i]:.2g} {self.units[i]}"
-                f"  (95 %: {low:.6g} to {high:.6g}; nominal {self.nominal[i]:.6g}{mark})"
+                f"  {name:<12} {self.values[i]:.6g}{spread} {self.units[i]}"
+                f"  ({interval}nominal {self.nominal[i]:.6g}{mark})"
             )
         for name, told in self.in_trials.items():
             unit = self.units[self.names.index(name)]
@@ -347,6 +358,7 @@ class Estimate:
             **plain,
             "standard_deviations": self.standard_deviations.tolist(),
             "intervals_95": self.intervals.tolist(),
+            "at_bounds": list(self.at_bounds),
             "in_trials": self.in_trials,
             "correlation": self.correlation.tolist(),
             "remarks": self.remarks(),

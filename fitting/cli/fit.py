@@ -31,6 +31,9 @@ if TYPE_CHECKING:
     from fitting.posterior.result import Posterior
 
 
+_UNKNOWN = "not known"  # spread of a value that was set by a bound
+
+
 @on_scene
 def fit(
     *,
@@ -213,8 +216,7 @@ def _report(estimate: Estimate, output: Path, json: str | None, *, figures: bool
         (
             name,
             f"{value:.6g}\n{e.bound_mark(name)}".rstrip(),
-            f"{sd:.2g}",
-            f"{low:.6g} to {high:.6g}",
+            *((_UNKNOWN, _UNKNOWN) if name in e.set_by_bounds else (f"{sd:.2g}", f"{low:.6g} to {high:.6g}")),
             f"{nominal:.6g}",
             unit,
         )

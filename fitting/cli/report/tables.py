@@ -164,9 +164,11 @@ def fitted(e: Estimate, scene: Scene | None) -> Sheet:
         scale, unit = as_read(e.units[i])
         value, sd, nominal = (scale * float(a[i]) for a in (e.values, e.standard_deviations, e.nominal))
         low, high = scale * e.intervals[i]
-        interval = f"{number(low)} to {number(high)}"
+        spread = f"{number(low)} to {number(high)}", number(sd, 3)
+        if name in e.set_by_bounds:
+            spread = "not known", "not known"
         found = ", ".join(words for words in (number(value), e.bound_mark(name)) if words)
-        rows.append((name, meaning(scene, name), found, interval, number(sd, 3), number(nominal), unit))
+        rows.append((name, meaning(scene, name), found, *spread, number(nominal), unit))
     for name, trials in e.in_trials.items():
         scale, unit = as_read(e.units[e.names.index(name)])
         for trial, (value, sd) in trials.items():

@@ -74,11 +74,11 @@ def predict(
     head = ("", "unit", "rms error", f"in bands of {100 * LEVEL:.0f} %")
     sheets = [Sheet(motion.scene_name, head, tuple(motion.rows()), words=(0, 1))] if motion.errors else []
     facts = {**motion.to_dict(), "files": [str(path) for path in files]}
-    terminal.present(facts, *sheets, motion.sentence(), *motion.notes, terminal.written_line(files), json=json)
-    if motion.verdict != "valid":
-        exit_flagged(motion.verdict)
-    if found.invalid:
-        exit_flagged(found.sentence())
+    invalid = "" if motion.verdict == "valid" else motion.verdict
+    first, sentence = (invalid, found.objection), "" if invalid else motion.sentence()
+    terminal.present(facts, *first, *sheets, sentence, *motion.notes, terminal.written_line(files), json=json)
+    if why := invalid or found.objection:
+        exit_flagged(why)
 
 
 def _values(given: list[str] | None, scene: Scene) -> dict[str, float | tuple[float, float]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from made_estimates import made_estimate
 from toy_scene_files import LIGHT, START, fixed_poses, tibia_poses, write_poses, write_toy
 from typer.testing import CliRunner, Result
 
+from fitting.prediction.predicted_motion import PredictedMotion
 from pftwin import load_scene
 from pftwin.base.errors import InputError
 from pftwin.cli import app
@@ -77,6 +79,26 @@ def test_bands_are_written_and_told(folder, tmp_path):
         off = (data["value"] - data["measured"]).sel(coordinate="y").values[kept]
     assert kept.sum() == 13
     assert told["errors"]["y"] == pytest.approx(float(np.sqrt(np.mean(off**2))))
+
+
+@pytest.mark.parametrize("doubted", ["motion", "estimate"])
+def test_an_invalid_prediction_says_so_once_and_before_its_table(folder, tmp_path, monkeypatch, doubted):
+    far = "INVALID: the equilibrium is 28.7 mm from the recorded start"
+    path = np.tile(np.arange(31.0)[:, None], (1, 6))
+    verdict = far if doubted == "motion" else "valid"
+    every = np.ones(31, dtype=bool)
+    motion = PredictedMotion("toy", np.arange(31.0), path, path - 1, path + 1, path + 0.5, every, verdict, ("bands",))
+    monkeypatch.setattr("fitting.prediction.motion.predict_motion", lambda *_, **__: motion)
+    doubts = [] if doubted == "motion" else ["measured quadriceps is late"]
+    estimate = dataclasses.replace(made_estimate({"K1": (158.0, 3.0)}, rmse=LEFT), doubts=doubts)
+    estimate.save(tmp_path / "fit.json")
+    options = ("--estimate", tmp_path / "fit.json", "-o", tmp_path / "a.nc", "--no-figure")
+    result = pftwin("predict", folder / "scene.toml", *options)
+    assert result.exit_code == 3, result.output
+    lines = result.stdout.splitlines()
+    assert lines[0].startswith(far if doubted == "motion" else "INVALID: measured quadriceps is late")
+    assert result.stdout.count("INVALID") == 1
+    assert any("centre, lateral" in line for line in lines[1:])
 
 
 def test_what_is_no_table_is_refused_as_ever(folder):

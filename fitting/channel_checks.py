@@ -20,6 +20,7 @@ from fitting.programs import ORIENTATION, POSITION, unit_of
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.base.quantities import shown
+from pftwin.results.metrics import up_to_scale
 
 Limits = Mapping[str, tuple[float, float]]
 Faults = tuple[str, ...]  # what is wrong with a channel if a reading of it is right; none: as given
@@ -147,7 +148,7 @@ def readings(objective: Objective, trials: Floats) -> Iterator[Reading]:
         if not keep.size or unit_of(one, objective.readings) != unit_of(other, objective.readings):
             continue
         data, seen = objective.measured[keep][:, [i, k]], trials[:, keep][..., [i, k]]
-        straight, swapped = (max(_up_to_scale(d, seen), _FORCE_FLOOR) for d in (data, data[:, ::-1]))
+        straight, swapped = (max(float(up_to_scale(d, seen).min()), _FORCE_FLOOR) for d in (data, data[:, ::-1]))
         if straight > swapped:
             yield Reading((one, other), "swapped", straight / swapped)
 
@@ -266,14 +267,6 @@ def _frames_compared(present: NDArray[np.bool_]) -> NDArray[np.intp]:
     """Up to `_FRAMES` of the measured frames, evenly spaced."""
     there = np.flatnonzero(present)
     return there[np.unique(np.linspace(0, there.size - 1, _FRAMES).round().astype(int))] if there.size else there
-
-
-def _up_to_scale(data: Floats, seen: Floats) -> float:
-    """Distance of two forces (n, 2) from the nearest trial (N, n, 2), up to a scale, which equilibrium leaves open."""
-    size = np.maximum(np.sqrt(np.mean(seen**2, axis=1, keepdims=True)), 1e-300)
-    a, b = (data / size).reshape(len(seen), -1), (seen / size).reshape(len(seen), -1)
-    scale = np.maximum(np.sum(a * b, axis=1) / np.maximum(np.sum(a * a, axis=1), 1e-300), 0.0)
-    return float(np.sqrt(np.mean((scale[:, None] * a - b) ** 2, axis=1)).min())
 
 
 def _expected(channels: tuple[str, ...], readings: Mapping[str, str]) -> str:

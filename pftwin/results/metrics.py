@@ -23,6 +23,7 @@ _SAME_TIME = 0.1  # tolerance of times as a share of the frame interval, because
 _UNLIKE = 3.0  # ratio of two forces' sizes (rms) beyond which the unit is doubtful: a pound-force is 4.4 N
 _LOADED = 0.5  # largest simulated force [N] from which on sizes are compared, in frames
 _SHARE = 0.05  # with at least such a share of the largest simulated and of the largest measured force
+_NEARER = 2.0  # times by which two springs' forces fit better exchanged, from which on their channels are doubtful
 _FAR = 30.0  # distance of the sphere's centres at every frame beyond which unit, axes or frame are doubtful [mm]
 
 
@@ -61,7 +62,7 @@ class Validation:
     synthetic: bool = False  # whether the measurements are synthetic
     readings: tuple[ValidationRow, ...] = ()  # other observables of effects that were measured
     skin_markers: tuple[SkinMarker, ...] = ()  # skin markers, whose absolute position is not compared
-    doubts: tuple[str, ...] = ()  # measurements that look as if they had another unit, sign or frame
+    doubts: tuple[str, ...] = ()  # measurements that look as if they had another unit, sign, frame or channel
 
     def to_dict(self) -> dict[str, Any]:
         """Returns plain values that can be written as JSON."""
@@ -215,7 +216,7 @@ def _check_times(result: Result, measured: Measured) -> None:
 def _forces(
     result: Result, effect: str | None, observable: str, force: Floats | None, measured: Measured
 ) -> tuple[Floats, Floats] | None:
-    """A simulated and the measured force at the frames where it was measured [N]; None without such frames."""
+    """A simulated and the measured force at every frame, NaN where not measured [N]; None if it never was."""
     if force is None or (effect is None and observable != "force"):
         return None
     if effect is None or observable not in result.effects.get(effect, {}):
@@ -226,20 +227,24 @@ def _forces(
             expected=f"one of: {', '.join(result.effects)}",
             remedy="name the effect (tibial=..., femoral=...), or leave the force out",
         )
-    there = np.isfinite(force)
-    return (summed(result.effects[effect][observable])[there], force[there]) if there.any() else None
+    return (summed(result.effects[effect][observable]), force) if np.isfinite(force).any() else None
 
 
 def _force_error(forces: tuple[Floats, Floats] | None) -> float | None:
-    return None if forces is None else _size(forces[0] - forces[1])
+    return None if forces is None else _rms(forces[0] - forces[1], np.isfinite(forces[1]))
 
 
 def _doubts(forces: Mapping[str, tuple[Floats, Floats] | None], distances: Floats) -> Iterator[str]:
     """What is wrong with measurements, if a sound simulation differs from them by more than models do."""
     if distances.size and (near := float(distances.min())) > _FAR:
         yield f"the measured centre is {near:.3g} mm or more from the simulated one: check its unit, axes and frame"
+    if _exchanged(forces["tibial spring"], forces["femoral spring"]):
+        yield "the measured tibial and femoral spring look exchanged: check their channels"
     for name, pair in forces.items():
-        if pair is None or not np.abs(pair[0]).max() >= _LOADED:
+        if pair is None:
+            continue
+        pair = [each[np.isfinite(pair[1])] for each in pair]
+        if not np.abs(pair[0]).max() >= _LOADED:
             continue
         loaded = [np.abs(each) > _SHARE * np.abs(each).max() for each in pair]
         if not (both := loaded[0] & loaded[1]).any():
@@ -250,6 +255,26 @@ def _doubts(forces: Mapping[str, tuple[Floats, Floats] | None], distances: Float
             yield f"the measured {name} has {sizes}: check its unit and channel"
         elif np.mean(theirs) < 0:
             yield f"the measured {name} is negative: check its sign"
+
+
+def _exchanged(one: tuple[Floats, Floats] | None, other: tuple[Floats, Floats] | None) -> bool:
+    """Whether two measured forces are much nearer to the simulated ones if they are exchanged."""
+    if one is None or other is None or not (both := np.isfinite(one[1]) & np.isfinite(other[1])).any():
+        return False
+    ours, theirs = (np.stack(pair, axis=1)[both] for pair in zip(one, other, strict=True))
+    if np.abs(ours).max(axis=0).min() < _LOADED:
+        return False
+    straight, exchanged = (float(up_to_scale(each, ours[None])[0]) for each in (theirs, theirs[:, ::-1]))
+    return straight > _NEARER * exchanged
+
+
+def up_to_scale(data: Floats, seen: Floats) -> Floats:
+    """Distances (N,) of two forces (n, 2) from those of N motions (N, n, 2), as shares of these, up to a common scale,
+    which equilibrium leaves open."""
+    size = np.maximum(np.sqrt(np.mean(seen**2, axis=1, keepdims=True)), 1e-300)
+    a, b = (data / size).reshape(len(seen), -1), (seen / size).reshape(len(seen), -1)
+    scale = np.maximum(np.sum(a * b, axis=1) / np.maximum(np.sum(a * a, axis=1), 1e-300), 0.0)
+    return np.sqrt(np.mean((scale[:, None] * a - b) ** 2, axis=1))
 
 
 def summed(values: NDArray[Any]) -> Floats:

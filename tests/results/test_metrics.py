@@ -122,6 +122,26 @@ def test_measurements_in_another_unit_sign_or_frame_are_doubted(result, changes,
     assert re.search(words, said)
 
 
+def test_exchanged_springs_are_doubted_also_with_gaps_and_noise(result):
+    right, random = measured_of(result), np.random.default_rng(5)
+    noise = 0.1 * random.normal(size=(2, result.times.size))
+    noise[0, 3:9] = np.nan
+    # Both springs pull more than the twin's, as in the rig's cases.
+    forces = (1.16 * right.tibial_spring_force + noise[0], 1.07 * right.femoral_spring_force + noise[1])
+    names = ("tibial_spring_force", "femoral_spring_force")
+    assert validate(result, dataclasses.replace(right, **dict(zip(names, forces, strict=True)))).doubts == ()
+    [said] = validate(result, dataclasses.replace(right, **dict(zip(names, forces[::-1], strict=True)))).doubts
+    assert "tibial and femoral spring" in said
+    assert said.endswith("check their channels")
+
+
+def test_springs_that_are_alike_or_measured_once_are_not_called_exchanged(result):
+    right = measured_of(result)
+    twice = dataclasses.replace(right, femoral_spring_force=right.tibial_spring_force)
+    assert validate(result, twice).doubts == ()
+    assert validate(result, dataclasses.replace(right, tibial_spring_force=None)).doubts == ()
+
+
 def test_forces_of_a_twin_with_stiffness_off_by_half_are_not_doubted(result):
     right = measured_of(result)
     weaker = dataclasses.replace(right, contact_force=0.5 * right.contact_force, center=right.center + 8e-3)

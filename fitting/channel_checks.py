@@ -131,7 +131,8 @@ def readings(objective: Objective, trials: Floats) -> Iterator[Reading]:
             seen = seen[_rms(seen) >= _SLACK * min(float(_rms(seen).max()), float(_rms(data)))]
         unit = unit_of(channel, objective.readings)
         tried = _poses(channel, data) if channel in _FLOOR else _readings(data, unit)
-        size = 1.0 if channel in _FLOOR else max(float(_rms(seen).mean()), 1e-300)
+        # The median: in some trials the contact's force is hundreds of times larger than in the others.
+        size = 1.0 if channel in _FLOOR else max(float(np.median(_rms(seen))), 1e-300)
         floor = _FLOOR.get(channel, _FORCE_FLOOR)
         if channel == POSITION:
             tried = _not_just_smaller(data, tried, seen)
@@ -153,9 +154,15 @@ def readings(objective: Objective, trials: Floats) -> Iterator[Reading]:
             yield Reading((one, other), "swapped", straight / swapped)
 
 
-def left_over(objective: Objective, residuals: Floats, limits: Limits, stated: Mapping[str, float] | None) -> list[str]:
+def left_over(
+    objective: Objective,
+    residuals: Floats,
+    limits: Limits,
+    stated: Mapping[str, float] | None,
+    doubts: Iterable[str] = (),
+) -> list[str]:
     """Doubts in words: residuals (n, m) that a fit's noise does not explain. Raises InputError if they exceed the
-    limits."""
+    limits; its remedy begins with `doubts` about the measurements from before the fit."""
     found = []
     for channel, columns, rows in objective.columns():
         there = objective.present[:, rows.start]
@@ -175,7 +182,7 @@ def left_over(objective: Objective, residuals: Floats, limits: Limits, stated: M
             cases.append(("noise", times, f"{said}, {times:.0f} times the stated noise"))
         why = ": within the bounds the twin does not move or pull like this"
         for limit, value, said in cases:
-            remedy = f"check unit, sign and channel of {channel}; or "
+            remedy = "; ".join((*doubts, f"check unit, sign and channel of {channel}; or "))
             found += bounded(limit, value, said, objective.source, limits, why, remedy)
     return found
 

@@ -170,7 +170,7 @@ def estimate_of(
         late += late_channels(named, own.source, limits)
         shifts |= named
     noise = None if target.noise is None else noise_beside(target.noise, nuisance, target)
-    left = said_of_trials(scenes, target, lambda own, rows: left_over(own, r[rows], limits, noise))
+    left = said_of_trials(scenes, target, lambda own, rows: left_over(own, r[rows], limits, noise, doubts))
     moved = [s.change for s in shifts.values() if s.beyond(limits["shift"][0])]
     draws = found.draws
     if draws is not None:

@@ -123,6 +123,16 @@ def test_forces(change, found):
         assert said[-1][0] == ("one", "other")
 
 
+def test_pounds_are_found_also_where_some_trials_press_hundreds_of_times_harder():
+    """As trials with a short and stiff tendon do."""
+    force = FORCES[:, :1]
+    trials = np.stack([scale * force for scale in (0.6, 0.9, 1.3, 100.0, 500.0)])
+    [reading] = readings(target(("contact",), force / 4.4482216, (1,)), trials)
+    assert reading.words == "4.45 times too small: in pounds-force"
+    assert reading.times == pytest.approx((0.6 - 1 / 4.4482216) / 0.1, rel=1e-6)  # nearest trials: 0.6 and 0.9
+    assert list(readings(target(("contact",), force, (1,)), trials)) == []
+
+
 def test_a_reading_between_the_limits_is_named_and_beyond_them_refused():
     halfway = POSITION * [1, -1, 1]
     times = read(("position",), halfway, POSITION, (3,))[0][2]
@@ -148,6 +158,11 @@ def test_what_is_left_over_is_named_by_size_and_by_the_stated_noise():
     assert noisy == ["residual of position: 1.2 mm rms, 50 times the stated noise"]
     with pytest.raises(InputError, match="residual of one: 8 N rms"):
         left_over(seen, 4 * left * [0, 0, 0, 1], LIMITS, None)
+    doubt = "measured one looks 4.45 times too small: in pounds-force"
+    with pytest.raises(
+        InputError, match=f"residual of one: 8 N rms.*try: {doubt}; check unit, sign and channel of one"
+    ):
+        left_over(seen, 4 * left * [0, 0, 0, 1], LIMITS, None, [doubt])
 
 
 def test_steps_whose_error_is_large_or_not_known_are_named():

@@ -12,6 +12,7 @@ from jax.core import Tracer
 
 from pftwin.base.errors import InputError
 from pftwin.base.spatial import Vec3
+from pftwin.model.limits import not_pulled
 from pftwin.model.number_place import TIED, TOGETHER, UNITS, NumberPlace, follow, named_arrays, owner_of, replaced
 
 if TYPE_CHECKING:
@@ -165,11 +166,13 @@ def _long_name(scene: Scene, name: str) -> tuple[str, str]:
     if letter not in letters or (meaning and letter != "L"):
         raise _unknown(scene, name)
     if not 1 <= int(number) <= len(elements):
-        raise InputError(
-            f"no parameter {name!r}: scene {scene.name!r} has {len(elements)} tendon(s)",
-            where="free",
-            expected=", ".join(f"{k}{i + 1}" for i in range(len(elements)) for k in sorted(letters)),
-        )
+        numbered = ", ".join(f"{k}{i + 1}" for i in range(len(elements)) for k in sorted(letters))
+        found = f"no parameter {name!r}: scene {scene.name!r} has {len(elements)} tendon(s)"
+        if lacking := not_pulled(scene):
+            remedy = "add the quadriceps to the scene"
+            raise InputError("; ".join((found, *lacking)), where="free", expected=numbered, remedy=remedy)
+        remedy = "name these only, or add the tendon that is missing to the scene"
+        raise InputError(found, where="free", expected=numbered, remedy=remedy)
     element = elements[int(number) - 1]
     full = f"{element.name}.{_aliases(element)[letter]}"
     if element.count is not None:

@@ -2,7 +2,8 @@
 
 `accurate_enough` starts from a step and halves it until the estimated errors of path and contact force are small.
 `coarsest` finds the longest step that meets a tolerance of the path (root mean square over all frames) or of the
-contact force (largest error of all frames). Estimates: `pftwin.dynamics.error_estimate`.
+contact force (largest error of all frames). The contact force is that of both facets together: the force on one facet
+may have a larger error, which has its own estimate and flag. Estimates: `pftwin.dynamics.error_estimate`.
 """
 
 from __future__ import annotations
@@ -37,6 +38,11 @@ class Tolerance(NamedTuple):
         if self.unit == "N":
             return float(np.max(error.contact_force))
         return float(np.sqrt(np.mean(np.square(error.path))))
+
+    @property
+    def of(self) -> str:
+        """What the tolerance is of."""
+        return "contact force, both facets together" if self.unit == "N" else "path, rms over the frames"
 
     def text(self, value: float) -> str:
         """Formats a value with the tolerance's kind of unit."""
@@ -127,7 +133,8 @@ def accurate_enough(run: Callable[[int], Tried[Run]], n: int, order: float) -> C
 def coarsest(run: Callable[[int], Tried[Run]], order: float, tolerance: Tolerance) -> Choice[Run]:
     """Smallest number of steps between two frames, of 1, 2, 4, ..., that meets the tolerance.
 
-    The settings of the choice contain the tolerance, the estimated error, and whether it meets the tolerance.
+    The settings of the choice contain the tolerance, what it is of, the estimated error, and whether it meets the
+    tolerance.
 
     Warns if none does; the choice is then the largest number with an error estimate. Raises InputError for a tolerance
     of the contact force if there is no contact force.
@@ -149,13 +156,14 @@ def coarsest(run: Callable[[int], Tried[Run]], order: float, tolerance: Toleranc
         n, here = 2 * n, finer
     if not held:
         warnings.warn(
-            f"a tolerance of {tolerance.text(tolerance.value)} is not met with {n} steps between two frames:"
+            f"a tolerance of {tolerance.text(tolerance.value)} ({tolerance.of}) is not met with {n} steps between two"
+            " frames:"
             f" the estimated error is {tolerance.text(found)}",
             PftwinWarning,
             stacklevel=4,
         )
     settings = {f"tolerance_{tolerance.unit}": tolerance.value, f"estimated_error_{tolerance.unit}": found}
-    return Choice(here.run, n, error, {**settings, "tolerance_held": held})
+    return Choice(here.run, n, error, {**settings, "tolerance_held": held, "tolerance_of": tolerance.of})
 
 
 def _error_of(run: Tried[Any], other: Tried[Any], order: float, ratio: float) -> ErrorEstimate:

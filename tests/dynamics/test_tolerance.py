@@ -155,7 +155,20 @@ def test_steps_that_are_too_long_count_for_nothing():
     wild = {1: (straight, False), 2: (lost, True)}
     choice = coarsest(lambda n: Tried(n, *wild.get(n, (straight, True))), 2, METRES)
     assert choice.run == 4
-    assert choice.settings == {"tolerance_m": 1e-5, "estimated_error_m": 0.0, "tolerance_held": True}
+    of = {"tolerance_of": "path, rms over the frames"}
+    assert choice.settings == {"tolerance_m": 1e-5, "estimated_error_m": 0.0, "tolerance_held": True, **of}
+
+
+def test_a_tolerance_of_force_says_that_it_is_of_both_facets_together():
+    """A button that rolls from one facet to the other: their forces depend on the step, the resultant does not."""
+    straight, n = course(np.zeros((5, 3)), np.tile([1.0, 0, 0, 0], (5, 1))), np.full(5, 10.0)
+    pressed = straight._replace(force=np.tile([0.0, 0.0, 10.0], (5, 1)))
+    shares = {1: 0.2, 2: 0.8}
+    courses = {k: pressed._replace(medial=share * n, lateral=(1 - share) * n) for k, share in shares.items()}
+    choice = coarsest(lambda k: Tried(k, courses[k], True), 2, Tolerance(0.5, "N"))
+    assert choice.error.largest["medial_facet"] > 0.5
+    assert choice.settings["tolerance_held"]
+    assert choice.settings["tolerance_of"] == "contact force, both facets together"
 
 
 def test_turning_counts_as_way():

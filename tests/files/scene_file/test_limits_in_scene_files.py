@@ -11,8 +11,10 @@ from typer.testing import CliRunner
 
 from pftwin.base.errors import InputError
 from pftwin.cli import app
-from pftwin.files.mocap import MarkerTrajectories
+from pftwin.files.mocap import MarkerTrajectories, segment_poses
 from pftwin.files.scene_file import load_scene, load_scene_file
+from pftwin.files.scene_file.clusters import ClusterFits
+from pftwin.model.limits import Limits
 
 HEAVY = changed("mass_kg = 0.12", "mass_kg = 120")
 
@@ -55,13 +57,32 @@ def test_a_swapped_pair_of_markers_is_refused(toy):
     swapped = {**FOUR, "T1": FOUR["T2"], "T2": FOUR["T1"]}
     said = refused(toy, tibia_seen(seen(), toy, clusters(swapped)))
     assert "[tibia] cluster_m: markers fit a rigid body within" in said
-    assert "names swapped?" in said
+    assert "names swapped? With T1 and T2 exchanged they fit within 0.00 mm;" in said
     assert "(most_marker_residual_mm)" in said
     text = tibia_seen(seen(), toy, clusters(swapped))
     wide = {"most_marker_residual_mm": 100, "most_marker_residual_ratio": 1e9, "least_flexion_deg": -180}
     file = toy / "swapped.toml"
     file.write_text(text)
     load_scene(file, limits={**wide, "most_adduction_deg": 180, "most_rotation_deg": 180, "most_slack_share": 9})
+
+
+def test_a_swapped_pair_of_a_nearly_regular_cluster_is_named_within_the_limits():
+    """The sides of the patella's triangle are 56, 62 and 64 mm: with two markers exchanged 2 mm rms remain."""
+    places = {"PAT1": (0.032, 0.004, 0.024), "PAT2": (-0.016, 0.033, 0.022), "PAT3": (-0.018, -0.031, 0.026)}
+    swapped = {**places, "PAT1": places["PAT2"], "PAT2": places["PAT1"]}
+    off = {**places, "PAT3": (-0.018, -0.036, 0.026)}  # one place is wrong by 5 mm: no exchange explains that
+    random = np.random.default_rng(0)
+    exact = np.tile(np.array([*places.values()]), (101, 1, 1))
+    for cluster, noise, named in (
+        (places, 2e-4, False),
+        (places, 1e-3, False),
+        (off, 2e-4, False),
+        (swapped, 2e-4, True),
+    ):
+        points = exact + noise * random.normal(size=exact.shape)
+        markers = MarkerTrajectories(0.01 * np.arange(101), tuple(places), points)
+        ClusterFits(Limits(), notes := []).take("patella.start", cluster, markers, segment_poses(markers, cluster))
+        assert ("names swapped? With PAT1 and PAT2 exchanged they fit within 0." in notes[0]) == named
 
 
 def test_a_cluster_that_fits_far_worse_than_the_others_is_refused(toy):

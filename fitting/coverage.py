@@ -62,13 +62,14 @@ SIMULATIONS_WITH_NUISANCE = Coverage(
 )
 
 
-def widened_coverage(factors: Mapping[str, float], plants: Mapping[str, int]) -> Coverage:
-    """Coverage of intervals that a calibration widened by factors of parameters, on numbers of plants by kind."""
+def widened_coverage(factors: Mapping[str, float], plants: Mapping[str, int], knee: str) -> Coverage:
+    """Coverage of intervals that a calibration widened by factors of parameters, on numbers of plants by kind, which
+    were made of the scene `knee`."""
     wider = ", ".join(f"{name} {times:.2g}" for name, times in factors.items())
     knees = ", ".join(f"{count} {kind}" for kind, count in plants.items())
     return NOT_KNOWN._replace(
-        intervals=f"95 % intervals are those of the fit times factors ({wider}) with which they contain the true value "
-        f"in 95 % of the synthetic knees of each kind that a calibration tried ({knees})"
+        intervals=f"95 % intervals are those of the fit times factors ({wider}), with which each contains the true "
+        f"value of 95 % of the synthetic knees of each kind ({knees}) that a calibration made of {knee} and found valid"
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import MISSING, asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from pftwin.model.measured import Measured
 
 FORMAT = "pftwin estimate 1"
+_TIED = 0.7  # correlation with a parameter at a bound that makes up half of another's variance
 _ARRAYS = ("values", "covariance", "lower", "upper", "nominal")
 
 
@@ -92,7 +93,8 @@ class Estimate:
     readings: dict[str, str] = field(default_factory=dict)  # units of channels that are neither poses nor forces
     covariances: dict[str, list[list[float]]] = field(default_factory=dict)  # of noise that was stated as a covariance
     widened: dict[str, float] = field(default_factory=dict)  # factors of intervals, by parameter, after a calibration
-    plants: dict[str, int] = field(default_factory=dict)  # number that it was calibrated on, by kind
+    plants: dict[str, int] = field(default_factory=dict)  # number of plants of that calibration, by kind
+    calibrated: str = ""  # scene of that calibration
     trials: tuple[FittedTrial, ...] = field(default=(), repr=False)  # what was fitted; empty if read from a file
 
     @property
@@ -141,16 +143,9 @@ class Estimate:
     def coverage(self) -> Coverage:
         """Measured coverage of intervals, bands and plans of such fits, in words."""
         if self.widened:
-            return widened_coverage(self.widened, self.plants)
+            return widened_coverage(self.widened, self.plants, self.calibrated)
         nuisance, trials = len(self.auxiliary) > len(self.differences), len(self.trial_rmse) > 1
         return coverage_of(self.draws is not None, nuisance, trials, bool(self.varies))
-
-    def widened_by(self, factors: Sequence[float], plants: Mapping[str, int]) -> Estimate:
-        """A copy whose standard deviations and intervals of the requested parameters are larger by these factors (d,),
-        which a calibration on plants found; correlations are kept. For estimates without draws."""
-        scale = np.append(factors, np.ones(len(self.names) - len(factors)))
-        widened = dict(zip(self.names, map(float, factors), strict=False))
-        return replace(self, covariance=self.covariance * np.outer(scale, scale), widened=widened, plants=dict(plants))
 
     @property
     def at_bounds(self) -> tuple[str, ...]:
@@ -163,6 +158,12 @@ class Estimate:
     def set_by_bounds(self) -> tuple[str, ...]:
         """Parameters whose value a search found at a bound: it was set by the bound, and its precision is not known."""
         return self.at_bounds if self.draws is None else ()
+
+    def _tied_to_bounds(self) -> list[str]:
+        """Other requested parameters whose errors are strongly correlated with one that was set by a bound."""
+        at, correlation = [self.names.index(name) for name in self.set_by_bounds], np.abs(self.correlation)
+        others = [i for i in range(self.asked) if i not in at]
+        return [self.names[i] for i in others if np.any(correlation[i, at] > _TIED)]
 
     def bound_mark(self, name: str) -> str:
         """What tables and figures say beside a parameter of `at_bounds`; empty for others."""
@@ -264,19 +265,20 @@ class Estimate:
         if self.at_bounds:
             unknown = "the precision is not known, and " if self.set_by_bounds else ""
             beyond = f". At a bound: {', '.join(self.at_bounds)}; {unknown}the true value may lie beyond"
+            beyond += f"; strongly correlated with it: {', '.join(tied)}" if (tied := self._tied_to_bounds()) else ""
         if self.invalid:
             unknown = f"The precision of {', '.join(self.names[:asked])} is not known"
             return f"{INVALID}: {'; '.join(self._objections())}. {unknown}{beyond}"
-        told = [i for i in range(asked) if self.names[i] not in self.set_by_bounds]
         said = in_words(
-            tuple(self.names[i] for i in told),
-            (self.upper - self.lower)[told],
-            self.values[told],
-            self.covariance[np.ix_(told, told)],
+            self.names[:asked],
+            (self.upper - self.lower)[:asked],
+            self.values[:asked],
+            self.covariance[:asked, :asked],
             self.channels,
             self.coordinates,
             self.readings,
-            [self.units[i] for i in told],
+            self.units[:asked],
+            self.set_by_bounds,
         )
         return f"{said}{beyond}. {'' if self.widened or self.draws is not None else 'But '}{self.coverage.intervals}"
 

@@ -105,7 +105,7 @@ class TrainedPosterior:
         estimate = estimate_of(problem, outcome, *of)
         if self.plants:
             estimate.widened = dict(zip(self.set_up.free, self.widened, strict=True))
-            estimate.plants = dict(self.plants)
+            estimate.plants, estimate.calibrated = dict(self.plants), self.set_up.scene_name
         compiled()
         judge(estimate)
         return estimate

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +12,7 @@ from fitting.objective import Objective
 from fitting.parameters import Parameters
 from fitting.programs import POSITION, unit_of
 from pftwin.base.arrays import Floats
-from pftwin.base.quantities import as_read
+from pftwin.base.quantities import as_read, shown
 
 NORMAL_95 = 1.959963984540054  # quantile of the normal distribution for 95 % intervals
 SERIAL = 0.2  # correlation of neighbouring residuals above which they do not count as independent
@@ -136,9 +136,10 @@ def in_words(
     coordinates: tuple[str, ...] = (),
     readings: Mapping[str, str] | None = None,
     units: Sequence[str] | None = None,
+    set_by_bounds: Collection[str] = (),
 ) -> str:
     """A sentence on which parameters the data determine and how well, with values if `units` are given. `readings`:
-    units of channels that are neither poses nor forces."""
+    units of channels that are neither poses nor forces; `set_by_bounds`: parameters of which no deviation is stated."""
     rel = relative(sizes(names, span, values, coordinates), covariance)
     sd = np.sqrt(np.maximum(np.diagonal(rel), 0))
     subject = "positions" if channels == (POSITION,) else ", ".join(channels)
@@ -162,7 +163,11 @@ def in_words(
     if units is None:
         parts += [f"{names[i]} to {_length(width[i]) if names[i] in coordinates else percent(sd[i])}" for i in rest]
     else:
-        parts += [f"{names[i]} {_with_deviation(values[i], width[i], sd[i], units[i])}" for i in rest]
+        for i in rest:
+            words = _with_deviation(values[i], width[i], sd[i], units[i])
+            if names[i] in set_by_bounds:
+                words = f"= {shown(values[i], units[i], 4)} (at its bound)"
+            parts.append(f"{names[i]} {words}")
     text = f"{subject} {verb} {_listed(parts)}{' (SD)' if any(' +- ' in part for part in parts) else ''}{weak}"
     if not weak and len(sd) > 1:
         values_, vectors = np.linalg.eigh(rel)

@@ -14,10 +14,10 @@ import numpy as np
 from fitting.calibration.laboratory import Laboratory
 from fitting.calibration.operations import OUTCOMES, Operated, Operation
 from fitting.calibration.plants import PLANTS, Knee, Maker, Plant, Seen, check_truth, run, truth_of
+from fitting.calibration.quick_fit import interval_draws
 from fitting.calibration.result import Answers, Calibration, Plans
 from fitting.channel_checks import limits_of
 from fitting.estimate import Estimate
-from fitting.inference.infer import DRAWS
 from fitting.nuisance import EXACT, Nuisance
 from fitting.parameters import Parameter
 from fitting.programs import reading_units
@@ -179,4 +179,4 @@ class _Calibrator(NamedTuple):
         if self.operation is None:
             return *self.trained.draws(recorded, measured, limits=self.limits), None
         estimate = self.trained.estimate(recorded, measured, limits=self.limits)
-        return estimate.samples(DRAWS)[:, : estimate.asked], estimate.doubts, estimate
+        return interval_draws(estimate), estimate.doubts, estimate

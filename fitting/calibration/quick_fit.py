@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from fitting.estimate import Estimate
-from fitting.fit import METHODS, SIMULATIONS, SPRING_PARAMETERS, Progress, fit_tendons
+from fitting.fit import METHODS, SIMULATIONS, SPRING_PARAMETERS, fit_tendons
 from fitting.inference.infer import DRAWS
 from fitting.measured_channels import force_fields, measured_channels
 from fitting.methods.problem import Problem
@@ -29,6 +29,7 @@ from pftwin.model.measured import Measured
 from pftwin.model.scene import Scene
 
 FORMAT = "pftwin calibrated fit 1"
+_SAME = 1e-6  # largest difference of nominal values, relative or in SI units
 
 
 @dataclass(frozen=True)
@@ -38,8 +39,9 @@ class QuickFit:
     set_up: SetUp
     method: str
     measured: tuple[tuple[str, ...], ...]  # channels that were measured in each trial of the first recording
+    nominal: tuple[float, ...]  # values of the free and nuisance parameters in the first recording's scene
     widened: tuple[float, ...] = ()  # factors (d,) by which intervals are widened after a calibration
-    plants: Mapping[str, int] = field(default_factory=dict)  # number of plants that it was calibrated on, by kind
+    plants: Mapping[str, int] = field(default_factory=dict)  # number of plants of that calibration, by kind
 
     @staticmethod
     def of(
@@ -73,7 +75,8 @@ class QuickFit:
         target = objective_of(scenes, data, "likelihood", use, noise, "linear", springs)
         there = [measured_channels(one, own, springs)[0] for one, own in zip(scenes, data, strict=True)]
         channels = tuple(tuple(name for name in target.channels if name in each) for each in there)
-        return QuickFit(SetUp.of(Problem.of(scenes, parameters, target), extra, springs), method, channels)
+        set_up, nominal = SetUp.of(Problem.of(scenes, parameters, target), extra, springs), parameters[0].nominal
+        return QuickFit(set_up, method, channels, tuple(nominal.tolist()))
 
     def estimate(
         self,
@@ -81,23 +84,37 @@ class QuickFit:
         measured: Measured | Sequence[Measured | None] | None = None,
         *,
         limits: Mapping[str, tuple[float, float]] | None = None,
-        progress: Callable[[Progress], None] | None = None,
+        **more: Any,
     ) -> Estimate:
         """As `fit_tendons`, with the channels that were measured in each trial of the first recording.
 
+        Args:
+            scene: as in the first recording, with this one's motion; or the scenes of several trials.
+            measured: as in `fit_tendons`, like `limits`, and `more`: progress, checkpoint and resume.
+
         Raises:
-            InputError: another number of trials or frames than in the first recording.
+            InputError: another number of trials or frames, or other nominal parameters, than in the first recording.
             PftwinError: as `fit_tendons`.
         """
         s = self.set_up
         scenes, given = trials_of(scene, measured)
         s.check_frames(scenes, given[0].source)
+        self._check_nominal(scenes)
         kept = [_only(*each, s.springs) for each in zip(self.measured, scenes, given, strict=True)]
         names = ("free", "bounds", "priors", "nuisance", "varies", "noise", "springs")
         asked: dict[str, Any] = {name: getattr(s, name) for name in names}
-        asked |= {"limits": limits, "progress": progress}
-        found = fit_tendons(scenes, kept, method=self.method, use=s.channels, **asked)
-        return found.widened_by(self.widened, self.plants) if self.widened else found
+        found = fit_tendons(scenes, kept, method=self.method, use=s.channels, limits=limits, **asked, **more)
+        if not self.widened or found.reason.startswith("interrupted"):
+            return found
+        return _widened(found, self)
+
+    def _check_nominal(self, scenes: Sequence[Scene]) -> None:
+        """Raises InputError for a scene with another nominal value of a free or nuisance parameter."""
+        own = self.set_up.parameters(scenes)[1][0]
+        for name, value, expected in zip(own.names, own.nominal, self.nominal, strict=True):
+            if not np.isclose(value, expected, rtol=_SAME, atol=_SAME):
+                said = f"{name} is {value:.6g} in scene {scenes[0].name!r}"
+                raise InputError(said, where="nominal", expected=f"{expected:.6g}, as in {self.set_up.scene_name!r}")
 
     def draws(
         self,
@@ -112,10 +129,7 @@ class QuickFit:
             PftwinError: as `fit_tendons`.
         """
         found = self.estimate(scene, measured, limits=limits)
-        d, random = found.asked, np.random.default_rng(0)
-        # Not `samples`, which clips at the bounds: the intervals that users see do not.
-        draws = random.multivariate_normal(found.values[:d], found.covariance[:d, :d], DRAWS, method="eigh")
-        return draws, found.doubts
+        return interval_draws(found), found.doubts
 
     def sentence(self) -> str:
         """What is fitted, and by which method."""
@@ -129,7 +143,7 @@ class QuickFit:
         Raises:
             OutputError: if it cannot be written.
         """
-        own = {name: getattr(self, name) for name in ("method", "measured", "widened", "plants")}
+        own = {name: getattr(self, name) for name in ("method", "measured", "nominal", "widened", "plants")}
         write_json_file(path, {"format": FORMAT, "set_up": self.set_up.plain(), **own})
         return Path(path)
 
@@ -147,15 +161,34 @@ class QuickFit:
                 raise ValueError(f"its format is {facts.get('format')!r}")
             set_up, method = SetUp.restored(facts["set_up"]), str(facts["method"])
             measured = tuple(tuple(map(str, channels)) for channels in facts["measured"])
-            widened = tuple(float(times) for times in facts["widened"])
+            nominal, widened = (tuple(map(float, facts[key])) for key in ("nominal", "widened"))
             plants = {kind: int(count) for kind, count in facts["plants"].items()}
             if method not in METHODS:
                 raise ValueError(f"no method {method!r}")
-            if len(widened) not in (0, len(set_up.free)):
-                raise ValueError(f"its factors are not those of {', '.join(set_up.free)}")
+            if len(widened) not in (0, len(set_up.free)) or not all(1 <= times < np.inf for times in widened):
+                raise ValueError(f"its factors are not those of {', '.join(set_up.free)}, at least 1")
         except (ValueError, KeyError, TypeError, AttributeError, IndexError) as error:
             raise InputError(f"no calibrated fit: {error}", where=path, expected=expected) from None
-        return QuickFit(set_up, method, measured, widened, plants)
+        return QuickFit(set_up, method, measured, nominal, widened, plants)
+
+
+def interval_draws(estimate: Estimate) -> Floats:
+    """Draws (N, d) of the requested parameters whose quantiles are the estimate's intervals.
+
+    Not `samples`, which clips draws of a normal distribution at the bounds and adds differences between trials.
+    """
+    d, random = estimate.asked, np.random.default_rng(0)
+    if estimate.draws is not None:
+        return estimate.draws[:, :d]
+    return random.multivariate_normal(estimate.values[:d], estimate.covariance[:d, :d], DRAWS, method="eigh")
+
+
+def _widened(estimate: Estimate, fit: QuickFit) -> Estimate:
+    """The estimate with larger standard deviations of the requested parameters; correlations are kept."""
+    scale = np.append(fit.widened, np.ones(len(estimate.names) - len(fit.widened)))
+    widened = dict(zip(fit.set_up.free, fit.widened, strict=True))
+    told: dict[str, Any] = {"plants": dict(fit.plants), "calibrated": fit.set_up.scene_name}
+    return replace(estimate, covariance=estimate.covariance * np.outer(scale, scale), widened=widened, **told)
 
 
 def _only(channels: Sequence[str], scene: Scene, data: Measured, springs: Mapping[str, str]) -> Measured:

@@ -84,11 +84,12 @@ class Answers(NamedTuple):
 
     @property
     def factors(self) -> Floats:
-        """Factors (d,), at least 1, with which intervals contain the true value of a further plant with the nominal
-        probability: a quantile of the errors (split conformal: Vovk et al. 2005)."""
+        """Factors (d,), at least 1, with which each interval, symmetric about its mean, contains the true value of a
+        further plant with the nominal probability: a quantile of the errors (split conformal: Vovk et al. 2005)."""
         count = len(self.ranks)
         rank = min(int(np.ceil((count + 1) * self.level)), count)
-        times = np.sort(np.abs(self.errors) / self.half_widths, axis=0)
+        with np.errstate(divide="ignore", invalid="ignore"):  # infinite where an interval has no width
+            times = np.sort(np.abs(self.errors) / self.half_widths, axis=0)
         return np.maximum(times[rank - 1], 1.0)
 
     def verdict(self, names: tuple[str, ...]) -> str:
@@ -221,6 +222,8 @@ class Calibration:
                     found, where="widen", expected=f"at least {TO_WIDEN} of each kind", remedy="more plants"
                 )
         factors = np.max([a.factors for a in self.kinds.values()], axis=0) * (calibrated.widened or 1.0)
+        if endless := [name for name, times in zip(self.names, factors, strict=True) if not np.isfinite(times)]:
+            raise InputError(f"intervals of {', '.join(endless)} have no width", where="widen")
         plants = {kind: len(answers.ranks) for kind, answers in self.kinds.items()}
         return replace(calibrated, widened=tuple(factors.tolist()), plants=plants)
 

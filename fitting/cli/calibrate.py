@@ -14,7 +14,7 @@ from pftwin.base.sheet import Sheet
 from pftwin.base.written_amounts import amount
 from pftwin.cli.exit_codes import exit_flagged
 from pftwin.cli.scenes import on_scene
-from pftwin.cli.terminal import JsonOption, check_outputs, check_suffix, present, progress, show, spinner, written_line
+from pftwin.cli.terminal import JsonOption, check_outputs, check_suffix, present, progress, spinner, written_line
 
 if TYPE_CHECKING:
     from fitting.calibration.operations import Operation
@@ -136,14 +136,19 @@ def calibrate(
             limits=allowed,
             progress=lambda kind, done, of: shown(done, of, what=f"plants {kind}"),
         )
-    files = [str(found.save(output))]
+    files, refusal = [str(found.save(output))], None
+    if widen is not None:
+        try:
+            files.append(str(found.widened(answering).save(widen)))
+        except InputError as error:  # raised once the calibration has been reported
+            refusal = error
     if figures:
         with spinner("drawing"):
             files += [str(p) for p in found.plot.save(output.with_suffix(""))]
     parts = [*_sheets_of(found, answering.set_up.scene_name), found.sentence(), found.trained, written_line(files)]
     present({**found.to_dict(), "files": files}, *parts, json=json)
-    if widen is not None:
-        show(written_line([found.widened(answering).save(widen)]), json=json)
+    if refusal is not None:
+        raise refusal
     if not found.holds:
         exit_flagged(found.sentence())
 

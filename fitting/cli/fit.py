@@ -82,8 +82,9 @@ def fit(
     for path, trial in zip(knee.scene or [], trials, strict=False):
         if trial.scene.measured is None:
             raise InputError("nothing to compare with", where=path, expected="a table [measured] in the scene file")
+    again = {"checkpoint": checkpoint, "resume": resume}
     if (settled := _settled(trained, calibrated)) is not None:
-        refuse_settled(asked, settled)
+        refuse_settled(asked | ({"checkpoint": None, "resume": False} if calibrated else {}), settled)
     if posterior is not None:
         _check_posterior(objective, settled)
     scenes = [within(trial.scene, spans) for trial in trials]
@@ -96,7 +97,7 @@ def fit(
         from fitting.calibration.quick_fit import QuickFit
 
         quick = QuickFit.load(calibrated)
-        estimate = _fitted(quick.method, checkpoint, partial(quick.estimate, scenes, limits=limits))
+        estimate = _fitted(quick.method, checkpoint, partial(quick.estimate, scenes, limits=limits, **again))
     else:
         from fitting.fit import fit_tendons
 

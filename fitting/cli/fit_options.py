@@ -141,7 +141,7 @@ def refuse_settled(asked: dict[str, Any], where: str) -> None:
     """Raises InputError if an option that a file given by the option `where` has fixed differs from its default."""
     if settled := [f"--{name}" for name, value in asked.items() if value != _SETTLED.get(name)]:
         raise InputError(
-            f"{', '.join(settled)} beside it", where=where, expected="no such options: its file has fixed them"
+            f"{', '.join(settled)} together with this file", where=where, expected="none, as the file has fixed them"
         )
 
 

@@ -61,6 +61,7 @@ def predict(
     from fitting.prediction.predicted_motion import LEVEL
     from pftwin.files.result_files import save_dataset
     from pftwin.results.plots import save_figure
+    from pftwin.results.verdict import INVALID
 
     with terminal.progress("compiling and simulating") as shown:
 
@@ -76,7 +77,8 @@ def predict(
     facts = {**motion.to_dict(), "files": [str(path) for path in files]}
     invalid = "" if motion.verdict == "valid" else motion.verdict
     first, sentence = (invalid, found.objection), "" if invalid else motion.sentence()
-    terminal.present(facts, *first, *sheets, sentence, *motion.notes, terminal.written_line(files), json=json)
+    notes = [note for note in motion.notes if INVALID not in note]  # that the estimate is INVALID has been said
+    terminal.present(facts, *first, *sheets, sentence, *notes, terminal.written_line(files), json=json)
     if why := invalid or found.objection:
         exit_flagged(why)
 

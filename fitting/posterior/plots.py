@@ -87,6 +87,10 @@ def _marginal(axes: Axes, e: Estimate, i: int, scale: float, draws: Floats | Non
     if draws is not None:
         axes.hist(draws, bins=_BINS, density=True, color=COLOURS[0], alpha=0.5)
     mean, sd = scale * e.values[i], scale * e.standard_deviations[i]
+    if e.names[i] in e.set_by_bounds:
+        axes.axvline(mean, color=COLOURS[1])
+        axes.set_yticks([])
+        return
     x = np.linspace(mean - 4 * sd, mean + 4 * sd, 200)
     x = x[(x >= scale * e.lower[i]) & (x <= scale * e.upper[i])]
     density = np.exp(-0.5 * ((x - mean) / sd) ** 2) / (sd * np.sqrt(2 * np.pi))

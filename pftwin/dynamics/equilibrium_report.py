@@ -203,9 +203,10 @@ def invalid_start(scene: Scene, start: EquilibriumReport | Start) -> tuple[str, 
 
 
 def largest_indentation(seen: Seen) -> float:
-    """Largest penetration among effects' observables [m]; 0 if nothing touches, NaN without a contact."""
+    """Largest penetration among effects' observables [m]; 0 if nothing touches, NaN without a finite depth."""
     depths = [np.asarray(v) for report in seen.values() for key, v in report.items() if key.startswith("indentation")]
-    return max((float(np.max(d, initial=0.0, where=np.isfinite(d))) for d in depths), default=float("nan"))
+    finite = [d[np.isfinite(d)] for d in depths]
+    return max((float(d.max(initial=0.0)) for d in finite if d.size), default=float("nan"))
 
 
 def _overlap_at_start(scene: Scene) -> tuple[str, ...]:

@@ -157,8 +157,7 @@ def coarsest(run: Callable[[int], Tried[Run]], order: float, tolerance: Toleranc
     if not held:
         warnings.warn(
             f"a tolerance of {tolerance.text(tolerance.value)} ({tolerance.of}) is not met with {n} steps between two"
-            " frames:"
-            f" the estimated error is {tolerance.text(found)}",
+            f" frames: the estimated error is {tolerance.text(found)}",
             PftwinWarning,
             stacklevel=4,
         )

@@ -179,7 +179,7 @@ def test_two_trials_are_fitted_and_planned(toy, tmp_path):
 )
 def test_what_was_settled_in_training_is_not_stated_again(toy, tmp_path, options, named):
     said = refused("fit", toy, "-o", tmp_path / "fit.json", "--trained", tmp_path / "knee.npz", *options)
-    assert "beside it; expected: no such options: its file has fixed them" in said
+    assert "together with this file; expected: none, as the file has fixed them" in said
     assert named in said
 
 
@@ -227,7 +227,9 @@ def test_a_calibration_is_of_a_posterior_or_of_a_search(toy, tmp_path):
     plain, trained = ("calibrate", toy, "-o", tmp_path / "c.json"), ("--trained", tmp_path / "no.npz")
     assert "neither --trained nor --method" in refused(*plain)
     assert "both --trained and --method" in refused(*plain, *trained, "--method", "least_squares")
-    assert "--trained: --free, --use beside it" in refused(*plain, *trained, "--free", "K1", "--use", "all")
+    assert "--trained: --free, --use together with this file" in refused(
+        *plain, *trained, "--free", "K1", "--use", "all"
+    )
     assert "calibrated fits are JSON" in refused(*plain, "--method", "gradient", "--widen", tmp_path / "w.npz")
     assert "method: 'best'" in refused(*plain, "--method", "best")
     few = refused(*plain, "--method", "gradient", "--widen", tmp_path / "w.json", "--plants", 18)

@@ -50,17 +50,18 @@ def test_draws_have_the_estimates_mean_and_covariance_and_keep_the_bounds():
 def test_bounds_that_are_reached_are_named_on_either_side():
     e = made_estimate(VALUES, lower=np.array([160.0, 0.1, 500.0]), upper=np.array([200.0, 0.2, 600.05]))
     assert e.at_bounds == ("K1", "K2")
-    said = (
-        "(SD). At a bound: K1, K2; the precision is not known, and the true value may lie beyond. But 95 % intervals "
-    )
-    assert said in e.sentence()
-    assert e.sentence().startswith("positions give L1 = 150.0 +- 1.0 mm (SD). ")  # and nothing of K1 and K2
+    unknown = "the precision is not known, and the true value may lie beyond"
+    assert f"(SD). At a bound: K1, K2; {unknown}. But 95 % intervals " in e.sentence()
+    given = "positions give K1 = 160 N/m (at its bound), L1 = 150.0 +- 1.0 mm and K2 = 600 N/m (at its bound) (SD). "
+    assert e.sentence().startswith(given)
     marked = [line.endswith("; at its bound)") for line in e.summary().splitlines()[1:4]]
     assert marked == [True, False, True]
     assert [" +- " in line for line in e.summary().splitlines()[1:4]] == [False, True, False]
     assert e.to_dict()["at_bounds"] == ["K1", "K2"]
-    everything = made_estimate(VALUES, upper=np.array([160.0, 0.15, 600.0]))
-    assert everything.sentence().startswith("positions give nothing. At a bound: K1, L1, K2; the precision")
+    tied = np.diag(SD**2)
+    tied[0, 2] = tied[2, 0] = 0.8 * SD[0] * SD[2]
+    at_bound = made_estimate(VALUES, upper=np.array([160.0, 1.0, 1e4]), covariance=tied)
+    assert f". At a bound: K1; {unknown}; strongly correlated with it: K2. But" in at_bound.sentence()
     draws = np.minimum(np.linspace(160.0, 240.0, 41), 200.0)[:, None] + np.array([0.0, 0.15 - 160, 550 - 160])
     by_simulations = dataclasses.replace(e, draws=draws, lower=np.array([100.0, 0.0, 500.0]))
     assert by_simulations.bound_mark("K1") == "interval to its bound"  # its end, as the value is amid the bounds

@@ -13,6 +13,7 @@ from toy_scene_files import LIGHT, START, fixed_poses, tibia_poses, write_poses,
 from typer.testing import CliRunner, Result
 
 from fitting.prediction.predicted_motion import PredictedMotion
+from fitting.prediction.predicting import reservations
 from pftwin import load_scene
 from pftwin.base.errors import InputError
 from pftwin.cli import app
@@ -87,11 +88,12 @@ def test_an_invalid_prediction_says_so_once_and_before_its_table(folder, tmp_pat
     path = np.tile(np.arange(31.0)[:, None], (1, 6))
     verdict = far if doubted == "motion" else "valid"
     every = np.ones(31, dtype=bool)
-    motion = PredictedMotion("toy", np.arange(31.0), path, path - 1, path + 1, path + 0.5, every, verdict, ("bands",))
-    monkeypatch.setattr("fitting.prediction.motion.predict_motion", lambda *_, **__: motion)
     doubts = [] if doubted == "motion" else ["measured quadriceps is late"]
     estimate = dataclasses.replace(made_estimate({"K1": (158.0, 3.0)}, rmse=LEFT), doubts=doubts)
     estimate.save(tmp_path / "fit.json")
+    notes = "bands", *reservations(estimate, synthetic=True)
+    motion = PredictedMotion("toy", np.arange(31.0), path, path - 1, path + 1, path + 0.5, every, verdict, notes)
+    monkeypatch.setattr("fitting.prediction.motion.predict_motion", lambda *_, **__: motion)
     options = ("--estimate", tmp_path / "fit.json", "-o", tmp_path / "a.nc", "--no-figure")
     result = pftwin("predict", folder / "scene.toml", *options)
     assert result.exit_code == 3, result.output
@@ -99,6 +101,7 @@ def test_an_invalid_prediction_says_so_once_and_before_its_table(folder, tmp_pat
     assert lines[0].startswith(far if doubted == "motion" else "INVALID: measured quadriceps is late")
     assert result.stdout.count("INVALID") == 1
     assert any("centre, lateral" in line for line in lines[1:])
+    assert "bands" in lines
 
 
 def test_what_is_no_table_is_refused_as_ever(folder):

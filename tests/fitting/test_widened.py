@@ -110,7 +110,7 @@ def test_an_estimate_is_widened_and_says_by_how_much(fitted, tmp_path):
     np.testing.assert_allclose(wide.samples(4000).std(axis=0), DEVIATIONS * FACTORS, rtol=0.1)
     said = wide.coverage.intervals
     assert "(K1 2.5, L1 1, K2 3, L2 1.2)" in said
-    assert "(23 misplaced, 19 stiffening)" in said
+    assert "(23 misplaced, 19 stiffening) that a calibration made of small knee" in said
     assert Estimate.load(wide.save(tmp_path / "fit.json")).coverage == wide.coverage
     assert plain.coverage.intervals != said
 
@@ -129,6 +129,8 @@ def test_a_calibrated_fit_is_kept_in_a_file(tmp_path):
     [
         ({"format": "pftwin estimate 1"}, "its format is 'pftwin estimate 1'"),
         ({"widened": [2.0]}, "its factors are not those of K1, L1, K2, L2"),
+        ({"widened": [2.0, "inf", 1.0, 1.0]}, "its factors are not those of K1, L1, K2, L2"),
+        ({"widened": [2.0, 0.5, 1.0, 1.0]}, "its factors are not those of K1, L1, K2, L2"),
         ({"widened": ["wide"] * 4}, "no calibrated fit"),
         ({"method": "simulations"}, "no method 'simulations'"),
         ({"set_up": {}}, "no calibrated fit"),
@@ -147,10 +149,38 @@ def test_recordings_of_another_length_are_refused():
         quick().estimate(lifting_scene(31), Measured(data.times[:31], data.center[:31]))
 
 
+def test_another_nominal_knee_is_refused():
+    other = lifting_scene().set("K2", 1.01 * lifting_scene().get("K2"))
+    with pytest.raises(InputError, match=r"K2 is .* in scene .*as in 'small knee'"):
+        quick().estimate(other, still())
+
+
+def test_an_interrupted_fit_is_not_widened(monkeypatch):
+    cut = made_estimate(VALUES, reason="interrupted")
+    monkeypatch.setattr(quick_fit, "fit_tendons", lambda *_, **__: cut)
+    assert quick(widened=FACTORS, plants=PLANTS).estimate(lifting_scene(), still()) is cut
+
+
+def test_draws_of_a_calibration_have_the_quantiles_of_the_intervals():
+    """Also at a bound, where `samples` would be cut in half."""
+    found = made_estimate(VALUES, upper=np.array([151.0, 1.0, 640.0, 1.0]))
+    ends = np.quantile(quick_fit.interval_draws(found), (0.025, 0.975), axis=0).T
+    np.testing.assert_allclose(ends, found.intervals, rtol=0, atol=0.15 * np.max(found.standard_deviations))
+    assert ends[0, 1] > 154
+
+
+def test_intervals_without_width_are_not_widened():
+    flat = off(0.5, count=30, seed=6)._replace(half_widths=np.tile([0.1, 0.0], (30, 1)))
+    with pytest.raises(InputError, match="intervals of L2 have no width"):
+        Calibration(("K1", "L2"), {"odd": flat}, "fits", 0, 1.0).widened(quick())
+
+
 def test_settings_of_the_file_hold(tmp_path):
     wider = quick(widened=FACTORS, plants=PLANTS).save(tmp_path / "wider.json")
     asked = ("fit", "--case", 2, "-o", tmp_path / "fit.json", "--calibrated", wider)
-    assert "--calibrated: --free, --nuisance beside it" in refused(*asked, "--free", "K1", "--nuisance", "rig")
+    assert "--calibrated: --free, --nuisance together with this file" in refused(
+        *asked, "--free", "K1", "--nuisance", "rig"
+    )
     assert "both --trained and --calibrated" in refused(*asked, "--trained", tmp_path / "no.npz")
     assert "--calibrated with --posterior" in refused(*asked, "--posterior", 8)
     assert "721 frames; expected: 41" in refused(*asked)

@@ -96,11 +96,16 @@ class Course(NamedTuple):
     force: np.ndarray  # (n, 3) on the patella [N]
     facets: np.ndarray  # (n, 2) [N]
 
+    @property
+    def peak(self) -> float:
+        """The largest contact force [N]."""
+        return float(np.linalg.norm(self.force, axis=1).max())
+
     def off(self, true: Course) -> np.ndarray:
         """Largest errors of place, contact force and force on a facet, in parts of what is allowed (3,)."""
         if not (np.isfinite(self.center).all() and np.isfinite(true.center).all()):
             return np.full(3, np.inf)
-        allowed = min(MOST_FORCE, MOST_SHARE * np.linalg.norm(true.force, axis=1).max())
+        allowed = min(MOST_FORCE, MOST_SHARE * true.peak)
         return np.array(
             [
                 np.linalg.norm(self.center - true.center, axis=1).max() / FARTHEST,
@@ -162,6 +167,7 @@ class Seen(NamedTuple):
 
     course: Course
     clean: bool
+    valid: bool
     substeps: int
     seconds: float  # for one warm run, all that it takes
 
@@ -177,7 +183,8 @@ def simulated(scene: Scene, rows: np.ndarray, **options) -> list[Seen]:
         facets = np.stack([result.contact_force_medial, result.contact_force_lateral], axis=1)
         course = Course(result.center, result.contact_force, facets)
         if i > 0:  # the first one compiles
-            found.append(Seen(course, not result.status & ~TOLD, result.settings["substeps"], spent))
+            clean, valid = not result.status & ~TOLD, result.verdict.valid
+            found.append(Seen(course, clean, valid, result.settings["substeps"], spent))
     return found
 
 
@@ -192,12 +199,15 @@ def report(case: int, seen: list[Seen], true: list[Truth]) -> int:
     path, force, facet = (wrong[:, k] for k in range(3))
     silent = clean & (path | force)
     silent_facets = clean & facet & ~silent
+    peaks, true_peaks = (np.array([c.course.peak for c in courses]) for courses in (seen, true))
+    no_peak = np.array([s.valid for s in seen]) & known[:, 1] & (np.abs(peaks - true_peaks) > 0.5 * true_peaks)
     steps, counts = np.unique([s.substeps for s in seen], return_counts=True)
     share = {n: f"{100 * np.mean(x):.0f} %" for n, x in (("path", path), ("force", force), ("facet", facet))}
     print(
         f"case {case}: {len(seen)} scenes; off: path {share['path']}, force {share['force']}, facet {share['facet']};"
         f" clean status {np.sum(clean)}, of these off: {np.sum(silent)}, on a facet alone: {np.sum(silent_facets)};"
         f" flagged though right: {np.sum(~clean & ~wrong.any(axis=1))};"
+        f" valid with a largest force more than half off: {np.sum(no_peak)};"
         f" truth not known: {np.sum(~known.all(axis=1))}, clean: {np.sum(~known.all(axis=1) & clean)};"
         f" steps between frames: {dict(zip(steps.tolist(), counts.tolist(), strict=True))};"
         f" median {1e3 * np.median([s.seconds for s in seen]):.0f} ms a scene",

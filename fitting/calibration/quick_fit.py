@@ -111,6 +111,9 @@ class QuickFit:
     def _check_nominal(self, scenes: Sequence[Scene]) -> None:
         """Raises InputError for a scene with another nominal value of a free or nuisance parameter."""
         own = self.set_up.parameters(scenes)[1][0]
+        if len(own.names) != len(self.nominal):
+            said = f"scene {scenes[0].name!r} has {len(own.names)} free and nuisance parameters"
+            raise InputError(said, where="nominal", expected=f"{len(self.nominal)}, as {self.set_up.scene_name!r} has")
         for name, value, expected in zip(own.names, own.nominal, self.nominal, strict=True):
             if not np.isclose(value, expected, rtol=_SAME, atol=_SAME):
                 said = f"{name} is {value:.6g} in scene {scenes[0].name!r}"

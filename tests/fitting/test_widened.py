@@ -153,6 +153,9 @@ def test_another_nominal_knee_is_refused():
     other = lifting_scene().set("K2", 1.01 * lifting_scene().get("K2"))
     with pytest.raises(InputError, match=r"K2 is .* in scene .*as in 'small knee'"):
         quick().estimate(other, still())
+    more = quick(nominal=(*quick().nominal, 0.3))
+    with pytest.raises(InputError, match=r"'small knee' has 4 free and nuisance parameters; expected: 5"):
+        more.estimate(lifting_scene(), still())
 
 
 def test_an_interrupted_fit_is_not_widened(monkeypatch):

@@ -156,8 +156,9 @@ class Estimate:
 
     @property
     def set_by_bounds(self) -> tuple[str, ...]:
-        """Parameters whose value a search found at a bound: it was set by the bound, and its precision is not known."""
-        return self.at_bounds if self.draws is None else ()
+        """Parameters whose value a search found at a bound: it was set by the bound, and its precision is not known,
+        unless a calibration, which has such cases too, has widened the intervals."""
+        return () if self.widened or self.draws is not None else self.at_bounds
 
     def _tied_to_bounds(self) -> list[str]:
         """Other requested parameters whose errors are strongly correlated with one that was set by a bound."""

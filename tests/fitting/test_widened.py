@@ -115,6 +115,16 @@ def test_an_estimate_is_widened_and_says_by_how_much(fitted, tmp_path):
     assert plain.coverage.intervals != said
 
 
+def test_a_widened_interval_is_stated_at_a_bound_too(monkeypatch):
+    """Fits that end at a bound are among those of the calibration."""
+    at_bound = made_estimate(VALUES, upper=np.array([151.0, 1.0, 1e4, 1.0]))
+    monkeypatch.setattr(quick_fit, "fit_tendons", lambda *_, **__: at_bound)
+    wide = quick(widened=FACTORS, plants=PLANTS).estimate(lifting_scene(), still())
+    assert at_bound.set_by_bounds == wide.at_bounds == ("K1",)
+    assert "K1 = 151.0 +- 7.5 N/m" in wide.sentence()
+    assert "K1 = 151 N/m (at its bound)" in at_bound.sentence()
+
+
 def test_a_calibrated_fit_is_kept_in_a_file(tmp_path):
     kept = quick(widened=FACTORS, plants=PLANTS)
     kept = replace(

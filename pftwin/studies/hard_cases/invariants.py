@@ -20,7 +20,8 @@ if TYPE_CHECKING:
     from pftwin.studies.hard_cases.knee import KneeNumbers
 
 GEOMETRY = Status.NO_CONTACT | Status.LEFT_PATCH | Status.DEEP_INDENTATION  # flags with separate checks
-ERRORS = Status.INACCURATE | Status.FACETS_INACCURATE  # flags of step errors, compared with a converged run
+# Flags of step errors, which are compared with a converged run.
+ERRORS = Status.INACCURATE | Status.FACETS_INACCURATE | Status.PEAK_UNKNOWN
 
 
 class Tolerance(NamedTuple):

@@ -146,8 +146,9 @@ def verdict(case: HardCase, contact: str, method: CaseIntegrator, dtype: str, ev
     every = Status(int(np.bitwise_or.reduce(look.flags)))
     if every & RELEASED and dtype in case.no_equilibrium.get(contact, ()):
         return cell("refused", f"{RELEASED.describe()} ({case.limit})")  # flagged in every frame
-    inaccurate = int(((look.flags & int(Status.INACCURATE)) > 0).sum())
-    invalid = inaccurate > most_frames(Status.INACCURATE, look.flags.size)  # by the estimated error of the steps
+    said = Status.PEAK_UNKNOWN if every & Status.PEAK_UNKNOWN else Status.INACCURATE
+    inaccurate = int(((look.flags & int(said)) > 0).sum())
+    invalid = inaccurate > most_frames(said, look.flags.size)  # by the estimated error of the steps
     if every & UNKNOWN and (method.may_refuse or invalid or case.expected.may & UNKNOWN or _at_limit(look)):
         return _refused(look, every, cell)
     found = [
@@ -162,7 +163,7 @@ def verdict(case: HardCase, contact: str, method: CaseIntegrator, dtype: str, ev
         return cell("fail", "; ".join(wrong))
     if invalid:
         doubt = f"; {THOUGH_RIGHT}" if evidence.truth is not None and evidence.truth.finds_right(run) else ""
-        return cell("refused", f"{Status.INACCURATE.describe()} ({inaccurate} of {look.flags.size} frames){doubt}")
+        return cell("refused", f"{said.describe()} ({inaccurate} of {look.flags.size} frames){doubt}")
     return cell("pass", "")
 
 

@@ -15,6 +15,7 @@ from pftwin.dynamics.error_estimate import Course, apart
 from pftwin.dynamics.status import Status
 from pftwin.studies.hard_cases import case_named, method_named
 from pftwin.studies.hard_cases.batch import built_scene
+from pftwin.studies.hard_cases.invariants import ERRORS
 from pftwin.studies.hard_cases.verdict import Truth, silent_error
 
 FRAMES = 40
@@ -69,6 +70,12 @@ def test_forces_of_facets_may_be_off_where_frames_say_so():
     unshared = course(medial=2.0)
     assert "no frame says so" in str(silent_error(ran(unshared), truth()))
     assert silent_error(ran(unshared, Status.FACETS_INACCURATE), truth()) is None
+
+
+def test_no_flag_that_only_errors_raise_is_forbidden():
+    """A run that is off in place and, by more than its largest force, in force raises them all."""
+    made = apart(course(), course(shift=3e-3, force=-25.0)).flags
+    assert int(np.bitwise_or.reduce(made)) == int(ERRORS)
 
 
 def test_in_the_plane_of_symmetry_the_facet_is_not_judged():

@@ -134,11 +134,16 @@ def test_a_small_set_holds_on_a_patch_with_the_default_integrator(cells):
 
 @pytest.mark.slow
 def test_runs_do_not_depend_on_their_batch():
-    """Side by side, in another order, beside members whose every number is NaN."""
+    """Side by side, in another order, beside members whose every number is NaN. A bounce's largest force is right, but
+    the run with twice the step misses it, so that it is reported as not known."""
     cases = [case_named(n) for n in ("plain_knee", "bounce_to_rest", "tendon_reversed", "contact_hard", "noise")]
     method = method_named("linear_implicit_bdf2")
     cells = run_matrix(cases, Selection(("P5",), (method,), ("float64",), derivatives=False))
-    assert [c.reason for c in cells] == [""] * len(cases)
+    reasons = {c.case: c.reason for c in cells}
+    bounce = reasons.pop("bounce_to_rest")
+    assert bounce.startswith(Status.PEAK_UNKNOWN.describe())
+    assert THOUGH_RIGHT in bounce
+    assert list(reasons.values()) == [""] * 4
 
 
 @pytest.mark.slow

@@ -10,15 +10,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from fitting import estimate_words as words
 from fitting.coverage import Coverage, coverage_of, widened_coverage
 from fitting.nuisance import EXACT, REACH, Nuisance
 from fitting.parameters import Applied, weights_in
-from fitting.programs import unit_of
-from fitting.sensors import sensors_in_words
-from fitting.uncertainty import NORMAL_95, SERIAL, Undetermined, in_words
+from fitting.uncertainty import NORMAL_95, Undetermined
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
-from pftwin.base.quantities import shown
 from pftwin.base.text_files import read_json, restored_numbers, write_json_file
 from pftwin.model.scene import Scene
 from pftwin.results.verdict import INVALID
@@ -28,7 +26,6 @@ if TYPE_CHECKING:
     from pftwin.model.measured import Measured
 
 FORMAT = "pftwin estimate 1"
-_TIED = 0.7  # correlation with a parameter at a bound that makes up half of another's variance
 _ARRAYS = ("values", "covariance", "lower", "upper", "nominal")
 
 
@@ -160,12 +157,6 @@ class Estimate:
         unless a calibration, which has such cases too, has widened the intervals."""
         return () if self.widened or self.draws is not None else self.at_bounds
 
-    def _tied_to_bounds(self) -> list[str]:
-        """Other requested parameters whose errors are strongly correlated with one that was set by a bound."""
-        at, correlation = [self.names.index(name) for name in self.set_by_bounds], np.abs(self.correlation)
-        others = [i for i in range(self.asked) if i not in at]
-        return [self.names[i] for i in others if np.any(correlation[i, at] > _TIED)]
-
     def bound_mark(self, name: str) -> str:
         """What tables and figures say beside a parameter of `at_bounds`; empty for others."""
         if name not in self.at_bounds:
@@ -248,97 +239,33 @@ class Estimate:
     @property
     def invalid(self) -> bool:
         """Whether the values must not be used: the fitted motion is INVALID, or there are doubts."""
-        return bool(self._objections())
+        return bool(self.objections())
 
     @property
     def objection(self) -> str:
         """See `fitting.prediction.predicting.Fitted`."""
         return self.sentence() if self.invalid else ""
 
-    def _objections(self) -> list[str]:
+    def objections(self) -> list[str]:
+        """Why the values must not be used."""
         motion = [self.verdict.removeprefix(f"{INVALID}: ")] if self.verdict.startswith(INVALID) else []
         return [*(f"{reason} (the fitted motion)" for reason in motion), *self.doubts]
 
     def sentence(self) -> str:
         """The precision of the requested parameters in a sentence, or why it cannot be stated."""
-        asked = self.asked
-        beyond = ""
-        if self.at_bounds:
-            unknown = "the precision is not known, and " if self.set_by_bounds else ""
-            beyond = f". At a bound: {', '.join(self.at_bounds)}; {unknown}the true value may lie beyond"
-            beyond += f"; strongly correlated with it: {', '.join(tied)}" if (tied := self._tied_to_bounds()) else ""
-        if self.invalid:
-            unknown = f"The precision of {', '.join(self.names[:asked])} is not known"
-            return f"{INVALID}: {'; '.join(self._objections())}. {unknown}{beyond}"
-        said = in_words(
-            self.names[:asked],
-            (self.upper - self.lower)[:asked],
-            self.values[:asked],
-            self.covariance[:asked, :asked],
-            self.channels,
-            self.coordinates,
-            self.readings,
-            self.units[:asked],
-            self.set_by_bounds,
-        )
-        return f"{said}{beyond}. {'' if self.widened or self.draws is not None else 'But '}{self.coverage.intervals}"
+        return words.sentence(self)
 
     def summary(self) -> str:
         """A text table of the values, with the remarks."""
-        lines = [self.sentence()] if self.invalid else []
-        lines.append(f"{self.scene_name}: {self.method}, objective {self.objective} = {self.objective_value:.6g}")
-        for i, name in enumerate(self.names):
-            low, high = self.intervals[i]
-            lines += ["nuisance and differences between trials:"] if name == next(iter(self.auxiliary), None) else []
-            mark = f"; {self.bound_mark(name)}" if self.bound_mark(name) else ""
-            spread, interval = f" +- {self.standard_deviations[i]:.2g}", f"95 %: {low:.6g} to {high:.6g}; "
-            if name in self.set_by_bounds:
-                spread = interval = ""
-            lines.append(
-                f"  {name:<12} {self.values[i]:.6g}{spread} {self.units[i]}"
-                f"  ({interval}nominal {self.nominal[i]:.6g}{mark})"
-            )
-        for name, told in self.in_trials.items():
-            unit = self.units[self.names.index(name)]
-            lines += [f"  {name} in {trial}: {value:.6g} +- {sd:.2g} {unit}" for trial, (value, sd) in told.items()]
-        lines += [*([] if self.invalid else [self.sentence()]), *self.remarks(), f"stopped: {self.reason}"]
-        return "\n".join(lines)
+        return words.summary(self)
 
     def untold(self) -> list[str]:
         """Combinations of parameters that the measurements do not determine."""
-        if (open_ := self.undetermined).count and not self.invalid:
-            found = f"{self.asked - open_.count} of {self.asked} combinations of the requested parameters"
-            others = f"the others are hardly known beyond bounds and priors ({', '.join(open_.names)})"
-            return [f"the measurements determine {found}; {others}"]
-        return []
+        return words.untold(self)
 
     def remarks(self) -> list[str]:
         """Remarks that qualify the values."""
-        out = list(self.notes)
-        if self.synthetic:
-            out.append("the measurements are synthetic")
-        for channel in self.channels if self.trial_rmse else ():
-            of_each = {name: left[channel] for name, left in self.trial_rmse.items() if channel in left}
-            unit = unit_of(channel, self.readings)
-            parts = [f"{shown(left, unit, 3)} in {name}" for name, left in of_each.items()]
-            out.append(f"residual of {channel}: {', '.join(parts)}")
-        out += self.untold()
-        if self.serial_correlation > SERIAL:
-            out.append(
-                f"residuals are autocorrelated ({self.serial_correlation:.2f} from frame to frame), by errors of the "
-                "model or by the filter; intervals allow for the correlation, not for a wrong model"
-            )
-        if self.share < 1:
-            out.append(
-                "in addition to the priors, the measurements count as "
-                f"{100 * self.share:.2g} % of as many independent ones"
-            )
-        if errors := sensors_in_words(self.nuisance):
-            out.append(f"allowed for throughout the recording, one standard deviation: {errors}")
-        if self.dropped:
-            tried = "starts" if self.draws is None else "simulations"
-            out.append(f"{self.dropped} of {self.starts} {tried} found no equilibrium or no finite motion")
-        return out
+        return words.remarks(self)
 
     @property
     def plot(self) -> EstimatePlots:

@@ -129,8 +129,9 @@ def refuse_weights(measured: Sequence[Measured]) -> None:
 
 
 def widened_in_words(free: Sequence[str], factors: Sequence[float]) -> str:
-    """By how much intervals of the requested parameters were widened; empty if by nothing."""
-    return ", ".join(f"{name} {times:.2g}" for name, times in zip(free, factors, strict=False) if times > 1)
+    """By how much intervals of the requested parameters were widened, to end a sentence; empty if by nothing."""
+    more = ", ".join(f"{name} {times:.2g}" for name, times in zip(free, factors, strict=False) if times > 1)
+    return f"; widened by a calibration: {more} times" if more else ""
 
 
 def listed(numbers: Sequence[int]) -> str:

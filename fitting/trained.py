@@ -177,11 +177,10 @@ class TrainedPosterior:
     def sentence(self) -> str:
         """Which recordings it answers, and from what it was learned."""
         s = self.set_up
-        more = widened_in_words(s.free, self.widened)
         return (
             f"answers recordings of {listed(s.frames)} frames of {s.scene_name}, by {', '.join(s.channels)}; learned "
             f"from {self.simulations - self.dropped:,} simulations in {self.seconds:.0f} s"
-            + (f"; widened by a calibration: {more} times" if more else "")
+            + widened_in_words(s.free, self.widened)
             + "".join(f"; INVALID: {doubt}" for doubt in self.doubts)
         )
 

@@ -136,9 +136,9 @@ class QuickFit:
 
     def sentence(self) -> str:
         """What is fitted, and by which method."""
-        s, more = self.set_up, widened_in_words(self.set_up.free, self.widened)
+        s = self.set_up
         said = f"fits by {self.method} of {listed(s.frames)} frames of {s.scene_name}, by {', '.join(s.channels)}"
-        return said + (f"; widened by a calibration: {more} times" if more else "")
+        return said + widened_in_words(s.free, self.widened)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Writes a JSON file, complete or not at all.

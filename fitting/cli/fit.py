@@ -78,30 +78,32 @@ def fit(
     limits, spans = knee.limits(), time_spans(during)
     trials = knee.load()
     asked: dict[str, Any] = {"method": method, "objective": objective, **knee.asked(trials[0].scene), "loss": loss}
-    asked |= {"checkpoint": checkpoint, "resume": resume, "seed": seed} | ({} if starts is None else {"starts": starts})
+    asked |= {"seed": seed} | ({} if starts is None else {"starts": starts})
+    kept: dict[str, Any] = {"checkpoint": checkpoint, "resume": resume}
     for path, trial in zip(knee.scene or [], trials, strict=False):
         if trial.scene.measured is None:
             raise InputError("nothing to compare with", where=path, expected="a table [measured] in the scene file")
-    again = {"checkpoint": checkpoint, "resume": resume}
-    if (settled := _settled(trained, calibrated)) is not None:
-        refuse_settled(asked | ({"checkpoint": None, "resume": False} if calibrated else {}), settled)
+    if trained is not None and calibrated is not None:
+        raise InputError("both --trained and --calibrated", expected="one of them: each has its own settings")
     if posterior is not None:
-        _check_posterior(objective, settled)
+        _check_posterior(objective, calibrated)
     scenes = [within(trial.scene, spans) for trial in trials]
     if trained is not None:
         from fitting.trained import TrainedPosterior
 
+        refuse_settled(asked | kept, "--trained")
         with spinner("answering"):
             estimate = TrainedPosterior.load(trained, scenes).estimate(scenes, limits=limits)
     elif calibrated is not None:
         from fitting.calibration.quick_fit import QuickFit
 
+        refuse_settled(asked, "--calibrated")
         quick = QuickFit.load(calibrated)
-        estimate = _fitted(quick.method, checkpoint, partial(quick.estimate, scenes, limits=limits, **again))
+        estimate = _fitted(quick.method, checkpoint, partial(quick.estimate, scenes, limits=limits, **kept))
     else:
         from fitting.fit import fit_tendons
 
-        estimate = _fitted(method, checkpoint, partial(fit_tendons, scenes, limits=limits, **asked))
+        estimate = _fitted(method, checkpoint, partial(fit_tendons, scenes, limits=limits, **asked, **kept))
     interrupted = estimate.reason.startswith("interrupted")
     with report_written_on_interrupt(output, checkpoint):
         draws = None if interrupted else posterior
@@ -180,13 +182,6 @@ def train_posterior(
     present({**found.facts(), "files": files}, sheet, found.sentence(), written_line(files), json=json)
 
 
-def _settled(trained: Path | None, calibrated: Path | None) -> str | None:
-    """The option that names a file with the fit's settings, if any; InputError for two."""
-    if trained is not None and calibrated is not None:
-        raise InputError("both --trained and --calibrated", expected="one of them: each has its own settings")
-    return "--trained" if trained is not None else "--calibrated" if calibrated is not None else None
-
-
 def _fitted(method: str, checkpoint: Path | None, fitted: Callable[..., Estimate]) -> Estimate:
     """Fits, and shows progress on stderr."""
     with report_written_on_interrupt(checkpoint), progress(f"{method}: compiling") as shown:
@@ -240,14 +235,14 @@ def _report(estimate: Estimate, output: Path, json: str | None, *, figures: bool
     present({**facts, "files": files}, *first, *sheets, *lines[len(first) :], json=json)
 
 
-def _check_posterior(objective: str, settled: str | None) -> None:
+def _check_posterior(objective: str, calibrated: Path | None) -> None:
     """Raises before the fit if its posterior could not be sampled: no likelihood, intervals that a calibration
     widened, which the likelihood does not know, or blackjax is not installed."""
     from fitting.posterior.sampling import chain_runner
 
     if objective == "paper":
         raise InputError("the paper's objective is no likelihood", where="--posterior", remedy="--objective likelihood")
-    if settled == "--calibrated":
+    if calibrated is not None:
         expected = "one of them: intervals that a calibration widened are wider than the likelihood's"
         raise InputError("--calibrated with --posterior", expected=expected)
     chain_runner()

@@ -61,7 +61,6 @@ def predict(
     from fitting.prediction.predicted_motion import LEVEL
     from pftwin.files.result_files import save_dataset
     from pftwin.results.plots import save_figure
-    from pftwin.results.verdict import INVALID
 
     with terminal.progress("compiling and simulating") as shown:
 
@@ -76,10 +75,9 @@ def predict(
     sheets = [Sheet(motion.scene_name, head, tuple(motion.rows()), words=(0, 1))] if motion.errors else []
     facts = {**motion.to_dict(), "files": [str(path) for path in files]}
     invalid = "" if motion.verdict == "valid" else motion.verdict
-    first, sentence = (invalid, found.objection), "" if invalid else motion.sentence()
-    notes = [note for note in motion.notes if INVALID not in note]  # that the estimate is INVALID has been said
-    terminal.present(facts, *first, *sheets, sentence, *notes, terminal.written_line(files), json=json)
-    if why := invalid or found.objection:
+    first, sentence = (invalid, motion.objection), "" if invalid else motion.sentence()
+    terminal.present(facts, *first, *sheets, sentence, *motion.notes, terminal.written_line(files), json=json)
+    if why := invalid or motion.objection:
         exit_flagged(why)
 
 

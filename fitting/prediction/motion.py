@@ -16,7 +16,7 @@ from fitting.estimate import Estimate
 from fitting.measured_channels import check_times
 from fitting.prediction.plots import MOST_FAILED
 from fitting.prediction.predicted_motion import COORDINATES, LEVEL, PredictedMotion
-from fitting.prediction.predicting import check_draws, estimate_and_draws, reservations
+from fitting.prediction.predicting import check_draws, estimate_and_draws, synthetic_parts
 from fitting.programs import ORIENTATION, POSITION, TURNS
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
@@ -30,7 +30,7 @@ from pftwin.dynamics.status import FLAGS, Status
 from pftwin.model.measured import Measured
 from pftwin.model.scene import Scene, check
 from pftwin.model.scene_parameters import find
-from pftwin.results.verdict import INVALID, Verdict, is_invalid, verdict_of_counts
+from pftwin.results.verdict import Verdict, is_invalid, verdict_of_counts
 
 _QUANTILES = 401  # of the normal error that is added to each draw
 
@@ -82,7 +82,7 @@ def predict_motion(
     settled = counts[:, FLAGS.index(Status.START_NOT_IN_EQUILIBRIUM)] == 0
     each_start = zip(settled, found["start_shift"].values, np.radians(found["start_turn"].values), strict=True)
     starts = [
-        invalid_start(estimate.apply(scene, theta), Start(*start)) if k == 0 or good[k] else ()
+        invalid_start(estimate.apply(scene, theta), Start(*start), explained=k == 0) if k == 0 or good[k] else ()
         for k, (theta, start) in enumerate(zip(thetas, each_start, strict=True))
     ]
     good[1:] &= [not why for why in starts[1:]]
@@ -96,11 +96,10 @@ def predict_motion(
     each = (f"{name} {value:.2g} {unit}" for (name, (unit, _)), value in zip(COORDINATES.items(), left, strict=True))
     notes = [f"{samples} draws, and the residuals of the fit: {', '.join(each)} (rms)"]
     notes += [f"{lost} draws without a valid motion omitted"] if lost else []
-    notes += [f"the fitted motion: {estimate.verdict}"] if estimate.verdict.startswith(INVALID) else []
-    notes += reservations(estimate, scene.synthetic or (measured is not None and measured.synthetic))
+    notes += synthetic_parts(estimate, scene.synthetic or (measured is not None and measured.synthetic))
     low, high = _band(paths[1:][good[1:]], paths[0], left)
     seen, compared = _seen(measured, paths[0])
-    ends = (low, high, seen, compared, verdict, tuple(notes))
+    ends = (low, high, seen, compared, verdict, tuple(notes), estimate.objection)
     label = "measured" if measured is None else measured.label
     return PredictedMotion(scene.name, np.asarray(scene.motion.times), paths[0], *ends, label)
 

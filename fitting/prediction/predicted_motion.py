@@ -35,6 +35,7 @@ class PredictedMotion:
     compared: (n,) whether the frame is compared with the measurements.
     verdict: on the estimate's motion, "valid" or "INVALID: ...".
     notes: qualify the bands.
+    objection: why the estimate must not be used; empty if there is no reason.
     label: of the measurements in figures.
     """
 
@@ -47,7 +48,12 @@ class PredictedMotion:
     compared: NDArray[np.bool_]
     verdict: str
     notes: tuple[str, ...]
+    objection: str = ""
     label: str = "measured"
+
+    @property
+    def _caveats(self) -> tuple[str, ...]:
+        return (self.objection, *self.notes) if self.objection else self.notes
 
     @property
     def errors(self) -> dict[str, float]:
@@ -90,7 +96,7 @@ class PredictedMotion:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, for JSON."""
-        told = {"scene": self.scene_name, "verdict": self.verdict, "level": LEVEL, "notes": list(self.notes)}
+        told = {"scene": self.scene_name, "verdict": self.verdict, "level": LEVEL, "notes": list(self._caveats)}
         return {**told, "errors": self.errors, "coverage": self.coverage, "sentence": self.sentence()}
 
     def rows(self) -> list[tuple[str, str, str, str]]:
@@ -121,7 +127,7 @@ class PredictedMotion:
             ),
         }
         about = {"title": f"predicted motion: {self.scene_name}", "level": LEVEL, "verdict": self.verdict}
-        return Dataset(variables, coordinates, {**about, "note": "; ".join(self.notes)})
+        return Dataset(variables, coordinates, {**about, "note": "; ".join(self._caveats)})
 
     def figure(self) -> Figure:
         """Six panels over time: band, the estimate's motion and the measurements; frames that are not compared have
@@ -131,7 +137,7 @@ class PredictedMotion:
         with style.house_style():
             figure, panels = style.panels_in_rows(len(COORDINATES), 3, height=2.1)
             style.title(figure, f"{self.scene_name}, predicted, with bands of {100 * LEVEL:.0f} %")
-            style.footer(figure, "; ".join(self.notes))
+            style.footer(figure, "; ".join(self._caveats))
             look = style.line(0)
             for k, (ax, (unit, meaning)) in enumerate(zip(panels, COORDINATES.values(), strict=True)):
                 ends = self.low[:, k], self.high[:, k]

@@ -180,7 +180,12 @@ def estimate_and_draws(estimate: Fitted | None, samples: int, seed: int) -> Floa
 def reservations(estimate: Fitted | None, synthetic: bool) -> list[str]:
     """Caveats of any prediction: doubts about the estimate, and which data are synthetic."""
     said = [] if estimate is None else [f"INVALID estimate: {doubt}" for doubt in estimate.doubts]
-    said += [SYNTHETIC] if synthetic else []
+    return said + synthetic_parts(estimate, synthetic)
+
+
+def synthetic_parts(estimate: Fitted | None, synthetic: bool) -> list[str]:
+    """Which data of a prediction are synthetic, in words."""
+    said = [SYNTHETIC] if synthetic else []
     learned = estimate is not None and estimate.synthetic
     return [*said, "the parameters were estimated from synthetic measurements"] if learned else said
 

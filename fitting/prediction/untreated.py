@@ -15,9 +15,10 @@ from pftwin.model.scene import Scene
 NO_EQUILIBRIUM = "the untreated knee has no equilibrium to start from"
 
 
-def reasons_of(scene: Scene, start: EquilibriumReport | Start) -> tuple[str, ...]:
-    """Reasons not to trust any motion of a scene, treated or not, from its untreated equilibrium."""
-    return (*(() if start.converged else (NO_EQUILIBRIUM,)), *invalid_start(scene, start))
+def reasons_of(scene: Scene, start: EquilibriumReport | Start, *, explained: bool = True) -> tuple[str, ...]:
+    """Reasons not to trust any motion of a scene, treated or not, from its untreated equilibrium; `explained` as in
+    `invalid_start`."""
+    return (*(() if start.converged else (NO_EQUILIBRIUM,)), *invalid_start(scene, start, explained=explained))
 
 
 def untrusted_start(scene: Scene, neutral: Scene | None = None) -> tuple[str, ...]:
@@ -47,7 +48,7 @@ def untrusted_starts(programs: MemberPrograms, scene: Scene, thetas: Floats) -> 
     fitted, found = programs.recipe.fitted, []
     for theta, *start in zip(thetas, *starts, strict=True):
         own = scene if fitted is None else fitted(scene, theta)
-        found.append(reasons_of(own, Start(*start)))
+        found.append(reasons_of(own, Start(*start), explained=not found))
     if not starts.converged[0]:  # damped relaxation may help, at the price of compiling it
         found[0] = untrusted_start(scene if fitted is None else fitted(scene, thetas[0]))
     return found

@@ -184,10 +184,11 @@ def start_offset(scene: Scene, found: Solution) -> tuple[Scalar, Scalar]:
     return (found.pose.position - start.position).norm(), 2 * jnp.arccos(jnp.minimum(1.0, cosine))
 
 
-def invalid_start(scene: Scene, start: EquilibriumReport | Start) -> tuple[str, ...]:
+def invalid_start(scene: Scene, start: EquilibriumReport | Start, *, explained: bool = True) -> tuple[str, ...]:
     """Reasons not to trust any motion of a scene with limits: fewer lines than `least_upward_lines` pull the patella
-    upward at the start, or the equilibrium is far from the recorded start, with an overlap there that may explain it. A
-    failed search has its own status flag.
+    upward at the start, or the equilibrium is far from the recorded start. A failed search has its own status flag.
+
+    `explained`: also name an overlap at the recorded start, which is simulated; not for each of many draws.
     """
     limits = scene.limits
     if limits is None or not start.converged:
@@ -199,7 +200,7 @@ def invalid_start(scene: Scene, start: EquilibriumReport | Start) -> tuple[str, 
         for found, unit, name in pairs
         if found > getattr(limits, name)
     ]
-    return (*not_pulled(scene), *far, *(_overlap_at_start(scene) if far else ()))
+    return (*not_pulled(scene), *far, *(_overlap_at_start(scene) if far and explained else ()))
 
 
 def largest_indentation(seen: Seen) -> float:

@@ -97,7 +97,7 @@ class ErrorEstimate:
         where the force is largest, if its error is as large."""
         most, error = self.most_force, self.contact_force
         unknown = (self.force >= self.force.max()) & (error >= self.force) & (error > LEAST_FORCE) & (error < np.inf)
-        off = (self.path > most_path) | (self.contact_force > most)
+        off = (self.path > most_path) | (error > most)
         unshared = (self.medial_facet > most) | (self.lateral_facet > most)
         pairs = (off, Status.INACCURATE), (unshared, Status.FACETS_INACCURATE), (unknown, Status.PEAK_UNKNOWN)
         return sum(where.astype(np.int32) * int(flag) for where, flag in pairs)

@@ -37,6 +37,12 @@ def test_where_the_equilibrium_is_near_nothing_is_evaluated(monkeypatch):
     assert reasons(ball_at(0.019), moved=0.009) == ()
 
 
+def test_nor_for_one_of_many_draws(monkeypatch):
+    scene, far = ball_at(0.019).with_limits(least_upward_lines=0), Start(True, 0.02, 0.0)
+    monkeypatch.setattr("pftwin.dynamics.equilibrium_report._observe_at", None)
+    assert invalid_start(scene, far, explained=False) == (FAR,)
+
+
 @pytest.mark.parametrize(
     ("height", "overlap"), [(-0.002, "2.0 mm"), (-0.02, "more than the contact search can measure")]
 )

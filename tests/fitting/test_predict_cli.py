@@ -13,7 +13,6 @@ from toy_scene_files import LIGHT, START, fixed_poses, tibia_poses, write_poses,
 from typer.testing import CliRunner, Result
 
 from fitting.prediction.predicted_motion import PredictedMotion
-from fitting.prediction.predicting import reservations
 from pftwin import load_scene
 from pftwin.base.errors import InputError
 from pftwin.cli import app
@@ -84,6 +83,8 @@ def test_bands_are_written_and_told(folder, tmp_path):
 
 @pytest.mark.parametrize("doubted", ["motion", "estimate"])
 def test_an_invalid_prediction_says_so_once_and_before_its_table(folder, tmp_path, monkeypatch, doubted):
+    from xarray import open_dataset
+
     far = "INVALID: the equilibrium is 28.7 mm from the recorded start"
     path = np.tile(np.arange(31.0)[:, None], (1, 6))
     verdict = far if doubted == "motion" else "valid"
@@ -91,8 +92,8 @@ def test_an_invalid_prediction_says_so_once_and_before_its_table(folder, tmp_pat
     doubts = [] if doubted == "motion" else ["measured quadriceps is late"]
     estimate = dataclasses.replace(made_estimate({"K1": (158.0, 3.0)}, rmse=LEFT), doubts=doubts)
     estimate.save(tmp_path / "fit.json")
-    notes = "bands", *reservations(estimate, synthetic=True)
-    motion = PredictedMotion("toy", np.arange(31.0), path, path - 1, path + 1, path + 0.5, every, verdict, notes)
+    ends = path - 1, path + 1, path + 0.5, every
+    motion = PredictedMotion("toy", np.arange(31.0), path, *ends, verdict, ("bands",), estimate.objection)
     monkeypatch.setattr("fitting.prediction.motion.predict_motion", lambda *_, **__: motion)
     options = ("--estimate", tmp_path / "fit.json", "-o", tmp_path / "a.nc", "--no-figure")
     result = pftwin("predict", folder / "scene.toml", *options)
@@ -102,6 +103,8 @@ def test_an_invalid_prediction_says_so_once_and_before_its_table(folder, tmp_pat
     assert result.stdout.count("INVALID") == 1
     assert any("centre, lateral" in line for line in lines[1:])
     assert "bands" in lines
+    with open_dataset(tmp_path / "a.nc") as data:
+        assert ("INVALID: measured quadriceps is late" in data.attrs["note"]) is (doubted == "estimate")
 
 
 def test_what_is_no_table_is_refused_as_ever(folder):

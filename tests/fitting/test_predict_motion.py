@@ -114,8 +114,9 @@ def test_draws_beyond_a_limit_of_parameters_are_draws(knee):
 def test_synthetic_data_and_doubts_are_told(knee, truth):
     doubted = fitted(doubts=["two springs swapped"], verdict="INVALID: no contact")
     found = predict_motion(knee, doubted, replace(truth, synthetic=True), samples=2, dt=2e-3)
-    assert "INVALID estimate: two springs swapped" in found.notes
-    assert "the fitted motion: INVALID: no contact" in found.notes
+    assert found.objection.startswith("INVALID: no contact (the fitted motion); two springs swapped")
+    for told in (found.to_dict()["notes"][0], found.dataset().attrs["note"]):
+        assert told.startswith(found.objection)
     assert "the parameters were estimated from synthetic measurements" in found.notes
     assert any("synthetic" in str(line.get_label()) for ax in found.figure().axes for line in ax.get_lines())
 

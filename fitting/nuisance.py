@@ -19,7 +19,7 @@ from fitting.stiffening import Working, linear_tendons, stiffened, stiffening_te
 from pftwin.base.errors import InputError
 from pftwin.base.quantities import Quantity
 from pftwin.model.effects.friction import Friction
-from pftwin.model.number_place import NumberPlace, named_arrays
+from pftwin.model.number_place import TOGETHER, NumberPlace, named_arrays
 from pftwin.model.scene import Scene
 from pftwin.model.scene_parameters import find
 
@@ -47,7 +47,8 @@ class Nuisance:
     """What a twin omits or knows only roughly, as standard deviations of priors; 0: as in the scene.
 
     Args:
-        attachments: of each coordinate of both ends of every tendon and strand [m].
+        attachments: of each coordinate of both ends of every tendon and of every ligament, whose strands shift
+            together [m]: images show where a ligament is attached, not each of its strands.
         friction: of the coefficient between button and femur, whose mean is the scene's, or 0.05 if it has none.
         damping: of each damping coefficient of the patella and the tendons, as a share of the scene's.
         stiffening: not a deviation but the largest share by which linear tendons are stiffer when stretched by a
@@ -173,10 +174,12 @@ class Nuisance:
         for whole, quantity in declared.items():
             # An obstacle's centre has a frame too, but is no attachment of a line.
             attached = quantity.frame in ("patella", "body") and quantity.unit == "m" and arrays[whole].owner in lines
-            for place in find(scene, whole) if len(arrays[whole].shape) < 2 else []:
-                if self.attachments and attached:
-                    found[place.name] = place, self.attachments, "attachments"
-                elif self.damping and quantity.unit in _DAMPING:
+            shape = arrays[whole].shape
+            if self.attachments and attached and len(shape) < 2:
+                [place] = find(scene, f"{whole}{TOGETHER}" if shape else whole)
+                found[place.name] = place, self.attachments, "attachments"
+            elif self.damping and quantity.unit in _DAMPING and len(shape) < 2:
+                for place in find(scene, whole):
                     found[place.name] = place, self.damping * float(place.read(scene)), "damping"
         for name, sd in dict(self.others).items():
             own = find(scene, name)  # replaces what the fields above give for the same numbers

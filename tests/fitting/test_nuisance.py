@@ -160,12 +160,12 @@ def test_searches_of_what_cannot_be_negative_begin_off_its_bound():
     assert np.median(free.scattered(4000, np.random.default_rng(1))) == pytest.approx(0.0600, abs=2e-3)
 
 
-def test_ends_and_damping_of_groups_are_free_one_by_one():
+def test_strands_of_a_ligament_shift_together():
     scene = with_retinacula(pftwin.rig.case(1))
     found = Nuisance(attachments=5e-4).numbers(scene)
-    group = next(e for e in scene.effects if (line := e.line_element()) is not None and line.count is not None)
-    count = group.line_element().count
-    assert sum(name.startswith(f"{group.name}.") for name in found.names) == 6 * count
+    for group in (e.name for e in scene.effects if (line := e.line_element()) is not None and line.count is not None):
+        ends = [f"{group}.{end}.{axis}[:]" for end in ("insertion", "origin") for axis in "xyz"]
+        assert sorted(name for name in found.names if name.startswith(f"{group}.")) == ends
 
 
 def test_an_estimate_gives_other_scenes_what_they_lack():

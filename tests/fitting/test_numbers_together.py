@@ -117,20 +117,25 @@ def test_numbers_without_a_proportion_are_refused():
         free_parameters(still, ("patellar_tendon.damping_time[:]",))
 
 
-def test_nuisance_leaves_alone_what_goes_together():
-    _, alone = with_nuisance(scene(), (SLACK,), 0.3, None, Nuisance(attachments=1e-3))
-    _, found = with_nuisance(scene(), (PLACE,), {PLACE: 0.5}, None, Nuisance(attachments=1e-3))
-    own = {f"patellar_tendon.insertion.y[{i}]" for i in range(3)}
-    assert own <= {*alone.names}
-    assert not own & {*found.names}
+def test_a_ligaments_attachment_shifts_with_all_its_strands():
+    _, found = with_nuisance(scene(), (SLACK,), 0.3, None, Nuisance(attachments=1e-3))
+    ends = [name for name in found.names if name.startswith("patellar_tendon.") and name != SLACK]
+    assert sorted(ends) == [f"patellar_tendon.{end}.{axis}[:]" for end in ("insertion", "origin") for axis in "xyz"]
+    assert found.items[found.names.index(PLACE)].nominal == pytest.approx(-0.001 / 3)
+
+
+@pytest.mark.parametrize("asked", [PLACE, "patellar_tendon.insertion.y[2]"])
+def test_nuisance_leaves_alone_an_attachment_that_is_requested(asked):
+    _, found = with_nuisance(scene(), (asked,), {asked: 0.5}, None, Nuisance(attachments=1e-3))
+    assert [name for name in found.names if ".insertion.y" in name and "patellar" in name] == [asked]
 
 
 def test_nuisance_of_ones_own_takes_the_place_of_a_presets():
-    """The strands' heights as one number, in the place of three; and not where the field itself is asked for."""
-    _, found = with_nuisance(scene(), ("patella.mass",), 0.3, None, Nuisance(attachments=1e-3, others={PLACE: 2e-3}))
-    own = {f"patellar_tendon.insertion.y[{i}]" for i in range(3)}
-    assert PLACE in found.names
-    assert not own & {*found.names}
+    """One strand's height in the place of all; and not where the field itself is asked for."""
+    one = "patellar_tendon.insertion.y[1]"
+    _, found = with_nuisance(scene(), ("patella.mass",), 0.3, None, Nuisance(attachments=1e-3, others={one: 2e-3}))
+    assert one in found.names
+    assert PLACE not in found.names
     _, asked = with_nuisance(scene(), ("patellar_tendon.slack_length[1]",), 0.3, None, Nuisance(others={SLACK: 1e-3}))
     assert asked.names == ("patellar_tendon.slack_length[1]",)
 

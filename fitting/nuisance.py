@@ -19,7 +19,7 @@ from fitting.stiffening import Working, linear_tendons, stiffened, stiffening_te
 from pftwin.base.errors import InputError
 from pftwin.base.quantities import Quantity
 from pftwin.model.effects.friction import Friction
-from pftwin.model.number_place import TOGETHER, NumberPlace, named_arrays
+from pftwin.model.number_place import TIED, TOGETHER, NumberPlace, named_arrays
 from pftwin.model.scene import Scene
 from pftwin.model.scene_parameters import find
 
@@ -48,7 +48,8 @@ class Nuisance:
 
     Args:
         attachments: of each coordinate of both ends of every tendon and of every ligament, whose strands shift
-            together [m]: images show where a ligament is attached, not each of its strands.
+            together [m]: images show where a ligament is attached, not each of its strands. An obstacle on the patella
+            shifts with the line's insertion, which would otherwise come to lie inside it.
         friction: of the coefficient between button and femur, whose mean is the scene's, or 0.05 if it has none.
         damping: of each damping coefficient of the patella and the tendons, as a share of the scene's.
         stiffening: not a deviation but the largest share by which linear tendons are stiffer when stretched by a
@@ -168,7 +169,7 @@ class Nuisance:
         A zero coefficient in the scene, such as missing damping, stays zero.
         """
         arrays = named_arrays(scene)
-        lines = {e.name for e in scene.effects if e.line_element() is not None}
+        lines = {e.name: line for e in scene.effects if (line := e.line_element()) is not None}
         found: dict[str, tuple[NumberPlace, float, str]] = {}  # by name, with deviation and kind
         declared = {name: number.quantity for name, number in arrays.items() if number.quantity is not None}
         for whole, quantity in declared.items():
@@ -176,7 +177,11 @@ class Nuisance:
             attached = quantity.frame in ("patella", "body") and quantity.unit == "m" and arrays[whole].owner in lines
             shape = arrays[whole].shape
             if self.attachments and attached and len(shape) < 2:
-                [place] = find(scene, f"{whole}{TOGETHER}" if shape else whole)
+                own, obstacle = arrays[whole], lines[arrays[whole].owner].wrap
+                names = [whole]
+                if quantity.frame == "patella" and obstacle is not None and obstacle.body == "patella":
+                    names.append(f"{own.owner}.wrap.center.{own.path[-1]}")
+                [place] = find(scene, TIED.join(name + TOGETHER * len(arrays[name].shape) for name in names))
                 found[place.name] = place, self.attachments, "attachments"
             elif self.damping and quantity.unit in _DAMPING and len(shape) < 2:
                 for place in find(scene, whole):

@@ -20,7 +20,7 @@ from fitting.time_shift import TimeShift, late_channels, time_shifts
 from fitting.trials import said_of_trials, trial_names
 from fitting.uncertainty import relative, sizes, uncertainty
 from pftwin.base.arrays import Floats
-from pftwin.base.errors import PftwinError
+from pftwin.base.errors import InputError, PftwinError
 from pftwin.dynamics.simulate import simulate
 from pftwin.dynamics.status import status_facts
 from pftwin.model.measured import Measured
@@ -222,9 +222,14 @@ def estimate_of(
 
 
 def judge(estimate: Estimate) -> None:
-    """Simulates the fitted motions and sets the estimate's verdict and status, which a fit itself does not check."""
+    """Simulates the fitted motions and sets the estimate's verdict and status, which a fit itself does not check. A
+    fitted scene that is refused, such as for its limits, makes the estimate INVALID."""
     scenes = estimate.scenes
-    results = [simulate(scene) for scene in scenes]
+    try:
+        results = [simulate(scene) for scene in scenes]
+    except InputError as refused:
+        estimate.verdict = Verdict((str(refused),)).describe()
+        return
     reasons = [
         f"{reason} ({name})" if len(results) > 1 else reason
         for name, result in zip(trial_names(scenes), results, strict=True)

@@ -65,7 +65,7 @@ _WORDS = {
     Status.NOT_FINITE: "not finite: the step is too long, or a load could not be computed",
     Status.STEP_TOO_LONG: "the patella moves or turns too far within one step, or a step is unstable or did not"
     " converge: take shorter steps",
-    Status.SEARCH_OVERFLOW: "the contact search ran out of room: a contact may be wrong",
+    Status.SEARCH_OVERFLOW: "the contact search ran out of room or did not converge: a contact may be wrong",
     Status.SNAPPED: "the patella lost its equilibrium and snapped to another one; the duration of the snap is not"
     " computed",
     Status.ENERGY_FROM_NOWHERE: "energy has increased by more than the work done: the step is too long, or forces are"

@@ -22,6 +22,7 @@ from fitting.objective import Objective
 from fitting.outcome import judge
 from pftwin.base.errors import InputError
 from pftwin.dynamics.status import Status
+from pftwin.model.limits import Limits
 from pftwin.model.measured import Measured
 from pftwin.results.verdict import ALLOWED
 
@@ -44,6 +45,15 @@ def test_a_fit_whose_motion_may_not_be_spoken_of_says_so_first(monkeypatch):
     judge(told)  # the last that a fit does; that it does is seen where one is valid
     assert told.sentence().startswith("INVALID: the button touches nothing (")
     assert told.summary().startswith("INVALID: ")
+
+
+def test_a_fitted_scene_beyond_the_limits_makes_the_estimate_invalid():
+    """As an attachment within an obstacle would: the fit's result is not lost."""
+    told, limited = found(), replace(scene(), limits=Limits(most_mass_kg=0.01))
+    told = replace(told, trials=tuple(t._replace(nominal=limited) for t in told.trials))
+    judge(told)
+    assert told.sentence().startswith("INVALID: ")
+    assert "most_mass_kg" in told.verdict
 
 
 def test_an_unknown_noise_is_estimated():

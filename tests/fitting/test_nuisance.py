@@ -18,9 +18,12 @@ from fitting.nuisance import SLIP_SPEED, Nuisance
 from fitting.parameters import Applied, free_parameters
 from pftwin.base.errors import InputError
 from pftwin.base.leaves import number, vector
+from pftwin.base.spatial import Quaternion
 from pftwin.geometry.wrapping.cylinder import Cylinder
+from pftwin.geometry.wrapping.ellipsoid import Ellipsoid
 from pftwin.model.effects.damping import LinearDamping
 from pftwin.model.effects.friction import Friction
+from pftwin.model.effects.tendon import Tendon
 from pftwin.model.measured import Measured
 from pftwin.model.scene import Scene
 from pftwin.rig.retinacula import with_retinacula
@@ -50,6 +53,27 @@ def test_what_a_line_runs_over_is_no_attachment():
     cylinder = Cylinder(vector([0.05, 0.0, 0.01]), "femur", number(0.02), vector([0.0, 1.0, 0.0]))
     wrapped = scene.with_effect(eqx.tree_at(lambda t: t.wrap, band, cylinder, is_leaf=lambda x: x is None))
     assert sorted(Nuisance(attachments=5e-4).numbers(wrapped).names) == sorted(ENDS)
+
+
+def test_an_obstacle_on_the_patella_shifts_with_the_insertion():
+    """An insertion that moved alone would come to lie inside it."""
+    scene = small_scene()
+    (band,) = (e for e in scene.effects if e.name == "patellar_tendon")
+    assert isinstance(band, Tendon)
+    ellipsoid = Ellipsoid(
+        band.insertion + vector([0.007, 0.001, 0.002]),
+        "patella",
+        vector([0.005, 0.008, 0.006]),
+        Quaternion.from_array(jnp.asarray([1.0, 0.0, 0.0, 0.0])),
+    )
+    wrapped = scene.with_effect(eqx.tree_at(lambda t: t.wrap, band, ellipsoid, is_leaf=lambda x: x is None))
+    found = Nuisance(attachments=5e-4).numbers(wrapped)
+    along = "patellar_tendon.insertion.x~patellar_tendon.wrap.center.x"
+    assert sorted(n for n in found.names if "~" in n) == [along, along.replace(".x", ".y"), along.replace(".x", ".z")]
+    assert len(found.names) == len(ENDS)
+    farthest = wrapped.set(along, found.bounds[along][1])
+    ends = [(s.get("patellar_tendon.insertion.x"), s.get("patellar_tendon.wrap.center.x")) for s in (wrapped, farthest)]
+    np.testing.assert_allclose(np.diff(ends, axis=0), [[2e-3, 2e-3]], rtol=1e-12)
 
 
 def test_damping_is_relative_and_what_is_not_damped_stays_so():

@@ -49,7 +49,7 @@ UNITS = {  # written by hand, from docs/conventions.md: SI, and degrees for angl
     "J": "kinetic_energy stored_energy_contact stored_energy_gravity stored_energy_patellar_tendon "
     "stored_energy_quadriceps total_energy work heat numerical_dissipation energy_budget_error",
     "s": "time",
-    "1": "patella_quaternion tibia_quaternion dislocated status axis component",
+    "1": "contact_overflow patella_quaternion tibia_quaternion dislocated status axis component",
 }
 
 

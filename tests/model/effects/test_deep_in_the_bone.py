@@ -6,7 +6,19 @@ import equinox as eqx
 import jax
 import numpy as np
 import pytest
-from scenes import J, about, knee_motion, look, run, starting_as_it_is, state_at, still_guide, vec
+from scenes import (
+    J,
+    about,
+    contact,
+    groove_patch,
+    knee_motion,
+    look,
+    run,
+    starting_as_it_is,
+    state_at,
+    still_guide,
+    vec,
+)
 
 from pftwin.base.spatial import Pose, Quaternion, Vec3
 from pftwin.dynamics.state import System
@@ -104,6 +116,18 @@ def test_a_tenth_of_a_millimetre_is_not(scene):
 @pytest.mark.parametrize("height", [0.054, 0.1, 1.0])
 def test_apart_nothing_touches(scene, height):
     assert first_status(scene, height) == Status.NO_CONTACT
+
+
+@pytest.mark.parametrize(("depth", "said"), [(0.028, Status.SEARCH_OVERFLOW), (1e-4, Status.OK), (-0.003, Status.OK)])
+def test_a_small_button_far_inside_a_fitted_surface_may_touch(depth, said):
+    """The nearest point of a wall is 15 mm from where the search of a button of 1 mm begins and takes short steps."""
+    small = eqx.tree_at(lambda e: e.radius, contact(LAW, groove_patch()), J(1e-3))
+    lateral, slope = 0.012, np.radians(25)
+    wall = np.hypot(lateral, 0.005) * np.tan(slope) + 1e-3 / np.cos(
+        slope
+    )  # nearly a plane
+    report = eqx.filter_jit(lambda now: small.report(now, small.remember(now))[0])
+    assert Status(int(reservations(report(look((0, lateral, wall - depth)))))) & Status.SEARCH_OVERFLOW == said
 
 
 @pytest.mark.slow

@@ -51,9 +51,7 @@ class SphereContact(ButtonSphere):
     observables: ClassVar[dict[str, Observable]] = {
         **BY_FACET,
         "off_patch": Observable("m", "how far beyond the fitted patch a loaded contact lies"),
-        "overflow": Observable(
-            "1", "1 where the search may have missed that the button is inside the bone"
-        ),
+        "overflow": Observable("1", "1 where the search may have missed that the button is inside the bone"),
     }
 
     def centre_in_chart(self, now: Instant) -> tuple[Vec3, Vec3]:

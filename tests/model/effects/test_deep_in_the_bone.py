@@ -123,9 +123,7 @@ def test_a_small_button_far_inside_a_fitted_surface_may_touch(depth, said):
     """The nearest point of a wall is 15 mm from where the search of a button of 1 mm begins and takes short steps."""
     small = eqx.tree_at(lambda e: e.radius, contact(LAW, groove_patch()), J(1e-3))
     lateral, slope = 0.012, np.radians(25)
-    wall = np.hypot(lateral, 0.005) * np.tan(slope) + 1e-3 / np.cos(
-        slope
-    )  # nearly a plane
+    wall = np.hypot(lateral, 0.005) * np.tan(slope) + 1e-3 / np.cos(slope)  # nearly a plane
     report = eqx.filter_jit(lambda now: small.report(now, small.remember(now))[0])
     assert Status(int(reservations(report(look((0, lateral, wall - depth)))))) & Status.SEARCH_OVERFLOW == said
 

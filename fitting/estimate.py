@@ -87,6 +87,7 @@ class Estimate:
     step_error: dict[str, float] = field(default_factory=dict)  # rms error of the fit's time steps, units as `rmse`
     trial_rmse: dict[str, dict[str, float]] = field(default_factory=dict)  # `rmse` of each of several trials
     substeps: int = 0  # time steps between two frames; 0: not known
+    values_compared: int = 0  # number of measured values that were compared; 0: not known
     readings: dict[str, str] = field(default_factory=dict)  # units of channels that are neither poses nor forces
     covariances: dict[str, list[list[float]]] = field(default_factory=dict)  # of noise that was stated as a covariance
     widened: dict[str, float] = field(default_factory=dict)  # factors of intervals, by parameter, after a calibration

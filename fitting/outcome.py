@@ -213,6 +213,7 @@ def estimate_of(
         time_shifts={channel: (s.seconds, s.deviation) for channel, s in shifts.items() if not s.at_least},
         coordinates=parameters.coordinates,
         substeps=found.substeps,
+        values_compared=int(target.present.sum()),
         readings=target.readings,
         covariances=target.covariances,
         step_error={channel: e.rms for channel, e in found.steps.items()},

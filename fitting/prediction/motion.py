@@ -1,7 +1,7 @@
 """Predicts the motion of a fitted knee in a recording, with bands, and compares it with the measurements.
 
 A band covers the estimate's uncertainty, by draws, and a normal error added to each draw whose standard deviation is
-the fit's rms residual of the same coordinate. It does not cover what only this recording has, such as another load.
+that of the fit's residuals in the same coordinate. It does not cover what only this recording has, such as another load.
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ def predict_motion(
     if verdict == "valid" and lost > MOST_FAILED * samples:
         verdict = f"INVALID: {lost} of {samples} draws have an INVALID motion"
     each = (f"{name} {value:.2g} {unit}" for (name, (unit, _)), value in zip(COORDINATES.items(), left, strict=True))
-    notes = [f"{samples} draws, and the residuals of the fit: {', '.join(each)} (rms)"]
+    notes = [f"{samples} draws, and the residuals of the fit: {', '.join(each)} (SD)"]
     notes += [f"{lost} draws without a valid motion omitted"] if lost else []
     notes += synthetic_parts(estimate, scene.synthetic or (measured is not None and measured.synthetic))
     low, high = _band(paths[1:][good[1:]], paths[0], left)
@@ -105,7 +105,8 @@ def predict_motion(
 
 
 def _left_of(estimate: Estimate) -> Floats:
-    """Fit's rms residual of each coordinate (6,), in its unit. Raises InputError if they are not known."""
+    """Standard deviation of the fit's residuals of each coordinate (6,), in its unit: the rms, corrected for the number
+    of parameters as in `Objective.noise_of`. Raises InputError if they are not known."""
     rmse = estimate.rmse
     if missing := {*"XYZ", *TURNS} - rmse.keys():
         if {POSITION, ORIENTATION} <= {*estimate.channels}:
@@ -117,7 +118,10 @@ def _left_of(estimate: Estimate) -> Floats:
             expected="a fit to positions and orientations, since bands of both are predicted",
             remedy="pftwin fit --use position,orientation",
         )
-    return np.array([*(1e3 * rmse[axis] for axis in "XYZ"), *(np.degrees(rmse[n]) for n in list(COORDINATES)[3:])])
+    count = estimate.values_compared
+    freedom = np.sqrt(count / max(count - len(estimate.values), 1)) if count else 1.0
+    left = [*(1e3 * rmse[axis] for axis in "XYZ"), *(np.degrees(rmse[n]) for n in list(COORDINATES)[3:])]
+    return freedom * np.array(left)
 
 
 def _with_values(

@@ -62,6 +62,16 @@ def test_bands_hold_draws_and_what_the_fit_left(predicted):
     assert (half.min(axis=0) / (1.645 * left)).min() < 1.1
 
 
+def test_residuals_are_corrected_for_the_number_of_fitted_parameters(knee, predicted):
+    """Three parameters take from 12 values a quarter of the squares of the errors: SD = rms sqrt(12 / 9)."""
+    few = predict_motion(knee, fitted(values_compared=12), samples=24, seed=3, dt=2e-3)
+    half = [0.5 * (found.high - found.low).min(axis=0) for found in (predicted, few)]
+    where_springs_hardly_matter = [k for k, name in enumerate(COORDINATES) if name != "x"]
+    assert (half[1] / half[0])[where_springs_hardly_matter] == pytest.approx(np.sqrt(12 / 9), rel=2e-3)
+    assert "x 0.46 mm, y 1 mm, z 2 mm" in few.notes[0]  # 0.4, 0.9 and 1.7 mm, rms
+    assert "x 0.4 mm, y 0.9 mm, z 1.7 mm" in predicted.notes[0]
+
+
 def test_errors_and_shares_are_of_the_frames_compared(knee, truth, predicted):
     assert predicted.verdict == "valid"
     off = predicted.value[:, :3] - 1e3 * truth.center

@@ -1,7 +1,8 @@
 """Predicts the motion of a fitted knee in a recording, with bands, and compares it with the measurements.
 
 A band covers the estimate's uncertainty, by draws, and a normal error added to each draw whose standard deviation is
-that of the fit's residuals in the same coordinate. It does not cover what only this recording has, such as another load.
+that of the fit's residuals in the same coordinate. It does not cover what only this recording has, such as another
+load.
 """
 
 from __future__ import annotations

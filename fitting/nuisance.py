@@ -170,20 +170,22 @@ class Nuisance:
         """
         arrays = named_arrays(scene)
         lines = {e.name: line for e in scene.effects if (line := e.line_element()) is not None}
+        on_patella = {name for name, line in lines.items() if line.wrap is not None and line.wrap.body == "patella"}
         found: dict[str, tuple[NumberPlace, float, str]] = {}  # by name, with deviation and kind
         declared = {name: number.quantity for name, number in arrays.items() if number.quantity is not None}
         for whole, quantity in declared.items():
+            own = arrays[whole]
+            if len(own.shape) > 1:  # changes over time
+                continue
             # An obstacle's centre has a frame too, but is no attachment of a line.
-            attached = quantity.frame in ("patella", "body") and quantity.unit == "m" and arrays[whole].owner in lines
-            shape = arrays[whole].shape
-            if self.attachments and attached and len(shape) < 2:
-                own, obstacle = arrays[whole], lines[arrays[whole].owner].wrap
+            attached = quantity.frame in ("patella", "body") and quantity.unit == "m" and own.owner in lines
+            if self.attachments and attached:
                 names = [whole]
-                if quantity.frame == "patella" and obstacle is not None and obstacle.body == "patella":
+                if quantity.frame == "patella" and own.owner in on_patella:
                     names.append(f"{own.owner}.wrap.center.{own.path[-1]}")
                 [place] = find(scene, TIED.join(name + TOGETHER * len(arrays[name].shape) for name in names))
                 found[place.name] = place, self.attachments, "attachments"
-            elif self.damping and quantity.unit in _DAMPING and len(shape) < 2:
+            elif self.damping and quantity.unit in _DAMPING:
                 for place in find(scene, whole):
                     found[place.name] = place, self.damping * float(place.read(scene)), "damping"
         for name, sd in dict(self.others).items():

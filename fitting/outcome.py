@@ -225,20 +225,20 @@ def estimate_of(
 def judge(estimate: Estimate) -> None:
     """Simulates the fitted motions and sets the estimate's verdict and status, which a fit itself does not check. A
     fitted scene that is refused, such as for its limits, makes the estimate INVALID."""
-    scenes = estimate.scenes
-    try:
-        results = [simulate(scene) for scene in scenes]
-    except InputError as refused:
-        estimate.verdict = Verdict((str(refused),)).describe()
-        return
-    reasons = [
-        f"{reason} ({name})" if len(results) > 1 else reason
-        for name, result in zip(trial_names(scenes), results, strict=True)
-        for reason in result.verdict.reasons
-    ]
+    scenes, reasons, flags = estimate.scenes, [], []
+    for name, scene in zip(trial_names(scenes), scenes, strict=True):
+        try:
+            result = simulate(scene)
+        except InputError as refused:
+            own = (str(refused),)
+        else:
+            own = result.verdict.reasons
+            flags.append(result.flags)
+        reasons += [f"{reason} ({name})" if len(scenes) > 1 else reason for reason in own]
     estimate.verdict = Verdict(tuple(reasons)).describe()
-    facts = status_facts(np.concatenate([result.flags for result in results]))
-    estimate.status, estimate.status_frames = facts["status"], facts["status_frames"]
+    if flags:
+        facts = status_facts(np.concatenate(flags))
+        estimate.status, estimate.status_frames = facts["status"], facts["status_frames"]
 
 
 def _rmse(target: Objective, r: Floats) -> dict[str, float]:

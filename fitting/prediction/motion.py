@@ -95,7 +95,8 @@ def predict_motion(
     if verdict == "valid" and lost > MOST_FAILED * samples:
         verdict = f"INVALID: {lost} of {samples} draws have an INVALID motion"
     each = (f"{name} {value:.2g} {unit}" for (name, (unit, _)), value in zip(COORDINATES.items(), left, strict=True))
-    notes = [f"{samples} draws, and the residuals of the fit: {', '.join(each)} (SD)"]
+    kind = "SD" if estimate.values_compared else "rms"
+    notes = [f"{samples} draws, and the residuals of the fit: {', '.join(each)} ({kind})"]
     notes += [f"{lost} draws without a valid motion omitted"] if lost else []
     notes += synthetic_parts(estimate, scene.synthetic or (measured is not None and measured.synthetic))
     low, high = _band(paths[1:][good[1:]], paths[0], left)
@@ -107,7 +108,7 @@ def predict_motion(
 
 def _left_of(estimate: Estimate) -> Floats:
     """Standard deviation of the fit's residuals of each coordinate (6,), in its unit: the rms, corrected for the number
-    of parameters as in `Objective.noise_of`. Raises InputError if they are not known."""
+    of parameters as in `Objective.noise_of`, if the number of values is known. Raises InputError without residuals."""
     rmse = estimate.rmse
     if missing := {*"XYZ", *TURNS} - rmse.keys():
         if {POSITION, ORIENTATION} <= {*estimate.channels}:

@@ -33,6 +33,7 @@ def test_known_parameters_are_recovered(objective):
     assert told.objective == objective
     np.testing.assert_allclose(told.values, TRUTH, rtol=1e-5)
     assert told.reason == "converged"
+    assert told.values_compared == 3 * len(clean().times)
     assert told.rmse["position"] < 1e-8
     assert told.verdict == "valid"
 

@@ -187,7 +187,9 @@ def test_searches_of_what_cannot_be_negative_begin_off_its_bound():
 def test_strands_of_a_ligament_shift_together():
     scene = with_retinacula(pftwin.rig.case(1))
     found = Nuisance(attachments=5e-4).numbers(scene)
-    for group in (e.name for e in scene.effects if (line := e.line_element()) is not None and line.count is not None):
+    groups = [e.name for e in scene.effects if (line := e.line_element()) is not None and line.count is not None]
+    assert groups
+    for group in groups:
         ends = [f"{group}.{end}.{axis}[:]" for end in ("insertion", "origin") for axis in "xyz"]
         assert sorted(name for name in found.names if name.startswith(f"{group}.")) == ends
 

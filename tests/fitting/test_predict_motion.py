@@ -69,7 +69,9 @@ def test_residuals_are_corrected_for_the_number_of_fitted_parameters(knee, predi
     where_springs_hardly_matter = [k for k, name in enumerate(COORDINATES) if name != "x"]
     assert (half[1] / half[0])[where_springs_hardly_matter] == pytest.approx(np.sqrt(12 / 9), rel=2e-3)
     assert "x 0.46 mm, y 1 mm, z 2 mm" in few.notes[0]  # 0.4, 0.9 and 1.7 mm, rms
+    assert few.notes[0].endswith("(SD)")
     assert "x 0.4 mm, y 0.9 mm, z 1.7 mm" in predicted.notes[0]
+    assert predicted.notes[0].endswith("(rms)")
 
 
 def test_errors_and_shares_are_of_the_frames_compared(knee, truth, predicted):

@@ -51,7 +51,7 @@ class SphereContact(ButtonSphere):
     observables: ClassVar[dict[str, Observable]] = {
         **BY_FACET,
         "off_patch": Observable("m", "how far beyond the fitted patch a loaded contact lies"),
-        "overflow": Observable("1", "1 where the search may have missed that the button is inside the bone"),
+        "overflow": Observable("1", "1 where the search has missed that the button's centre is inside the bone"),
     }
 
     def centre_in_chart(self, now: Instant) -> tuple[Vec3, Vec3]:
@@ -136,14 +136,9 @@ class SphereContact(ButtonSphere):
         # Where both points are one contact and bear half of its force each, they belong to one facet.
         first = medial_of_groove(self.surface, one)
         second = jnp.where(jnp.abs(one.v - two.v) < MERGED * self.radius, first, medial_of_groove(self.surface, two))
-        places, off_patch, inside = [], jnp.zeros_like(one.u), jnp.zeros_like(one.u)
-        c, _ = self.centre_in_chart(now)
+        places, off_patch = [], jnp.zeros_like(one.u)
         for p, term in zip((one, two), ends, strict=True):
-            height = self.surface.jet(p.u, p.v).f
-            places.append(self.surface.chart.point(p.u, p.v, height).array())
-            # A point that has not converged never counts as indented, so a button that is may touch nothing.
-            behind = (c - self.surface.chart.local_point(p.u, p.v, height)).dot(p.normal) < 0
-            inside = jnp.maximum(inside, jnp.where(behind, 1.0, 0.0))
+            places.append(self.surface.chart.point(p.u, p.v, self.surface.jet(p.u, p.v).f).array())
             off_patch = jnp.maximum(off_patch, jnp.where(term.force > 0, self.surface.outside(p.u, p.v), 0.0))
         forces, indentations, points = [], [], []
         for here in ((first, second), (~first, ~second)):
@@ -156,9 +151,18 @@ class SphereContact(ButtonSphere):
         shown = {
             **facet_report(now.femur.local_direction(vector), forces, indentations, points),
             "off_patch": off_patch,
-            "overflow": jnp.where((one.settled > 0) | (two.settled > 0), 0.0, inside),
+            "overflow": self._missed(now, one, two),
         }
         return shown, load_of([t.push for t in touches])[0].energy
+
+    def _missed(self, now: Instant, one: ClosestPoint, two: ClosestPoint) -> Scalar:
+        """1 where the sphere's centre lies below the surface and neither point says so, else 0.
+
+        A point that has not converged counts as outside the bone, and one may have converged elsewhere.
+        """
+        centre = self.surface.chart.coordinates(self.centre_in_femur(now)[0])
+        inside = centre.z < self.surface.jet(centre.x, centre.y).f
+        return jnp.where(inside & (one.distance > 0) & (two.distance > 0), 1.0, 0.0)
 
     def fitted_surface(self) -> Surface:
         """The field `surface`."""

@@ -44,8 +44,12 @@ class EstimatePlots:
         nominal, measured = e.trials[trial - 1] if e.trials else (None, None)
         if nominal is None or measured is None:
             raise InputError("an estimate from a file holds no measurements to draw")
-        results = {"nominal": pftwin.simulate(nominal), "fitted": pftwin.simulate(e.scenes[trial - 1])}
-        return case_figure(results, measured, f"{nominal.name}: {e.method}, objective {e.objective}")
+        results, title = {"nominal": pftwin.simulate(nominal)}, f"{nominal.name}: {e.method}, objective {e.objective}"
+        try:
+            results["fitted"] = pftwin.simulate(e.scenes[trial - 1])
+        except InputError:  # the estimate's verdict says why
+            title += " (INVALID: no fitted motion)"
+        return case_figure(results, measured, title)
 
     def correlation(self, axes: Any = None) -> Figure:
         """Correlations of the requested parameters' errors; values and 95 % intervals in percent of nominal values.

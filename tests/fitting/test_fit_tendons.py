@@ -49,12 +49,14 @@ def test_a_fit_whose_motion_may_not_be_spoken_of_says_so_first(monkeypatch):
 
 
 def test_a_fitted_scene_beyond_the_limits_makes_the_estimate_invalid():
-    """As an attachment within an obstacle would: the fit's result is not lost."""
-    told, limited = found(), replace(scene(), limits=Limits(most_mass_kg=0.01))
-    told = replace(told, trials=tuple(t._replace(nominal=limited) for t in told.trials))
+    """As an attachment within an obstacle would: the fit's result is not lost, and its other figures are drawn."""
+    told = found()
+    trials = tuple(t._replace(nominal=replace(t.nominal, limits=Limits())) for t in told.trials)
+    told = replace(told, values=told.values * np.array([1.0, 0.01, 1.0, 1.0]), trials=trials)
     judge(told)
     assert told.sentence().startswith("INVALID: ")
-    assert "most_mass_kg" in told.verdict
+    assert "least_slack_share" in told.verdict
+    assert told.plot.fit().get_suptitle().endswith("(INVALID: no fitted motion)")
 
 
 def test_an_unknown_noise_is_estimated():

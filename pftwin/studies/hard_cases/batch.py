@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from pftwin.base.errors import InputError
-from pftwin.base.spatial import Pose
+from pftwin.base.spatial import Pose, Vec3
 from pftwin.dynamics.equilibrium import Solution, converged_on_host, place_unknown
 from pftwin.dynamics.error_estimate import Course
 from pftwin.dynamics.frame_states import relaxed_start, substeps_for
@@ -43,6 +43,10 @@ class CaseBatch(NamedTuple):
 
     cases: tuple[HardCase, ...]
     scenes: Scene
+
+    def only(self, which: list[int]) -> CaseBatch:
+        """Returns the batch of some cases, given their indices."""
+        return CaseBatch(tuple(self.cases[k] for k in which), members(self.scenes, which))
 
 
 def built_scene(case: HardCase, contact: str) -> Scene:
@@ -132,6 +136,12 @@ def batch_mates(batch: CaseBatch, starts: Any, substeps: Any, method: CaseIntegr
     return said
 
 
+@jax.vmap
+def _in_patella_frame(pose: Pose, center: Vec3) -> Pose:
+    """Poses of the patella from poses of its centre of mass."""
+    return Pose(pose.apply(-center), pose.orientation)
+
+
 class Starts(NamedTuple):
     """Starting states of the cases of a batch."""
 
@@ -163,8 +173,7 @@ def _select_members(which: Any, a: Any, b: Any) -> Any:
 
 def _failing_equilibria(batch: CaseBatch, found: Rest, scenes: Any, search: Any, dtype: str) -> dict[str, str]:
     """Faults of the derivatives of the equilibria: not finite, or different from finite differences."""
-    in_patella_frame = jax.vmap(lambda pose, center: Pose(pose.apply(-center), pose.orientation))
-    at = in_patella_frame(found.equilibrium.pose, scenes.patella.center_of_mass)
+    at = _in_patella_frame(found.equilibrium.pose, scenes.patella.center_of_mass)
     n, near = len(batch.cases), eqx.tree_at(lambda s: s.start, scenes, at)
     said, columns = {}, np.asarray(found.slopes)
     at_rest = converged_on_host(found.equilibrium)
@@ -185,6 +194,30 @@ def _failing_equilibria(batch: CaseBatch, found: Rest, scenes: Any, search: Any,
         if words is not None:
             said[batch.cases[k].name] = f"equilibrium: {words}"
     return said
+
+
+SAME_PLACE = 2e-4  # equilibria farther apart than this are different ones [m, quaternion components]
+
+
+def other_equilibria(batch: CaseBatch, double: Solution, single: Solution) -> tuple[list[int], Solution]:
+    """Finds cases that start in another equilibrium in float32, with the one that a float64 search finds there.
+
+    A button of flat triangles can rest on several of them, and rounding decides on which. A case whose float32 start is
+    no equilibrium in float64 is not among them: its start is wrong. Float64 must be enabled. Takes the stacked
+    equilibria in both float types; returns indices and stacked equilibria.
+    """
+    ours, theirs = (np.asarray(poses(found.pose), float) for found in (double, single))
+    at_rest, apart = converged_on_host(double) & converged_on_host(single), np.abs(ours - theirs).max(axis=1)
+    which = [k for k, c in enumerate(batch.cases) if not c.released and at_rest[k] and apart[k] > SAME_PLACE]
+    if not which:
+        return [], double
+    pose = jax.tree.map(lambda a: jnp.asarray(a, float), single.pose)
+    scenes = eqx.tree_at(lambda s: s.start, batch.scenes, _in_patella_frame(pose, batch.scenes.patella.center_of_mass))
+    nothing = jnp.zeros((len(batch.cases), len(PARAMETERS)))
+    near: Solution = compiled(equilibrium_with_derivatives, True)(scenes, nothing, only=which).equilibrium
+    off = np.abs(np.asarray(poses(near.pose)) - theirs[which]).max(axis=1)
+    confirmed = np.flatnonzero(converged_on_host(near) & (off <= SAME_PLACE)).tolist()
+    return [which[i] for i in confirmed], members(near, confirmed)
 
 
 class BatchRuns:

@@ -22,6 +22,7 @@ from pftwin.studies.hard_cases.batch import (
     batches,
     member,
     members,
+    other_equilibria,
     short_enough,
     starts_of,
     steps_of,
@@ -113,10 +114,38 @@ class Prepared:
         return self._stacks[dtype]
 
     @cached_property
-    def truths(self) -> dict[str, Truth]:
-        """Converged runs by case, always in float64; empty if not selected."""
+    def elsewhere(self) -> list[tuple[CaseBatch, Starts]]:
+        """Cases that start in another equilibrium in float32, as float64 batches that start there."""
+        found = []
+        single = {c.name: member(s.chosen, k) for b, s in self.stacks("float32") for k, c in enumerate(b.cases)}
         with jax.enable_x64(True):
-            stacks = self.stacks("float64") if self.selection.truths else []
+            for batch, starts in self.stacks("float64"):
+                both = [k for k, c in enumerate(batch.cases) if c.name in single]
+                if not both:
+                    continue
+                own = batch.only(both)
+                theirs = jax.tree.map(lambda *a: np.stack(a), *(single[c.name] for c in own.cases))
+                which, near = other_equilibria(own, members(starts.chosen, both), theirs)
+                if which:
+                    found.append((own.only(which), Starts(near, {})))
+        return found
+
+    @cached_property
+    def _truths(self) -> dict[str, Truth]:
+        return self._converged(self.stacks("float64"))
+
+    @cached_property
+    def _truths_elsewhere(self) -> dict[str, Truth]:
+        return self._converged(self.elsewhere)
+
+    def truths(self, dtype: str) -> dict[str, Truth]:
+        """Converged runs by case, always in float64, from where runs in `dtype` start; empty if not selected."""
+        if not self.selection.truths:
+            return {}
+        return self._truths if dtype == "float64" else self._truths | self._truths_elsewhere
+
+    def _converged(self, stacks: list[tuple[CaseBatch, Starts]]) -> dict[str, Truth]:
+        with jax.enable_x64(True):
             found = [truths(batch, starts.chosen, self.contact) for batch, starts in stacks]
         return {name: truth for part in found for name, truth in part.items()}
 
@@ -150,7 +179,7 @@ def _of_float_type(
         count(len(batch.cases) - len(which))
         if not which:
             continue
-        own = CaseBatch(tuple(batch.cases[k] for k in which), members(batch.scenes, which))
+        own = batch.only(which)
         chosen = starts._replace(chosen=members(starts.chosen, which))
         cells += _run_batch(prepared, own, chosen, method, dtype, references)
         count(len(which))
@@ -190,9 +219,10 @@ def _run_batch(
     if selection.derivatives and (method.differentiated_on is None or contact in method.differentiated_on):
         columns = compiled(slopes, double, integrator=chosen)(batch.scenes, starts.chosen, jnp.asarray(substeps))
         if double:
-            found = _references(batch, columns, partial(tried.with_parameters, substeps))
-            paths = {k: np.asarray(poses(runs[k].states)) for k in found}
-            references |= {batch.cases[k].name: Reference(d, paths[k]) for k, d in found.items()}
+            references |= _references(batch, columns, runs, partial(tried.with_parameters, substeps))
+        elif references:
+            for others, begun in prepared.elsewhere:
+                references |= _references_from(others, begun, method)
     mates: dict[str, str] = {}
     if selection.mates and n > 1 and contact in PATCHES:  # batched mesh searches compile for minutes
         mates = batch_mates(batch, starts.chosen, jnp.asarray(substeps), method, dtype)
@@ -208,7 +238,7 @@ def _run_batch(
             mates.get(case.name),
             depth[k],
             step,
-            prepared.truths.get(case.name) if method.inertia else None,
+            prepared.truths(dtype).get(case.name) if method.inertia else None,
             partial(restitution_remarked, member(batch.scenes, k), runs[k], chosen, step),
         )
         cells.append(verdict(case, contact, method, dtype, evidence))
@@ -225,8 +255,24 @@ def _depths(batch: CaseBatch, runs: Sequence[CaseRun], float64: bool) -> NDArray
     return depth
 
 
-def _references(batch: CaseBatch, slopes: NDArray[Any], forward: Forward) -> dict[int, NDArray[np.float64]]:
-    """Finite differences (frames, 7, 4) of smooth cases by index, refined where they differ from the derivatives."""
+def _references_from(batch: CaseBatch, starts: Starts, method: CaseIntegrator) -> dict[str, Reference]:
+    """References of smooth cases by name, from these starts in float64."""
+    with jax.enable_x64(True):
+        which = short_enough(batch, method)
+        own = batch.only(which)
+        begun = members(starts.chosen, which)
+        tried = BatchRuns(own, begun, method.integrator, True)
+        choices = tried.chosen([steps_of(c, method) for c in own.cases], method)
+        substeps = [choice.substeps for choice in choices]
+        columns = compiled(slopes, True, integrator=method.integrator)(own.scenes, begun, jnp.asarray(substeps))
+        forward = partial(tried.with_parameters, substeps)
+        return _references(own, columns, [choice.run for choice in choices], forward)
+
+
+def _references(
+    batch: CaseBatch, slopes: NDArray[Any], runs: Sequence[CaseRun], forward: Forward
+) -> dict[str, Reference]:
+    """References of smooth cases by name; finite differences are refined where they differ from the derivatives."""
     smooth = [k for k, c in enumerate(batch.cases) if c.expected.smooth]
     if not smooth:
         return {}
@@ -238,4 +284,5 @@ def _references(batch: CaseBatch, slopes: NDArray[Any], forward: Forward) -> dic
     found = differences(smooth)
     off = [k for k in smooth if derivatives.disagree(slopes[k], found[k], "float64")]
     finer = differences(off, derivatives.FINER) if off else {}
-    return found | {k: derivatives.agreeing_differences(found[k], fine) for k, fine in finer.items()}
+    found |= {k: derivatives.agreeing_differences(found[k], fine) for k, fine in finer.items()}
+    return {batch.cases[k].name: Reference(d, np.asarray(poses(runs[k].states))) for k, d in found.items()}

@@ -27,6 +27,7 @@ def drawn(make, count: int = 300) -> np.ndarray:
     return np.array([own.parameters.vector(make(own, random).scene) for _ in range(count)])
 
 
+@pytest.mark.slow
 def test_twins_come_from_the_priors():
     found, p = drawn(twin), knee().parameters
     assert np.ptp(p.share(found)[:, :4], axis=0).min() > 0.97

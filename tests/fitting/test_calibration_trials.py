@@ -50,6 +50,7 @@ def test_two_plants_are_two():
     assert float(first.get("K1")) != float(second.get("K1"))
 
 
+@pytest.mark.slow
 def test_the_line_is_nearest_over_all_trials():
     plant = PLANTS["stiffening"](knees()[0], np.random.default_rng(4))
     tendon = plant.scene.effect("quadriceps")

@@ -25,6 +25,7 @@ def kept(tmp_path):
     cache_folder.use_cache_folder(before)
 
 
+@pytest.mark.slow
 def test_another_process_does_not_trace_what_one_has_kept(kept, monkeypatch):
     scene = hanging_scene(6)
     free = fitting.free_parameters(scene, SPRINGS)

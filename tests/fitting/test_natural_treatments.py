@@ -59,6 +59,7 @@ def test_derotation_turns_the_muscles_origins_inward_about_the_long_axis(still):
         np.testing.assert_array_equal(*same)
 
 
+@pytest.mark.slow
 def test_a_trochleoplasty_makes_the_trochlea_anew_and_leaves_soft_tissues(quickly):
     flat = rig.Anatomy.dejour("B")
     before = quickly(flat)

@@ -178,6 +178,7 @@ class Uncertain(Fitted):
 UNCERTAIN = Uncertain()  # one, as programs know an estimate by its identity
 
 
+@pytest.mark.slow
 def test_draws_that_start_invalid_meet_no_limit():
     """Two of eleven turn further at the start than the limit allows, by the equilibria that `pftwin` reports."""
     knee, draws = small_scene(6), UNCERTAIN.samples(11)

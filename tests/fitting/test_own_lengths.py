@@ -54,6 +54,7 @@ def test_what_is_not_free_is_left_as_it_is():
     np.testing.assert_array_equal(told, draws)
 
 
+@pytest.mark.slow
 def test_tendons_that_would_hang_slack_are_left_as_they_are():
     """So long that the knee's own lengths do not stretch them: the line there is no line."""
     nuisance = Nuisance(stiffening=0.2).at_work([small_scene()])

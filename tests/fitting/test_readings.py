@@ -169,6 +169,7 @@ def test_the_estimate_keeps_its_channels_units_in_its_file(tmp_path: Any) -> Non
     assert problem.objective.noise == pytest.approx(fitted().noise)
 
 
+@pytest.mark.slow
 def test_a_frame_without_weight_is_as_if_it_had_not_been_measured(monkeypatch: Any) -> None:
     """The last that a fit does, a run for the verdict, is left out: it would take a program of its own."""
     monkeypatch.setattr("fitting.fit.compiled_aside", lambda knee, before: lambda: None)

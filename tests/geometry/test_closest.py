@@ -258,6 +258,7 @@ def test_one_side_is_the_mirror_image_of_the_other(crossing):
     np.testing.assert_allclose(forward[:, 2], mirrored[:, 2], atol=1e-6)
 
 
+@pytest.mark.slow
 def test_remembered_approach_speeds_do_not_make_it_rattle_either(path):
     force = np.linalg.norm(forces(Flores(J(2e8), J(0.6)), path)[0], axis=1)
     assert np.abs(np.diff(force[1:])).max() < 0.05 * force.max()

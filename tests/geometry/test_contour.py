@@ -137,6 +137,7 @@ def test_deeper_than_is_looked_for_is_flagged(on_a_plate):
     assert not contacts(on_a_plate, at(0.0, 0.0, RADIUS - 1e-3)).too_deep
 
 
+@pytest.mark.slow
 def test_a_surface_that_is_wholly_behind_another_is_flagged():
     pair = mesh_pair(contact_mesh(plate()), contact_mesh(plate(8, 0.01).flipped()))
     found = contacts(pair, at(0.0, 0.0, -1e-3, (0.0, 0.0, 0.0)))

@@ -59,6 +59,7 @@ def below(grid, points):
     return tuple(None if a is None else np.asarray(a)[: len(points)] for a in found)
 
 
+@pytest.mark.slow
 def test_depths_below_a_sphere():
     points, outward = near_the_ball()
     depth, normal, rim, lateral = below(grid(1e-3), points)
@@ -70,6 +71,7 @@ def test_depths_below_a_sphere():
     np.testing.assert_allclose(lateral, aside, atol=5e-4)
 
 
+@pytest.mark.slow
 def test_a_table_twice_as_coarse_is_off_by_more_than_four_times_as_much():
     """Right to second order; beside the triangles, which are off by their own sags whatever the table."""
     points, _ = near_the_ball()

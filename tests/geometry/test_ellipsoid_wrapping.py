@@ -205,6 +205,7 @@ def _sums(obstacle, start, end):
 TOP = (0.0, 0.0, RADII[2])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("start", "end"),
     [

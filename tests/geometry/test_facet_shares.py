@@ -102,6 +102,7 @@ def forces(place, effect):
 FORCES, BACKWARDS = (eqx.filter_jit(mode(forces, has_aux=True)) for mode in (jax.jacfwd, jax.jacrev))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("beside", [3e-6, 2e-5, 3e-4], ids=["both_alike", "one_deeper", "one_alone"])
 def test_forces_have_their_derivatives(beside):
     terms, height = two_humps(0.2, 8e-5)

@@ -43,7 +43,7 @@ def jets(patch, u, v):
     return patch.jet(u, v), (*first, uu, uv, vv)
 
 
-@pytest.mark.parametrize("degree", [0, 1, 2, 4, 5, 8])
+@pytest.mark.parametrize("degree", [0, 1, 2, 4, 5, pytest.param(8, marks=pytest.mark.slow)])
 def test_jet_inside_against_numpy_and_automatic_differentiation(degree):
     patch = random_patch(degree)
     u, v = points(0.99)

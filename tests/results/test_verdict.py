@@ -136,6 +136,7 @@ def test_pages_of_such_a_motion_begin_with_it():
     assert page.title(recorded([small_result()])) == "small knee"
 
 
+@pytest.mark.slow
 def test_one_contact_of_several_that_bears_is_contact():
     """A second button that never reaches the trochlea changes nothing of the first."""
     scene = small_scene(11)

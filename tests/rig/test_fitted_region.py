@@ -68,7 +68,10 @@ def test_the_scene_that_init_writes_has_the_same_patch(tmp_path):
     np.testing.assert_allclose(other.half_size, one.half_size, atol=1e-9)
 
 
-@pytest.fixture(scope="module", params=[pytest.param("P4", marks=pytest.mark.slow), "P5", "spline"])
+@pytest.fixture(
+    scope="module",
+    params=[pytest.param("P4", marks=pytest.mark.slow), "P5", pytest.param("spline", marks=pytest.mark.slow)],
+)
 def runs(request):
     return {n: simulate(rig.case(n, request.param)) for n in (1, 2, 3, 4)}
 

@@ -23,6 +23,7 @@ def seen(effect, now):
     return effect.load(now, None)[0], effect.observe(now, None)
 
 
+@pytest.mark.slow
 def test_on_a_plate_it_is_the_same():
     """Off the plate's middle, tilted, moving, damped: of a plane the table is exact."""
     exact = foundation(disc(1 / DOME), damping_time=3e-3)

@@ -244,6 +244,7 @@ def test_a_knee_moves_on_a_mesh_as_on_its_patch_and_a_search_without_room_is_in_
     assert "ran out of room" in Status(int(short.status[0])).describe()
 
 
+@pytest.mark.slow
 def test_scenes_without_a_mesh_do_not_import_its_search():
     code = "import sys, pftwin; pftwin.rig.case(1); print([m for m in sys.modules if 'bvh' in m or 'mesh_sphere' in m])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

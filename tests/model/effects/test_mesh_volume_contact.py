@@ -45,6 +45,7 @@ def test_on_a_plate_the_indentation_is_the_depth_itself(depth):
     assert float(seen["overflow"]) == float(seen["off_patch"]) == 0
 
 
+@pytest.mark.slow
 def test_a_plate_of_two_triangles_holds_a_sphere_as_well():
     corners = np.array([[-0.5, -0.5, 0], [0.5, -0.5, 0], [0.5, 0.5, 0], [-0.5, 0.5, 0.0]])
     plate = contact(SurfaceMesh(corners, np.array([[0, 1, 2], [0, 2, 3]])))
@@ -178,6 +179,7 @@ def _merged(effect, p):
     return overlap(sphere_patch(effect.mesh, Vec3.from_array(p), effect.radius), J(RADIUS), J(0.03)).merged
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("spot", ["face", "edge", "vertex", "touch", "clear", "deep", "inside", "rim"])
 def test_derivatives_are_finite_and_those_of_differences(spot, rates):
     bumps = grid(lambda u, v: 1e-3 * np.cos(300 * u) * np.cos(300 * v))

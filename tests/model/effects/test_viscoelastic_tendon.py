@@ -168,7 +168,9 @@ def bobbing(mass: float = 0.12):
 kinetic_of = eqx.filter_jit(lambda sys, states: jax.vmap(sys.kinetic_energy)(states))
 
 
-@pytest.mark.parametrize("integrator", [LinearImplicit(), SymplecticEuler()], ids=lambda i: i.text)
+@pytest.mark.parametrize(
+    "integrator", [LinearImplicit(), pytest.param(SymplecticEuler(), marks=pytest.mark.slow)], ids=lambda i: i.text
+)
 def test_a_swinging_weight_closes_its_energy_budget(integrator):
     sys, start = bobbing()
     gaps = []
@@ -275,6 +277,7 @@ def ends():
     return end
 
 
+@pytest.mark.slow
 def test_derivatives_of_a_motion_are_its_differences(ends):
     zero, step = jnp.zeros(4), 1e-5
     by_forward, by_reverse = (jax.jit(by(ends, has_aux=True)) for by in (jax.jacfwd, jax.jacrev))

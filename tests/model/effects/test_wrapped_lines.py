@@ -196,6 +196,7 @@ def test_the_energy_budget_of_a_knee_with_a_wrapped_tendon_closes():
     assert gaps[1] < 0.3 * gaps[0]
 
 
+@pytest.mark.slow
 def test_frames_in_which_an_end_is_within_the_obstacle_are_flagged():
     """The tibia carries the end of the patellar tendon through a thin cylinder on the femur, which it then leaves."""
     scene = replace(hanging_scene(31), motion=knee(31).motion)

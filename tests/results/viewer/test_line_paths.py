@@ -13,6 +13,8 @@ from wrapped_scene import BESIDE, RADII, ROUND, wrapped_result
 
 from pftwin.results.viewer.recorded import Recorded
 
+pytestmark = pytest.mark.slow  # the scene compiles for long; tests/geometry/test_arcs.py has the arcs themselves
+
 
 @pytest.fixture(scope="module")
 def result():

@@ -7,6 +7,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from recorded_pulls import TOE_STRAIN, Recording, lpfl_wrap
 from scipy.spatial.transform import Rotation as Turn
 
@@ -34,6 +35,7 @@ def lpfl(pulls: Recording) -> StrandGroup:
     return StrandGroup(stiffness, slack, toe, damping, insertion, origin, "femur", wrap=wrap, name="lpfl")
 
 
+@pytest.mark.slow
 def test_over_its_ellipsoid_the_lpfl_pulls_as_recorded(dm_knee):
     poses = read_poses(dm_knee / "passive_flexion_poses.csv")
     pulls = Recording(dm_knee, poses)

@@ -89,9 +89,7 @@ def test_what_cannot_be_simulated_is_refused_in_words(contact):
         assert case.expected.refusal in str(error.value), case.name
 
 
-@pytest.mark.parametrize(
-    "contact", [c if c in ("P5", "volume") else pytest.param(c, marks=pytest.mark.slow) for c in CONTACTS]
-)
+@pytest.mark.parametrize("contact", [c if c == "P5" else pytest.param(c, marks=pytest.mark.slow) for c in CONTACTS])
 def test_cases_of_one_group_have_one_structure(contact):
     stacks, refused = batches(catalogue(), contact)
     assert sum(len(b.cases) for b in stacks) + len(refused) == sum(contact in c.contacts for c in catalogue())

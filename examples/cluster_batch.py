@@ -20,7 +20,7 @@ import jax
 import numpy as np
 
 import pftwin
-from pftwin.base.errors import PftwinError
+from pftwin import PftwinError
 from pftwin.base.spatial import Vec3
 from pftwin.files.result_files import save_dataset
 

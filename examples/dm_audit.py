@@ -15,7 +15,7 @@ from pathlib import Path
 from dm_knee import build
 
 import pftwin
-from pftwin.base.errors import PftwinError
+from pftwin import PftwinError
 from pftwin.base.sheet import to_csv
 from pftwin.base.text_files import write_text
 from pftwin.cli.terminal import show

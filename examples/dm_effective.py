@@ -15,12 +15,10 @@ from dm_knee import Knee, array, vec3
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from pftwin.base.errors import InputError
+from pftwin import InputError
 from pftwin.base.spatial import Scalar, Vec3
 from pftwin.files.mocap import PoseSeries
-from pftwin.model.effects.base import Instant, Load
-from pftwin.model.effects.tendon import StrandGroup, Tendon
-from pftwin.model.effects.tension import PrescribedTension
+from pftwin.model.effects import Instant, Load, PrescribedTension, StrandGroup, Tendon
 from pftwin.model.scene import Scene
 
 Floats = NDArray[np.float64]

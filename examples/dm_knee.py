@@ -24,7 +24,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation as Turn
 
 import pftwin
-from pftwin.base.errors import InputError, PftwinError
+from pftwin import InputError, PftwinError
 from pftwin.base.spatial import Pose, Quaternion, Rotation, Vec3
 from pftwin.dynamics.state import Guide, System
 from pftwin.files.mocap import (
@@ -38,20 +38,28 @@ from pftwin.files.mocap import (
     read_trc,
     segment_poses,
 )
-from pftwin.geometry.contact.depth_sides import pressing_surface
-from pftwin.geometry.contact.distance_grid import distance_grid
-from pftwin.geometry.mesh.mesh import SurfaceMesh, load_mesh
-from pftwin.geometry.patch.fit import PatchFit, fit_patch
-from pftwin.geometry.patch.region import trochlear_region
-from pftwin.geometry.patch.sphere import SphereFit, fit_sphere
-from pftwin.model.effects.base import Patella
-from pftwin.model.effects.contact_law import Hertz
-from pftwin.model.effects.elastic_foundation import ElasticFoundation
-from pftwin.model.effects.foundation_law import LinearFoundation, checked_layer
-from pftwin.model.effects.gravity import Gravity
-from pftwin.model.effects.sphere_contact import SphereContact
-from pftwin.model.effects.tendon import StrandGroup
-from pftwin.model.effects.tension import PrescribedTension
+from pftwin.geometry import (
+    PatchFit,
+    SphereFit,
+    SurfaceMesh,
+    distance_grid,
+    fit_patch,
+    fit_sphere,
+    load_mesh,
+    pressing_surface,
+    trochlear_region,
+)
+from pftwin.model.effects import (
+    ElasticFoundation,
+    Gravity,
+    Hertz,
+    LinearFoundation,
+    Patella,
+    PrescribedTension,
+    SphereContact,
+    StrandGroup,
+    checked_layer,
+)
 from pftwin.model.measured import SYNTHETIC
 from pftwin.model.motion import KneeMotion
 from pftwin.model.scene import PatellaBody, Scene

@@ -20,8 +20,7 @@ import dm_treatments
 from dm_patient_fit import FITS, fit, ideal, judge, prepare, tension_bands
 
 import pftwin
-from pftwin.base.errors import PftwinError
-from pftwin.base.runtime import default_cache_dir
+from pftwin import PftwinError
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -32,7 +31,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--starts", type=int, default=32, help="number of starts of the search")
     parser.add_argument("-o", "--out", type=Path, default=Path("dm_patient"), help="folder for figures and estimates")
     given = parser.parse_args(arguments)
-    pftwin.configure(cache_dir=default_cache_dir())
+    pftwin.configure(cache_dir=True)
     try:
         given.out.mkdir(parents=True, exist_ok=True)
         report(given.folder, given.out, given.starts)

@@ -23,8 +23,7 @@ from rich.table import Table
 import fitting
 import pftwin
 from fitting.treatments import Treatment
-from pftwin.base.errors import PftwinError
-from pftwin.base.runtime import default_cache_dir
+from pftwin import PftwinError
 from pftwin.model.scene import Scene
 
 if TYPE_CHECKING:
@@ -119,7 +118,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("folder", type=Path, nargs="?" if base else None, default=base and Path(base) / "dm_knee")
     parser.add_argument("-o", "--out", type=Path, default=Path("dm_patient"), help="folder for the figure")
     given = parser.parse_args(arguments)
-    pftwin.configure(cache_dir=default_cache_dir())
+    pftwin.configure(cache_dir=True)
     try:
         given.out.mkdir(parents=True, exist_ok=True)
         report(build(given.folder).scene, given.out)

@@ -42,7 +42,7 @@ from IPython.display import Markdown
 from matplotlib.figure import Figure
 
 import pftwin
-from pftwin.base.runtime import default_cache_dir, describe
+from pftwin.base.runtime import describe
 from pftwin.base.sheet import short_number
 from pftwin.results.metrics import PAPER_TABLE_1
 from pftwin.results.plots import COLOURS, STYLE
@@ -50,7 +50,7 @@ from pftwin.studies.accuracy.measure import measure_all
 from pftwin.studies.accuracy.programs import MeasuredProgram
 from pftwin.studies.accuracy.table import advice, described, front, read_csv, recommended, work_precision
 
-pftwin.configure(cache_dir=default_cache_dir())  # double precision and fast code, kept for the next time
+pftwin.configure(cache_dir=True)  # double precision and fast code, kept for the next time
 scene, measured = pftwin.rig.case(1, contact="P5"), pftwin.rig.measured(1)
 print(f"{scene.name}: {scene.motion.n_frames} frames, {1e3 * scene.motion.frame_interval:g} ms apart")
 print(f"measurements: {'synthetic' if measured.synthetic else 'real'}")

@@ -38,10 +38,9 @@ from IPython.display import Markdown
 import fitting
 import pftwin
 from fitting.demo.straight_springs import nearest_line, recorded_pulls
-from pftwin.base.runtime import default_cache_dir
 from pftwin.results.plots import compared
 
-pftwin.configure(cache_dir=default_cache_dir())  # double precision and fast code, kept for the next time
+pftwin.configure(cache_dir=True)  # double precision and fast code, kept for the next time
 mpl.rcParams["figure.dpi"] = 72  # small files
 scene, measured = pftwin.rig.case(2, contact="P5"), pftwin.rig.measured(2)
 assert measured.synthetic

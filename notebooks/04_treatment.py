@@ -42,10 +42,9 @@ from fitting.prediction.plots import outcome_figure
 from fitting.prediction.variants import grid
 from fitting.treatments import Treatment, tibial_tuberosity_transfer
 from fitting.treatments.limits import Limit
-from pftwin.base.runtime import default_cache_dir
 from pftwin.results.plots import STYLE, against_flexion
 
-pftwin.configure(cache_dir=default_cache_dir())  # double precision and fast code, kept for the next time
+pftwin.configure(cache_dir=True)  # double precision and fast code, kept for the next time
 mpl.rcParams["figure.dpi"] = 72  # small files
 scene, measured = pftwin.rig.case(2, contact="P5"), pftwin.rig.measured(2)
 assert measured.synthetic

@@ -43,18 +43,15 @@ from matplotlib.figure import Figure
 
 import fitting
 import pftwin
-from pftwin.base.runtime import default_cache_dir
 from pftwin.files.mocap import cluster_poses, find_gaps, read_trc
 from pftwin.files.scene_file import load_scene_file
-from pftwin.geometry.mesh.mesh import load_mesh
-from pftwin.geometry.patch.fit import fit_patch
-from pftwin.geometry.patch.region import trochlear_region
+from pftwin.geometry import fit_patch, load_mesh, trochlear_region
 from pftwin.results.plots import COLOURS, STYLE
 from pftwin.results.plots.region import plot_region
 from pftwin.rig import geometry
 from pftwin.rig.scene_template import write_example
 
-pftwin.configure(cache_dir=default_cache_dir())  # double precision and fast code, kept for the next time
+pftwin.configure(cache_dir=True)  # double precision and fast code, kept for the next time
 mpl.rcParams["figure.dpi"] = 72  # small files
 
 # %% [markdown]

@@ -35,12 +35,11 @@ from IPython.display import Markdown
 from matplotlib.figure import Figure
 
 import pftwin
-from pftwin.base.runtime import default_cache_dir
 from pftwin.results.plots import COLOURS, STYLE
 from pftwin.studies import hard_cases
 from pftwin.studies.hard_cases import table as tables
 
-pftwin.configure(cache_dir=default_cache_dir())  # double precision and fast code, kept for the next time
+pftwin.configure(cache_dir=True)  # double precision and fast code, kept for the next time
 print(f"{len(hard_cases.catalogue())} hard cases are kept with the project")
 
 

@@ -40,15 +40,23 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import pftwin
-from pftwin.base.quantities import quantity
-from pftwin.base.runtime import default_cache_dir
-from pftwin.base.spatial import Quaternion, Scalar, Vec3
 from pftwin.dynamics.batch.batched import batched
-from pftwin.model.effects.base import Effect, Instant, Load, Observable, Patella, StiffTerm
+from pftwin.model.effects import (
+    Effect,
+    Instant,
+    Load,
+    Observable,
+    Patella,
+    Quaternion,
+    Scalar,
+    StiffTerm,
+    Vec3,
+    quantity,
+)
 from pftwin.model.motion import Frame
 from pftwin.results.plots import COLOURS, STYLE
 
-pftwin.configure(cache_dir=default_cache_dir())  # double precision and fast code, kept for the next time
+pftwin.configure(cache_dir=True)  # double precision and fast code, kept for the next time
 scene = pftwin.rig.case(2, contact="P5")
 print(pftwin.simulate(scene, tolerance="0.05 mm").summary())
 assert scene.synthetic

@@ -31,13 +31,12 @@ from IPython.display import Markdown
 from matplotlib.figure import Figure
 
 import pftwin
-from pftwin.base.runtime import default_cache_dir
 from pftwin.results.plots import COLOURS, STYLE
 from pftwin.studies.audit.audit import audit
 from pftwin.studies.audit.explain import explain
 from pftwin.studies.audit.report import audit_figure, audit_sheet, explanation_sheet
 
-pftwin.configure(cache_dir=default_cache_dir())  # double precision and fast code, kept for the next time
+pftwin.configure(cache_dir=True)  # double precision and fast code, kept for the next time
 
 # %% [markdown]
 # ## What effects cost

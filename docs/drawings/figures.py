@@ -91,10 +91,9 @@ def save(figure: Figure, path: Path, code: str) -> None:
 def main(wanted: list[str]) -> None:
     """Draws those that are named, all without a name."""
     import pftwin
-    from pftwin.base.runtime import default_cache_dir
 
     os.chdir(ROOT)
-    pftwin.configure(cache_dir=default_cache_dir())
+    pftwin.configure(cache_dir=True)
     FOLDER.mkdir(exist_ok=True)
     names: dict[str, Any] = {}
     prepared = 0

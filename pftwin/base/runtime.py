@@ -133,7 +133,7 @@ def configure(
     *,
     float64: bool = True,
     fast_cpu: bool = True,
-    cache_dir: str | os.PathLike[str] | None = None,
+    cache_dir: str | os.PathLike[str] | bool | None = None,
     cpu_devices: int | str | None = None,
 ) -> None:
     """Configures the process: double precision, fast CPU compilation, cache folder and number of CPU devices.
@@ -145,7 +145,8 @@ def configure(
         fast_cpu: enable the fast CPU compilation.
         cache_dir: folder that caches compiled programs and data derived from files (fitted patches, filtered
             recordings) for later processes. As cached programs are executed, a folder that another user owns or can
-            write to is ignored with a warning, and so is a path that cannot be a folder. By default nothing is cached.
+            write to is ignored with a warning, and so is a path that cannot be a folder. True: the command line's
+            folder, $PFTWIN_CACHE or one in the user's cache folder. By default nothing is cached.
         cpu_devices: number of JAX devices into which the CPU is divided, over which batches are distributed. "all":
             one per core that this process may use. By default JAX's setting applies, which is one.
 
@@ -164,11 +165,12 @@ def configure(
     elif _Process.float64_by_default:
         jax.config.update("jax_enable_x64", False)
     _Process.settled = True
-    if cache_dir is not None:
+    if cache_dir is not None and cache_dir is not False:
         from pftwin.base import cache_folder
 
-        if cache_folder.use_cache_folder(cache_dir):
-            compiled = cache_folder.compiled_folder(Path(cache_dir).absolute())
+        folder = Path(default_cache_dir() if cache_dir is True else cache_dir)
+        if cache_folder.use_cache_folder(folder):
+            compiled = cache_folder.compiled_folder(folder.absolute())
             jax.config.update("jax_compilation_cache_dir", str(compiled))
             jax.config.update("jax_persistent_cache_min_compile_time_secs", 0.2)
             jax.config.update("jax_persistent_cache_min_entry_size_bytes", 0)

@@ -144,7 +144,7 @@ def start_computing(*, batches: bool = False) -> None:
         settings: Any = jax.config
         if settings.jax_enable_x64 and settings.jax_compilation_cache_dir:
             return
-    runtime.configure(cache_dir=runtime.default_cache_dir(), cpu_devices=devices)
+    runtime.configure(cache_dir=True, cpu_devices=devices)
 
 
 def _cpu_devices() -> int | str:

@@ -7,27 +7,26 @@ laboratory files. The natural knee (`knee`) is built from anatomical parameters;
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from pftwin.geometry.bones.anatomy import Anatomy
-    from pftwin.geometry.bones.surfaces import bones
-    from pftwin.rig.cases import case, measured, write_files
-    from pftwin.rig.natural.scene import knee
-    from pftwin.rig.retinacula import with_retinacula
+from pftwin.base.lazy_names import lazy_names
 
-__all__ = ["Anatomy", "bones", "case", "knee", "measured", "with_retinacula", "write_files"]
+if TYPE_CHECKING:  # `as` marks names that are exported
+    from pftwin.geometry.bones.anatomy import Anatomy as Anatomy
+    from pftwin.geometry.bones.surfaces import bones as bones
+    from pftwin.rig.cases import case as case
+    from pftwin.rig.cases import measured as measured
+    from pftwin.rig.cases import write_files as write_files
+    from pftwin.rig.natural.scene import knee as knee
+    from pftwin.rig.retinacula import with_retinacula as with_retinacula
 
-_PLACES = {
-    "Anatomy": "geometry.bones.anatomy",
-    "bones": "geometry.bones.surfaces",
-    "knee": "rig.natural.scene",
-    "with_retinacula": "rig.retinacula",
+_HOMES = {
+    "pftwin.geometry.bones.anatomy": ("Anatomy",),
+    "pftwin.geometry.bones.surfaces": ("bones",),
+    "pftwin.rig.cases": ("case", "measured", "write_files"),
+    "pftwin.rig.natural.scene": ("knee",),
+    "pftwin.rig.retinacula": ("with_retinacula",),
 }
 
-
-def __getattr__(name: str) -> Any:
-    if name not in __all__:
-        raise AttributeError(f"module 'pftwin.rig' has no attribute {name!r}")
-    return getattr(import_module(f"pftwin.{_PLACES.get(name, 'rig.cases')}"), name)
+if not TYPE_CHECKING:  # so that type checkers report names that do not exist
+    __getattr__, __dir__, __all__ = lazy_names("pftwin.rig", _HOMES)

@@ -13,7 +13,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from pftwin.base import runtime
+from pftwin.base import cache_folder, runtime
 from pftwin.base.errors import InputError, PftwinWarning
 from pftwin.base.runtime import FAST_CPU, VECTOR_WIDTH, fast_cpu_flags
 from pftwin.cli import terminal
@@ -83,6 +83,15 @@ def said(*lines: str, **environment: str) -> tuple[bool, str, list[str]]:
     )
     assert done.returncode == 0, done.stderr
     return tuple(json.loads(done.stdout))
+
+
+@pytest.mark.parametrize(("asked", "used"), [(True, "command_lines"), (False, None), ("own", "own")])
+def test_true_is_the_command_lines_cache_folder(asked, used, monkeypatch, tmp_path):
+    chosen = []
+    monkeypatch.setattr(cache_folder, "use_cache_folder", lambda folder: chosen.append(str(folder)))
+    monkeypatch.setenv("PFTWIN_CACHE", str(tmp_path / "command_lines"))
+    runtime.configure(cache_dir=str(tmp_path / "own") if asked == "own" else asked)
+    assert chosen == ([] if used is None else [str(tmp_path / used)])
 
 
 class TestDefaults:

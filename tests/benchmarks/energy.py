@@ -15,7 +15,6 @@ import jax.numpy as jnp
 import numpy as np
 
 import pftwin
-from pftwin.base.runtime import default_cache_dir
 from pftwin.dynamics.equilibrium import Solution
 from pftwin.dynamics.frame_states import frame_states, starting_equilibrium
 from pftwin.dynamics.integrator import Integrator
@@ -59,5 +58,5 @@ def say(line: str) -> None:
 
 
 if __name__ == "__main__":
-    pftwin.configure(cache_dir=default_cache_dir())
+    pftwin.configure(cache_dir=True)
     main()

@@ -19,7 +19,7 @@ import numpy as np
 
 import pftwin
 from pftwin.base.output import written_whole
-from pftwin.base.runtime import default_cache_dir, describe
+from pftwin.base.runtime import describe
 from pftwin.dynamics.integrator_text import integrator_from_text
 from pftwin.model.effects.friction import Friction
 from pftwin.model.effects.sphere_contact import SphereContact
@@ -96,7 +96,7 @@ def table(steps: tuple[float, ...], rows: Iterator[Row]) -> list[Row]:
 
 def main(target: Path) -> None:
     """Runs all, prints the tables and writes the figures."""
-    pftwin.configure(cache_dir=default_cache_dir())
+    pftwin.configure(cache_dir=True)
     known = scenes()
     reference = table(STEPS_MS, against_reference(known))
     paper = table(PAPER_STEPS_MS, paper_formulation(known))

@@ -15,7 +15,6 @@ import jax.numpy as jnp
 import numpy as np
 
 import pftwin
-from pftwin.base.runtime import default_cache_dir
 from pftwin.dynamics.frame_states import frame_states, starting_equilibrium, substeps_for
 from pftwin.dynamics.integrator import Integrator
 from pftwin.dynamics.integrators import BDF2, LinearImplicit
@@ -72,6 +71,6 @@ def _say(*lines: str) -> None:
 
 
 if __name__ == "__main__":
-    pftwin.configure(cache_dir=default_cache_dir())
+    pftwin.configure(cache_dir=True)
     rebounds()
     rig_approaches()

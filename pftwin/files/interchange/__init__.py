@@ -6,19 +6,16 @@ pftwin.interchange.import_osim("knee.osim", "knee")  # writes knee/scene.toml an
 
 from __future__ import annotations
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from pftwin.files.interchange.exporting import export
-    from pftwin.files.interchange.osim_scene import import_osim
+from pftwin.base.lazy_names import lazy_names
 
-_HOME = {"export": "exporting", "import_osim": "osim_scene"}
+if TYPE_CHECKING:  # `as` marks names that are exported
+    from pftwin.files.interchange.exporting import export as export
+    from pftwin.files.interchange.osim_scene import import_osim as import_osim
 
-__all__ = ["export", "import_osim"]
+_HERE = "pftwin.files.interchange"
+_HOMES = {f"{_HERE}.exporting": ("export",), f"{_HERE}.osim_scene": ("import_osim",)}
 
-
-def __getattr__(name: str) -> Any:
-    if name not in _HOME:
-        raise AttributeError(f"module 'pftwin.files.interchange' has no attribute {name!r}")
-    return getattr(import_module(f"pftwin.files.interchange.{_HOME[name]}"), name)
+if not TYPE_CHECKING:  # so that type checkers report names that do not exist
+    __getattr__, __dir__, __all__ = lazy_names("pftwin.interchange", _HOMES)

@@ -107,6 +107,8 @@ def load_scene(
 ) -> Scene:
     """Loads the scene that a TOML file describes.
 
+    The scene's effects have the order of the tables in the file; tables of one kind follow the first of them.
+
     Args:
         path: the scene file; paths in it are relative to its folder.
         contact: polynomial for surfaces that are fitted to a mesh ("P2", "P4", "P5"), instead of the file's.
@@ -156,10 +158,11 @@ def _loaded(
     bones = Bones.read(segments, side)
     start, beside_femur = bones.start_pose(file.patella.start)
     setting = Setting(bones, file.patella.mass_kg, beside_femur, contact, notes=notes)
-    effects = tuple(
-        table.build(setting.at(section.kind, i))
-        for section in effect_tables()
-        for i, table in enumerate(getattr(file, section.kind))
+    effects = tuple(  # in the file's order, which numbers K1, L1, K2, ...
+        table.build(setting.at(kind, i))
+        for kind in document.data
+        if kind in kinds
+        for i, table in enumerate(getattr(file, kind))
     )
     if not effects:
         raise InputError(

@@ -62,7 +62,7 @@ def register_effect(effect: type[Effect] | type[EffectSection], kind: str | None
 
 
 def effect_tables() -> tuple[type[EffectSection], ...]:
-    """All registered tables, in the order of effects in a scene."""
+    """All registered tables, pftwin's own first."""
     return (*EFFECTS, *{**_installed(), **_registered}.values())
 
 

@@ -17,6 +17,7 @@ import pftwin
 from pftwin.base.leaves import number
 from pftwin.base.quantities import quantity
 from pftwin.base.spatial import Scalar, Vec3
+from pftwin.files.scene_file import registry
 from pftwin.model.effects.base import Instant, Load, Observable
 from pftwin.model.effects.line_elements import ElasticLine
 from pftwin.model.measured import Measured
@@ -93,7 +94,8 @@ def test_its_declarations_are_its_names_bounds_and_units() -> None:
         check(names.set("quadriceps.hardening", 60.0))
 
 
-def test_it_is_read_from_a_scene_file(tmp_path: Path) -> None:
+def test_it_is_read_from_a_scene_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(registry, "_registered", {})  # registered for this test only
     pftwin.register_effect(Band)
     head, tail = LIGHT.split("[[tendon]]", 1)
     rest = tail.split("[[tendon]]", 1)[1]

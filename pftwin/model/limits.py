@@ -10,20 +10,23 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator, Mapping
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
+import jax
 import numpy as np
 
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.base.leaves import host_array
-from pftwin.base.quantities import declarations, declared_field
+from pftwin.base.quantities import declarations
 from pftwin.base.rotations import tibiofemoral_angles
-from pftwin.base.spatial import Rotation
+from pftwin.base.spatial import Quaternion, Rotation, Vec3
+from pftwin.model.effects.base import Instant, Patella
+from pftwin.model.motion import Frame
 from pftwin.model.motion_on_host import first_pose, tibia_orientation
 
 if TYPE_CHECKING:
-    from pftwin.model.effects.line_elements import LineElement
+    from pftwin.model.effects.line_elements import ElasticLine, LineElement
     from pftwin.model.scene import Scene
 
 _PROXIMAL = np.array([1.0, 0.0, 0.0])
@@ -127,7 +130,7 @@ def check_limits(scene: Scene, limits: Limits) -> None:
 def upward_lines(scene: Scene) -> int:
     """Number of lines that pull along the proximal axis of the patella or the femur in the start pose."""
     femur = first_pose(scene.motion, "femur")
-    axes = [_turned(scene.start.orientation.rotation(), _PROXIMAL), _PROXIMAL if femur is None else femur[1][:, 0]]
+    axes = [_turned(_start_axes(scene), _PROXIMAL), _PROXIMAL if femur is None else femur[1][:, 0]]
     count = 0
     for effect in scene.effects:
         line = effect.line_element()
@@ -163,8 +166,9 @@ def _of_body(scene: Scene) -> Iterator[Found]:
 def _of_effects(scene: Scene) -> Iterator[Found]:
     lines = [line for e in scene.effects if (line := e.line_element()) is not None]
     yield Found("the number of lines of force (tendons, ligaments, muscles)", len(lines), "least_lines")
+    now = _at_rest(scene)
     for line in lines:
-        yield from _of_line(scene, line)
+        yield from _of_line(scene, line, now)
     for effect in scene.effects:
         contact = effect.contact_role()
         if contact is not None:
@@ -184,39 +188,59 @@ def _of_effects(scene: Scene) -> Iterator[Found]:
 def _at_start(scene: Scene, line: LineElement) -> Floats:
     """Vectors from insertion to origin at the start, (..., 3), world axes [m]."""
     inserted, body = line.line_ends
-    start = scene.start
-    here = host_array(start.position) + _turned(start.orientation.rotation(), host_array(inserted))
+    here = host_array(scene.start.position) + _turned(_start_axes(scene), host_array(inserted))
     there = host_array(line.origin_at(float(scene.motion.times[0])))
     if body != "ground" and (pose := first_pose(scene.motion, body)) is not None:
         there = pose[0] + there @ pose[1].T
     return np.atleast_2d(there - here)
 
 
-def _of_line(scene: Scene, line: LineElement) -> Iterator[Found]:
-    """Values of the line of a group that comes closest to each limit."""
+def _at_rest(scene: Scene) -> Instant:
+    """The first frame with all bodies at rest; computed by numpy, since a check precedes every simulation."""
+    still = _vector(np.zeros(3))
+    frames = []
+    for pose in (first_pose(scene.motion, "femur"), first_pose(scene.motion, "tibia")):
+        origin, axes = (np.zeros(3), np.eye(3)) if pose is None else pose
+        frames.append(Frame(_vector(origin), Rotation(*map(_vector, axes.T)), still, still))
+    patella = Patella(_vector(host_array(scene.start.position)), _start_axes(scene), still, still)
+    patella, femur, tibia = jax.device_put((patella, *frames))
+    return Instant(patella, femur, tibia, float(scene.motion.times[0]), 0.0)
+
+
+def _vector(values: Any) -> Vec3:
+    """A `Vec3` of numpy's numbers, from an array (3,)."""
+    return Vec3(*values)
+
+
+def _start_axes(scene: Scene) -> Rotation:
+    """Axes of the patella in the start pose; by numpy."""
+    return Quaternion(*host_array(scene.start.orientation)).rotation()
+
+
+def _of_line(scene: Scene, line: LineElement, now: Instant) -> Iterator[Found]:
+    """Values of the line of a group that comes closest to each limit; `now` is the first frame at rest."""
     length = np.linalg.norm(_at_start(scene, line), axis=-1)
     yield Found(
         f"the distance of {line.name} from insertion to origin at the start", 1e3 * length.max(), most="most_line_mm"
     )
     if line.wrap is not None:
-        from pftwin.model.number_place import start_length, starting_instant
-
-        depth = 1e3 * float(np.max(np.asarray(line.depth_in_wrap(starting_instant(scene)), dtype=float)))
+        depth = 1e3 * float(np.max(np.asarray(line.depth_in_wrap(now), dtype=float)))
         what = f"the depth of an end of {line.name} within what it wraps over at the start, where it runs straight,"
         yield Found(what, depth, most="most_depth_in_wrap_mm")
-    if not line.elastic:
-        return
+    if line.elastic:
+        yield from _of_spring(cast("ElasticLine", line), now, length)
+
+
+def _of_spring(line: ElasticLine, now: Instant, length: Floats) -> Iterator[Found]:
+    """Values of the springs of a line or group whose ends are `length` apart [m]."""
     if line.wrap is not None:  # length of the path around the obstacle
-        length = np.atleast_1d(np.asarray(start_length(scene, line), dtype=float))
-    slack, stiffness = (np.asarray(getattr(line, n), dtype=float) for n in ("slack_length", "stiffness"))
-    share = np.ravel(slack / np.maximum(length, 1e-9))
+        length = np.atleast_1d(np.asarray(line.line(now).length, dtype=float))
+    share = np.ravel(np.asarray(line.slack_length, dtype=float) / np.maximum(length, 1e-9))
     what = f"the slack length of {line.name}"
     yield Found(what, float(share.max()), most="most_slack_share")
     yield Found(what, float(share.min()), least="least_slack_share")
-    declared = declared_field(type(line), "stiffness")
-    by_strain = declared is not None and "strain" in declared.unit
-    stretch = np.maximum(length - slack, 0.0) / (slack if by_strain else 1.0)  # neglects any toe region
-    pull = float(np.max(stiffness * stretch))
+    load, _ = line.load(now, line.guess(now))
+    pull = max((float(np.max(np.asarray(term.force, dtype=float))) for term in load.stiff), default=0.0)
     yield Found(f"the pull of {line.name} at the start", pull, most="most_force_N")
 
 

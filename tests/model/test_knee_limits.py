@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import Any
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -13,9 +14,13 @@ from small_scene import small_result, small_scene, vec
 from pftwin import rig
 from pftwin.base.errors import InputError
 from pftwin.base.leaves import host_array, number, vector
+from pftwin.base.quantities import quantity
 from pftwin.base.rotations import tibiofemoral_orientation
+from pftwin.base.spatial import Scalar, Vec3
 from pftwin.files.mocap.poses import PoseSeries
-from pftwin.model.effects.tendon import StrandGroup
+from pftwin.model.effects.base import Instant, Load
+from pftwin.model.effects.line_elements import ElasticLine
+from pftwin.model.effects.tendon import StrandGroup, ToeTendon
 from pftwin.model.effects.tension import PrescribedTension
 from pftwin.model.limits import Limits, upward_lines
 from pftwin.model.motion import KneeMotion
@@ -196,5 +201,55 @@ def test_the_pull_of_strands_is_by_strain():
     strands = StrandGroup(*(number(v * two) for v in (2e3, 0.06, 0.01, 0.0)), *ends, "femur", name="quadriceps")
     length = float(start_length(scene, line))
     assert length > 0.12
-    with pytest.raises(InputError, match=rf"pull of quadriceps at the start is {2e3 * (length / 0.06 - 1):.4g} N"):
+    pull = 2e3 * (length / 0.06 - 1 - 0.5 * 0.01)  # Blankevoort and Huiskes 1991: k (e - e1), with 2 e1 = 0.01
+    with pytest.raises(InputError, match=rf"pull of quadriceps at the start is {pull:.4g} N"):
         check(scene.with_effect(strands))
+
+
+class Hardening(ElasticLine):
+    """A line from elsewhere that hardens: F = K s (1 + s / L0), never below 0; it says no more than its load."""
+
+    stiffness: Scalar = eqx.field(metadata=quantity("N/m", positive=True))
+    slack_length: Scalar = eqx.field(metadata=quantity("m", positive=True))
+    insertion: Vec3 = eqx.field(metadata=quantity("m", frame="patella"))
+    origin: Vec3 = eqx.field(metadata=quantity("m", frame="body"))
+    body: str = eqx.field(static=True)
+
+    def load(self, now: Instant, memory: Any) -> tuple[Load, Any]:
+        """Its pull."""
+        line = self.line(now)
+        stretch = jnp.maximum(line.length - self.slack_length, 0.0)
+        tension = self.stiffness * stretch * (1 + stretch / self.slack_length)
+        slope = self.stiffness * (1 + 2 * stretch / self.slack_length)
+        return Load(stiff=(line.term(tension, tension, slope, jnp.zeros_like(slope)),)), memory
+
+
+def pulled_by(kind: type[ElasticLine], *more: float):
+    """The small knee with a quadriceps of this kind with a slack length of 140 mm; and its stretch [m]."""
+    scene = knee(least_slack_share=0.0)
+    old: Any = scene.effect("quadriceps")
+    line: Any = kind(
+        number(500.0), number(0.14), *map(number, more), old.insertion, old.origin, "femur", name="quadriceps"
+    )
+    return scene.with_effect(line), float(start_length(scene, line)) - 0.14
+
+
+@pytest.mark.parametrize("kind", ["toe", "hardening"])
+def test_the_pull_of_a_line_is_that_of_its_own_law(kind):
+    """A toe region pulls less, and a hardening line more, than its stiffness times its stretch."""
+    if kind == "toe":
+        scene, s = pulled_by(ToeTendon, 1.0, 0.0)
+        pull = 500.0 * s**2 / (2 * 0.14)
+        assert pull < 0.5 * 500.0 * s
+    else:
+        scene, s = pulled_by(Hardening)
+        pull = 500.0 * s * (1 + s / 0.14)
+        assert pull > 1.3 * 500.0 * s
+    check(scene.with_limits(least_slack_share=0.0, most_force_N=1.001 * pull))
+    with pytest.raises(InputError, match=rf"pull of quadriceps at the start is {pull:.4g} N"):
+        check(scene.with_limits(least_slack_share=0.0, most_force_N=0.999 * pull))
+
+
+def test_the_pull_of_a_slack_line_is_none():
+    scene, _ = pulled_by(ToeTendon, 1.0, 0.0)
+    check(scene.set("L1", 0.25).with_limits(most_slack_share=2.0, most_force_N=1e-9).without("patellar_tendon"))

@@ -34,12 +34,17 @@ def groove_surface(scene: Scene) -> Surface:
         InputError: for a scene without contact between button and trochlea, or with meshes alone.
     """
     if scene.surface is None:
-        found = "no contact between a button and a trochlea"
-        if scene.contact is not None:
-            found = f"the meshes of {scene.contact.name!r} do not tell where the groove is"
-        expected = "a contact with a smooth surface, or a stand-in for one: outcomes count from its groove"
-        raise InputError(found, where=scene.name or "outcomes", expected=expected)
+        raise _no_groove(scene)
     return scene.surface
+
+
+def _no_groove(scene: Scene) -> InputError:
+    """The error for a scene without a surface that defines a groove."""
+    found = "no contact between a button and a trochlea"
+    if scene.contact is not None:
+        found = f"the meshes of {scene.contact.name!r} do not tell where the groove is"
+    expected = "a contact with a smooth surface, or a stand-in for one: outcomes count from its groove"
+    return InputError(found, where=scene.name or "outcomes", expected=expected)
 
 
 class Groove(NamedTuple):
@@ -280,10 +285,10 @@ def outcomes(result: Result, threshold: float = DISLOCATED) -> dict[str, float]:
         threshold: distance from the groove's bottom beyond which the button counts as dislocated [m].
 
     Raises:
-        InputError: for a result without contact.
+        InputError: for a result without contact, or with meshes alone.
     """
     if result.contact is None or result.groove is None:
-        raise InputError("no contact between a button and a trochlea", where=result.scene_name)
+        raise _no_groove(result.scene)
     report = result.effects[result.contact]
     forces, points = ((_floats(report[f"{x}_medial"]), _floats(report[f"{x}_lateral"])) for x in ("force", "point"))
     knee, offset, tilt, shift = map(_floats, (result.knee.flexion, result.groove[1], result.angles.tilt, result.shift))

@@ -9,12 +9,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from small_scene import polynomial, small_scene, vec
+from small_scene import polynomial, small_result, small_scene, vec
 
 import fitting
 import pftwin
 from fitting.objective import Objective
-from fitting.prediction.outcomes import Groove, groove_surface
+from fitting.prediction.outcomes import Groove, groove_surface, outcomes
 from pftwin.base.leaves import number
 from pftwin.base.spatial import Vec3
 from pftwin.dynamics.state import System
@@ -100,6 +100,9 @@ def test_the_groove_of_a_mesh_is_its_stand_in() -> None:
     Groove.of(with_mesh())
     with pytest.raises(pftwin.InputError, match="meshes of 'contact' do not tell where the groove is"):
         groove_surface(with_mesh(surface=False))
+    meshes = dataclasses.replace(small_result(), scene=with_mesh(surface=False), surface=None)
+    with pytest.raises(pftwin.InputError, match="meshes of 'contact' do not tell where the groove is"):
+        outcomes(meshes)
 
 
 def test_a_treatment_of_the_fitted_surface_refuses_a_mesh() -> None:

@@ -181,7 +181,7 @@ def test_the_contact_force_is_the_contacts_own_and_not_always_the_sum_of_the_fac
 
 
 def test_a_result_without_contact_is_refused(result):
-    bare = dataclasses.replace(result, contact=None, surface=None)
+    bare = dataclasses.replace(result, contact=None, surface=None, scene=result.scene.without("contact"))
     with pytest.raises(InputError, match="no contact between a button and a trochlea"):
         outcomes(bare)
 

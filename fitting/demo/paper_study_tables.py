@@ -24,6 +24,7 @@ from fitting.demo.paper_study import (
 )
 from pftwin.base.quantities import as_read
 from pftwin.dynamics.status import status_facts
+from pftwin.rig.geometry import MISPLACED
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -103,8 +104,6 @@ def outcome_rows(study: PaperStudy) -> Iterator[dict[str, Any]]:
 
 def notes(study: PaperStudy) -> Iterator[str]:
     """What the errors mean, one paragraph each."""
-    from pftwin.rig.plant import MISPLACED
-
     names = study.fits[PAPERS].names
     nearest, recorded = (100 * (values_of(v) / study.nominal - 1) for v in (study.nearest, study.recorded))
     off = " and ".join(f"{line.misfit:.2f} N" for line in study.nearest.values())

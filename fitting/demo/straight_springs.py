@@ -1,8 +1,8 @@
 """Straight-line springs nearest to the rig's stiffening ones over the forces that occur.
 
 The twin's springs follow F = K (L - L0); those of the plant that makes the rig's measurements stiffen with stretch
-(`pftwin.rig.plant`), F = K s (1 + 0.05 s / (L0 / 4)) with the stretch s = L - L0. So the twin cannot match the
-measurements with the plant's own K and L0: the line nearest to the plant's curve is steeper and starts later.
+(`pftwin.rig.geometry.STIFFENING`), F = K s (1 + 0.05 s / (L0 / 4)) with the stretch s = L - L0. So the twin cannot
+match the measurements with the plant's own K and L0: the line nearest to the plant's curve is steeper and starts later.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.model.effects.line_elements import ElasticLine
+from pftwin.rig.geometry import STIFFENING
 
 QUADRICEPS, PATELLAR_TENDON = "quadriceps", "patellar_tendon"
 
@@ -48,8 +49,6 @@ def straight_line(lengths: ArrayLike, forces: ArrayLike) -> StraightSpring:
 
 def stretch_under(force: ArrayLike, stiffness: float, slack_length: float, stiffening: float | None = None) -> Floats:
     """Stretch [m] at which a spring of the plant has a force [N]: the positive root of its law."""
-    from pftwin.rig.plant import STIFFENING
-
     more = (STIFFENING if stiffening is None else stiffening) / (0.25 * slack_length)
     if more == 0:
         return np.asarray(force, dtype=np.float64) / stiffness

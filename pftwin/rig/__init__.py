@@ -1,8 +1,8 @@
 """Built-in knees: a virtual test rig with synthetic measurements (the default) and a natural knee.
 
-The rig reproduces that of Michaud et al. 2024 as far as it is published. Its measurements are synthetic: a plant that
-differs from the twin and has its own code (`pftwin.rig.plant`) produces them, and they are written and read as
-laboratory files. The natural knee (`knee`) is built from anatomical parameters; its motions and loads are invented.
+The rig reproduces that of Michaud et al. 2024 as far as it is published. Its measurements are synthetic: recordings of
+a plant that differs from the twin and has its own code (`tests/verification/rig_plant`), read as laboratory files. The
+natural knee (`knee`) is built from anatomical parameters; its motions and loads are invented.
 """
 
 from __future__ import annotations

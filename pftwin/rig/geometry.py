@@ -36,6 +36,10 @@ CONTACT_STIFFNESS = 2.0e8  # [N/m^1.5]
 RESTITUTION = 0.5
 DRAG = (3.0, 2.0e-3)  # viscous drag of the lubricated joint [N s/m, N m s/rad]
 
+# Of the plant that the recordings are made of, where it differs from the twin.
+STIFFENING = 0.05  # relative increase of a spring's stiffness at a stretch of a quarter of its length
+MISPLACED = 0.6e-3  # standard deviation of the error in each coordinate of an attachment: about 1 mm in total [m]
+
 GRAVITY = (0.0, 0.0, -9.81)  # in the world, whose z points up; the leg lies supine [m/s^2]
 HIP = (0.40, 0.0, 0.0)  # centre of the hip in the femur frame and, as a fixed point, in the world [m]
 

@@ -25,7 +25,7 @@ from fitting.stiffening import (
     stiffening_tendons,
     working_of,
 )
-from pftwin.rig.plant_parts import Spring
+from tests.verification.rig_plant.plant_parts import Spring
 
 
 def test_a_stiffening_spring_is_the_rigs_own():

@@ -15,9 +15,9 @@ from fitting.demo.straight_springs import (
     stretch_under,
 )
 from pftwin.base.errors import InputError
-from pftwin.rig.geometry import CASES
-from pftwin.rig.plant import STIFFENING, built_springs
-from pftwin.rig.plant_parts import Spring
+from pftwin.rig.geometry import CASES, STIFFENING
+from tests.verification.rig_plant.mechanics import built_springs
+from tests.verification.rig_plant.plant_parts import Spring
 
 K, L0 = 156.0, 0.1432
 MORE = STIFFENING / (0.25 * L0)  # F = K s (1 + MORE s)

@@ -28,6 +28,7 @@ from mutate import Mutant, mutants
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
 PACKAGES = ("pftwin", "fitting")
+MUTATED = (*PACKAGES, "tests/verification/rig_plant")
 _FAILED = re.compile(r"^(?:FAILED|ERROR) (\S+)", re.MULTILINE)
 
 
@@ -48,7 +49,7 @@ def guarded() -> dict[str, list[str]]:
         SystemExit: a module or a test that does not exist.
     """
     tables = tomllib.loads((HERE / "guards.toml").read_text(encoding="utf-8"))
-    known = {".".join(p.relative_to(ROOT).with_suffix("").parts): p for k in PACKAGES for p in (ROOT / k).rglob("*.py")}
+    known = {".".join(p.relative_to(ROOT).with_suffix("").parts): p for k in MUTATED for p in (ROOT / k).rglob("*.py")}
     found: dict[str, list[str]] = {}
     wrong = []
     for table in tables.values():

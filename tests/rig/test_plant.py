@@ -17,16 +17,16 @@ from scipy.integrate import solve_ivp
 
 from pftwin.geometry.patch.implant import rig_implant
 from pftwin.rig import geometry as rig
-from pftwin.rig import plant as plant_module
-from pftwin.rig.plant import BUTTON, FRICTION, STICTION_SPEED, Plant, built_springs, plant_of
-from pftwin.rig.plant_contact import ImplantContact
-from pftwin.rig.plant_parts import Frame, GuidedBones, Spring, cross, matrix
+from tests.verification.rig_plant import mechanics
+from tests.verification.rig_plant.mechanics import BUTTON, FRICTION, STICTION_SPEED, Plant, built_springs, plant_of
+from tests.verification.rig_plant.plant_contact import ImplantContact
+from tests.verification.rig_plant.plant_parts import Frame, GuidedBones, Spring, cross, matrix
 
-FILES = [Path(plant_module.__file__).with_name(f"{name}.py") for name in ("plant", "plant_contact", "plant_parts")]
+FILES = [Path(mechanics.__file__).with_name(f"{name}.py") for name in ("mechanics", "plant_contact", "plant_parts")]
 NUMBERS = {
     "pftwin.rig.geometry",
     "pftwin.geometry.patch.implant",
-    "pftwin.rig.hand",
+    "tests.verification.rig_plant.hand",
 }  # the rig's, the implant's, the hand's
 STILL, NOTHING = np.zeros(3), np.array([1.0, 0, 0, 0])
 R = 0.03  # of a cylinder [m]
@@ -85,9 +85,9 @@ def test_the_plant_has_no_code_of_the_twin():
             for name in names:
                 own = name.split(".")[0] in sys.stdlib_module_names | {"numpy", "scipy"} or ".plant_" in name
                 assert own or name in NUMBERS or name.rpartition(".")[0] in NUMBERS, name
-    run = "import sys, pftwin.rig.plant; print(*sys.modules)"
+    run = "import sys, tests.verification.rig_plant.mechanics; print(*sys.modules)"
     loaded = subprocess.run([sys.executable, "-c", run], capture_output=True, text=True, check=True).stdout.split()
-    assert "pftwin.rig.plant" in loaded
+    assert "tests.verification.rig_plant.mechanics" in loaded
     assert not {"jax", "equinox", "diffrax", "pftwin.dynamics", "pftwin.model", "pftwin.geometry"} & set(loaded)
 
 

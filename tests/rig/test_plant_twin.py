@@ -22,10 +22,10 @@ from pftwin.model.motion import KneeMotion
 from pftwin.model.scene import Scene
 from pftwin.rig import geometry as rig
 from pftwin.rig.cases import effects, patella_body
-from pftwin.rig.hand import hand_motion
-from pftwin.rig.laboratory import FORCE_NOISE, MARKER_NOISE, record
-from pftwin.rig.plant import DISSIPATION, START, built_springs, plant_of
 from pftwin.rig.recording import data_folder
+from tests.verification.rig_plant.hand import hand_motion
+from tests.verification.rig_plant.laboratory import FORCE_NOISE, MARKER_NOISE, record
+from tests.verification.rig_plant.mechanics import DISSIPATION, START, built_springs, plant_of
 
 pytestmark = pytest.mark.slow
 FRAMES = 121  # of case 1: rest, then half of the first flexion

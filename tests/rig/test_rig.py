@@ -16,8 +16,8 @@ from pftwin.results.metrics import validate
 from pftwin.rig import geometry
 from pftwin.rig.cases import recording
 from pftwin.rig.contacts import contact_fit
-from pftwin.rig.hand import hand_motion
 from pftwin.rig.recording import data_folder
+from tests.verification.rig_plant.hand import hand_motion
 
 PAPER_R_SQUARED = {"P2": (91.54, 1.0), "P4": (99.36, 0.1), "P5": (99.71, 0.1)}  # and how near we are
 

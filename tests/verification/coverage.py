@@ -4,7 +4,7 @@
     python tests/verification/coverage.py PLANTS --seeds 13 15 --nuisance rig --method simulations
     python tests/verification/coverage.py PLANTS --seeds 13 15 --nuisance rig oracle --method trained
 
-Each plant (`pftwin.rig.plant`, code of its own) has, drawn by its seed:
+Each plant (`rig_plant`, code of its own) has, drawn by its seed:
 
 - stiffness of both springs times 0.85 to 1.15, slack lengths times 0.98 to 1.02 (uniform);
 - stiffening by 0 to 10 % when stretched by a quarter of the length (uniform);
@@ -46,17 +46,17 @@ from pftwin.model.scene import Scene
 from pftwin.rig import geometry as rig
 from pftwin.rig.cases import scene_of
 from pftwin.rig.contacts import contact_effect
-from pftwin.rig.laboratory import write_recording
-from pftwin.rig.plant import DRAG, MISPLACED, Plant, plant_of
-from pftwin.rig.plant_parts import Spring
 from pftwin.rig.recording import Recording, read_recording
+from tests.verification.rig_plant.laboratory import write_recording
+from tests.verification.rig_plant.mechanics import DRAG, Plant, plant_of
+from tests.verification.rig_plant.plant_parts import Spring
 
 NAMES = ("K1", "L1", "K2", "L2")
 MEASURED = ("times", "center", "quaternion", "contact_force", "tibial_spring_force", "femoral_spring_force")
 BOUNDS = {"K1": 0.5, "L1": 0.3, "K2": 0.5, "L2": 0.3}
 FRICTION, STIFFENING, DRAG_OFF = (0.005, 0.04), 0.1, 0.2  # of plants: from least to most; at most; a share
 ORACLE = fitting.Nuisance(
-    attachments=MISPLACED,
+    attachments=rig.MISPLACED,
     friction=float(np.ptp(FRICTION)) / np.sqrt(12),
     damping=2 * DRAG_OFF / np.sqrt(12),
     stiffening=STIFFENING,
@@ -73,7 +73,7 @@ def drawn_plant(case: int, seed: int) -> tuple[Plant, NDArray]:
     def spring(old: Spring, place: tuple[float, float, float], along: int) -> Spring:
         stiffness, length = old.stiffness * random.uniform(0.85, 1.15), old.slack_length * random.uniform(0.98, 1.02)
         insertion = np.array([along * rig.INSERTION[0], 0.0, rig.INSERTION[2]]) - np.array(rig.CENTER_OF_MASS)
-        end, origin = (np.array(p) + random.normal(0.0, MISPLACED, 3) for p in (insertion, place))
+        end, origin = (np.array(p) + random.normal(0.0, rig.MISPLACED, 3) for p in (insertion, place))
         return Spring(stiffness, length, rig.DAMPING_TIME * stiffness, end, origin, stiffening)
 
     built = rig.CASES[case]

@@ -21,8 +21,8 @@ from fitting.uncertainty import NORMAL_95, inverse_information
 from pftwin.base.arrays import Floats
 from pftwin.model.measured import Measured
 from pftwin.model.scene import Scene
-from pftwin.rig.laboratory import FORCE_NOISE, MARKER_NOISE
 from tests.benchmarks.row import Row
+from tests.verification.rig_plant.laboratory import FORCE_NOISE, MARKER_NOISE
 
 TRUE = np.array([1.10, 0.97, 0.92, 1.02])  # true springs, as multiples of the nominal ones
 MOTIONS = {"case 2, which dislocates": 2, "case 1, which tracks": 1}

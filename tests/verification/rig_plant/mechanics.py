@@ -19,14 +19,12 @@ from scipy.optimize import root
 from scipy.spatial.transform import Rotation
 
 from pftwin.rig import geometry as rig
-from pftwin.rig.plant_contact import ImplantContact
-from pftwin.rig.plant_parts import Frame, GuidedBones, Spring, cross, matrix, product
+from tests.verification.rig_plant.plant_contact import ImplantContact
+from tests.verification.rig_plant.plant_parts import Frame, GuidedBones, Spring, cross, matrix, product
 
 FRICTION = 0.02  # coefficient of the lubricated contact
 STICTION_SPEED = 2e-3  # slip speed below which friction fades to zero [m/s]
 DISSIPATION = 1.0  # alpha of the contact law [s/m]
-STIFFENING = 0.05  # relative increase of a spring's stiffness at a stretch of a quarter of its length
-MISPLACED = 0.6e-3  # standard deviation of the error in each coordinate of an attachment: about 1 mm in total [m]
 DRAG = 1.1 * rig.DRAG[0], 0.9 * rig.DRAG[1]  # [N s/m, N m s/rad]
 TOLERANCE = 1e-8  # of the integrator, relative and absolute
 BUTTON = -np.array(rig.CENTER_OF_MASS)  # centre of the button's sphere relative to the centre of mass [m]
@@ -154,7 +152,7 @@ class Plant:
 def plant_of(case: int) -> tuple[Plant, NDArray]:
     """Returns the plant that produces a case's measurements, and the times of the rig's frames [s]."""
     from pftwin.geometry.patch.implant import rig_implant
-    from pftwin.rig.hand import hand_motion
+    from tests.verification.rig_plant.hand import hand_motion
 
     hand = hand_motion(case)
     bones = GuidedBones(hand[0].times, *((bone.positions, bone.quaternions) for bone in hand))
@@ -164,7 +162,7 @@ def plant_of(case: int) -> tuple[Plant, NDArray]:
 
 
 def built_springs(
-    case: rig.RigCase, misplaced: float = MISPLACED, stiffening: float = STIFFENING
+    case: rig.RigCase, misplaced: float = rig.MISPLACED, stiffening: float = rig.STIFFENING
 ) -> tuple[Spring, ...]:
     """Returns quadriceps and patellar tendon with the attachment errors of the plant, the same in all cases."""
     random = np.random.default_rng(7)

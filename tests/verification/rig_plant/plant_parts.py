@@ -1,4 +1,4 @@
-"""Parts of the plant (`pftwin.rig.plant`): springs, moving frames, and bones with prescribed motion."""
+"""Parts of the plant (`mechanics`): springs, moving frames, and bones with prescribed motion."""
 
 from __future__ import annotations
 

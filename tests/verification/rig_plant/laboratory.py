@@ -1,6 +1,7 @@
 """The virtual laboratory: converts the plant's simulated motion to the files that a real laboratory records.
 
-`python -m pftwin.rig.laboratory [FOLDER]` regenerates the files in `data/` (some minutes). All data are synthetic.
+`python -m tests.verification.rig_plant.laboratory [FOLDER]` regenerates the files in `pftwin/rig/data/` (some
+minutes). All data are synthetic.
 """
 
 from __future__ import annotations
@@ -20,9 +21,9 @@ from pftwin.files.mocap.trc import write_trc
 from pftwin.geometry.mesh.mesh import save_mesh
 from pftwin.geometry.patch.implant import rig_implant
 from pftwin.rig import geometry as rig
-from pftwin.rig.hand import hand_motion
-from pftwin.rig.plant import run_plant
 from pftwin.rig.recording import FORCES, IMPLANT_FILE, data_folder
+from tests.verification.rig_plant.hand import hand_motion
+from tests.verification.rig_plant.mechanics import run_plant
 
 FINE = 6e-6  # chordal deviation of the implant's mesh, as in the paper's FM [m]
 MARKER_NOISE = 0.2e-3  # standard deviation of white noise on each coordinate [m]

@@ -16,17 +16,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from fitting.demo.straight_springs import (
-    PATELLAR_TENDON,
-    QUADRICEPS,
-    StraightSpring,
-    nearest_line,
-    recorded_line,
-    recorded_pulls,
-)
+from fitting.demo.straight_springs import PATELLAR_TENDON, QUADRICEPS, StraightSpring, nearest_line, recorded_pulls
 from fitting.fit import SPRING_PARAMETERS, fit_tendons
-from fitting.methods.problem import Problem
-from fitting.objective import Objective
 from fitting.parameters import free_parameters
 from fitting.training import train_posterior
 from pftwin.base.errors import PftwinError
@@ -40,8 +31,7 @@ if TYPE_CHECKING:
 
 PATHOLOGY, TREATMENT = 2, 1  # cases of the rig
 CASES = (PATHOLOGY, TREATMENT)
-NOMINAL, LINES = "nominal", "straight lines"
-PAPERS = "paper"
+NOMINAL, PAPERS = "nominal", "paper"
 LEARNED = {"positions": ("position",), "force": ("position", "quadriceps")}  # fits by simulations: their channels
 FITS = (PAPERS, *LEARNED)
 SURFACE = "spline"  # for fits by simulations, as exact as the implant's mesh; the paper's fit uses P5
@@ -81,24 +71,13 @@ class Run(NamedTuple):
         one, other = self.predicted, self.measured
         return bool(one.events) == bool(other.events) and one.re_engaged == other.re_engaged
 
-    @property
-    def objective(self) -> float:
-        """The paper's objective: the sum of the root mean square errors in X, Y and Z [mm]."""
-        v = self.validation
-        assert v.x is not None
-        assert v.y is not None
-        assert v.z is not None
-        return v.x + v.y + v.z
-
 
 @dataclass(frozen=True, eq=False)
 class PaperStudy:
     """Fits, and simulations of both cases with several springs."""
 
-    compiling: float  # time to compile the paper's fit [s]
     fits: dict[str, Estimate]  # by name, see `FITS`
-    nearest: dict[str, StraightSpring]  # lines nearest to the plant's law, by spring
-    recorded: dict[str, StraightSpring]  # lines through recorded forces and lengths, by spring
+    lines: dict[str, StraightSpring]  # straight lines nearest to the plant's springs, by spring
     runs: dict[str, dict[int, Run]]  # by springs and case
 
     @property
@@ -106,22 +85,14 @@ class PaperStudy:
         """K1, L1, K2, L2 as published."""
         return self.fits[PAPERS].nominal
 
-    def springs(self, fit: str) -> np.ndarray:
-        """Spring parameters of a fit."""
-        return self.fits[fit].values[: self.fits[fit].asked]
+    @property
+    def line(self) -> np.ndarray:
+        """K1, L1, K2, L2 of the straight lines."""
+        return np.array([v for name in (QUADRICEPS, PATELLAR_TENDON) for v in self.lines[name][:2]])
 
-    def errors(self, fit: str) -> np.ndarray:
-        """Errors of a fit's springs from the nominal ones [%]."""
-        return 100 * (self.springs(fit) / self.nominal - 1)
-
-    def errors_of_line(self, fit: str) -> np.ndarray:
-        """Errors of a fit's springs from the straight lines nearest to the plant's [%]."""
-        return 100 * (self.springs(fit) / values_of(self.nearest) - 1)
-
-
-def values_of(lines: dict[str, StraightSpring]) -> np.ndarray:
-    """K1, L1, K2, L2 of the lines."""
-    return np.array([v for name in (QUADRICEPS, PATELLAR_TENDON) for v in lines[name][:2]])
+    def errors(self, fit: str, truth: np.ndarray) -> np.ndarray:
+        """Errors of a fit's springs from others (4,) [%]."""
+        return 100 * (self.fits[fit].values[: self.fits[fit].asked] / truth - 1)
 
 
 def paper_study(
@@ -138,11 +109,11 @@ def paper_study(
     """
     from pftwin import rig
 
-    of = 3 + 2 * len(LEARNED)
+    of = 2 + 2 * len(LEARNED)
 
     def learned(k: int, fit: str) -> Estimate:
         """The k-th fit by simulations, which are a step of the work, and so is learning from them."""
-        letter, before = "BC"[k], 2 + 2 * k
+        letter, before = "BC"[k], 1 + 2 * k
 
         def tell(done: int, whole: int) -> None:
             words = f"simulating {whole:,} knees" if done < whole else f"learning from {whole:,} knees"
@@ -151,24 +122,20 @@ def paper_study(
         tell(0, simulations)
         return learned_fit(fit, simulations, tell)
 
-    progress(0, of, "fit A: compiling")
-    compiling = compile_fit()
+    progress(0, of, "fit A: by the paper's objective")
     scene, measured = rig.case(PATHOLOGY), rig.measured(PATHOLOGY)
-    progress(1, of, "fit A: by the paper's objective")
     found = fit_tendons(scene, measured, objective="paper", free=SPRING_PARAMETERS, **options)
     if found.reason.startswith("interrupted"):
         raise KeyboardInterrupt
     fits = {PAPERS: found} | {fit: learned(k, fit) for k, fit in enumerate(LEARNED)}
-    pulls = recorded_pulls(PATHOLOGY)
-    nearest = {name: nearest_line(pull) for name, pull in pulls.items()}
-    recorded = {name: recorded_line(pull) for name, pull in pulls.items()}
+    lines = {name: nearest_line(pull) for name, pull in recorded_pulls(PATHOLOGY).items()}
     progress(of - 1, of, f"simulating cases {PATHOLOGY} and {TREATMENT}")
-    alone = {PAPERS: found.values, NOMINAL: found.nominal, LINES: values_of(nearest)}
+    alone = {PAPERS: found.values, NOMINAL: found.nominal}
     runs = {s: {n: simulated(n, s, with_springs(rig.case(n), theta), dt) for n in CASES} for s, theta in alone.items()}
     for fit in LEARNED:
         knees = {n: fits[fit].apply(rig.case(n, contact=SURFACE)) for n in CASES}
         runs[fit] = {n: simulated(n, fit, knee, dt) for n, knee in knees.items()}
-    return PaperStudy(compiling, fits, nearest, recorded, runs)
+    return PaperStudy(fits, lines, runs)
 
 
 def learned_fit(fit: str, simulations: int, progress: Callable[[int, int], None]) -> Estimate:
@@ -183,21 +150,8 @@ def learned_fit(fit: str, simulations: int, progress: Callable[[int, int], None]
     return replace(found, seconds=time.perf_counter() - began)
 
 
-def compile_fit() -> float:
-    """Compiles the program of the paper's fit by evaluating the nominal springs; returns the time it took [s]."""
-    from pftwin import rig
-
-    scene, measured = rig.case(PATHOLOGY), rig.measured(PATHOLOGY)
-    began = time.perf_counter()
-    problem = Problem.of([scene], [free_parameters(scene, SPRING_PARAMETERS)], Objective.of(scene, measured))
-    problem.evaluator.prepare(None)  # as least squares does: every evaluation has derivatives
-    problem.prediction(problem.parameters.nominal, problem.evaluator.fine)
-    return time.perf_counter() - began
-
-
 def with_springs(scene: Scene, theta: np.ndarray) -> Scene:
     """The scene with K1, L1, K2, L2 = theta (4,) [N/m, m]. Raises InputError for values that no spring can have."""
-
     return free_parameters(scene, SPRING_PARAMETERS).apply(scene, jnp.asarray(theta, dtype=float))
 
 

@@ -6,21 +6,17 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from fitting.demo.cases import write_csv
 from fitting.demo.paper_study import (
     CASES,
     FITS,
     LEARNED,
-    LINES,
     NOMINAL,
     PAPER,
     PAPERS,
     PATHOLOGY,
     TREATMENT,
     PaperStudy,
-    values_of,
 )
 from pftwin.base.quantities import as_read
 from pftwin.dynamics.status import status_facts
@@ -34,23 +30,21 @@ SPRINGS = {
     "positions": "fitted by simulations",
     "force": "fitted by simulations, and one force",
     NOMINAL: "nominal",
-    LINES: "straight lines",
 }
 
 
 def table_2(study: PaperStudy) -> Iterator[dict[str, Any]]:
-    """Errors of the fitted springs, the time of the fit, and both cases' errors against the measurements.
+    """Errors of the fitted springs, the fit's time with compiling, and both cases' errors against the measurements.
 
     A row has its name ("row") and "unit"; "case2_by_paper" and the like for all cases and fits; "case2_published" and
     "case1_published". Values that do not exist are None.
     """
-    fitted = {fit: study.errors(fit) for fit in FITS}
+    fitted = {fit: study.errors(fit, study.nominal) for fit in FITS}
     for i, name in enumerate(study.fits[PAPERS].names):  # the paper's fit has springs alone
         errors = {(PATHOLOGY, fit): float(fitted[fit][i]) for fit in FITS}
         yield _row(f"{name} error of nominal", "%", errors, {PATHOLOGY: PAPER.errors[name]})
     seconds = {(PATHOLOGY, fit): study.fits[fit].seconds for fit in FITS}
-    yield _row("time of the fit (B, C: with compiling)", "s", seconds, {PATHOLOGY: PAPER.seconds})
-    yield _row("compiling before the paper's", "s", {(PATHOLOGY, PAPERS): study.compiling}, {})
+    yield _row("time of the fit, with compiling", "s", seconds, {PATHOLOGY: PAPER.seconds})
     rows = {(n, fit): study.runs[fit][n].validation.to_rows() for n in CASES for fit in FITS}
     for i, row in enumerate(rows[PATHOLOGY, PAPERS]):
         values = {at: column[i].value for at, column in rows.items()}
@@ -71,12 +65,12 @@ def spring_rows(study: PaperStudy, fit: str) -> Iterator[dict[str, Any]]:
     "low" and "high" are the ends of the 95 % interval, and "covered" states which of the two it contains; errors are in
     percent, "error" of the nominal value, "paper_error" without its sign and only for the paper's fit.
     """
-    found, lines = study.fits[fit], values_of(study.nearest)
-    errors, errors_of_line = study.errors(fit), study.errors_of_line(fit)
+    found, line = study.fits[fit], study.line
+    errors, errors_of_line = study.errors(fit, study.nominal), study.errors(fit, line)
     for i, name in enumerate(found.names[: found.asked]):
         scale, unit = as_read(found.units[i])
         low, high = found.intervals[i]
-        truths = {"nominal": found.nominal[i], "line": lines[i]}
+        truths = {"nominal": found.nominal[i], "line": line[i]}
         numbers = {**truths, "fitted": found.values[i], "low": low, "high": high}
         yield {
             "name": name,
@@ -104,29 +98,16 @@ def outcome_rows(study: PaperStudy) -> Iterator[dict[str, Any]]:
 
 def notes(study: PaperStudy) -> Iterator[str]:
     """What the errors mean, one paragraph each."""
-    names = study.fits[PAPERS].names
-    nearest, recorded = (100 * (values_of(v) / study.nominal - 1) for v in (study.nearest, study.recorded))
-    off = " and ".join(f"{line.misfit:.2f} N" for line in study.nearest.values())
+    more = zip(study.fits[PAPERS].names, 100 * (study.line / study.nominal - 1), strict=True)
+    off = " and ".join(f"{line.misfit:.2f} N" for line in study.lines.values())
     yield (
         "What the errors mean: against the nominal values, as the paper counts them. But the springs of the plant that "
         "makes the measurements stiffen, so a twin with straight ones need not find the nominal values: over the "
         f"forces recorded in case {PATHOLOGY} the straight lines nearest to the plant's springs (off by {off} rms) "
-        f"have {_shares(names, nearest)} against nominal."
+        f"have {', '.join(f'{name} {percent:+.1f} %' for name, percent in more)} against nominal. Slack lengths shift "
+        f"too, since the plant's attachments are misplaced by {1e3 * MISPLACED:.1f} mm (standard deviation of each "
+        "coordinate)."
     )
-    yield (
-        f"Slack lengths shift too since the plant's attachments are misplaced by {1e3 * MISPLACED:.1f} mm (standard "
-        "deviation of each coordinate): lines through the recorded forces over the lengths between the twin's "
-        f"attachments have {_shares(names, recorded)}."
-    )
-    sums = {springs: run[PATHOLOGY].objective for springs, run in study.runs.items()}
-    listed = ", ".join(f"{value:.1f} mm {SPRINGS[springs]}" for springs, value in sums.items())
-    least = (
-        " So the search did not miss the straight lines: other springs come closer. What else the twin lacks "
-        "(the plant's smooth trochlea, its friction, its attachments) can do that."
-    )
-    least = least if sums[PAPERS] < sums[LINES] else ""
-    about = f"Sum of the errors in X, Y and Z in case {PATHOLOGY}, which the paper's fit makes least by springs alone"
-    yield f"{about}: {listed}.{least}"
     for fit in LEARNED:
         found = study.fits[fit]
         used = " and ".join(found.channels)
@@ -142,23 +123,16 @@ def notes(study: PaperStudy) -> Iterator[str]:
             yield f"The fit '{SPRINGS[fit]}' ended: {found.reason}{bounds}."
 
 
-def _shares(names: tuple[str, ...], percents: np.ndarray) -> str:
-    return ", ".join(f"{n} {p:+.1f} %" for n, p in zip(names, percents, strict=True))
-
-
 def facts(study: PaperStudy) -> dict[str, Any]:
     """Plain values, for JSON."""
-    lines = {"nearest": study.nearest, "recorded": study.recorded}
     return {
         "label": study.fits[PAPERS].source,
         "synthetic": study.fits[PAPERS].synthetic,
         "pathology": PATHOLOGY,
         "treatment": TREATMENT,
-        "compiling_s": study.compiling,
         "table2": list(table_2(study)),
         "springs": {fit: list(spring_rows(study, fit)) for fit in FITS},
-        "straight_lines": {k: {name: line._asdict() for name, line in v.items()} for k, v in lines.items()},
-        "objective_mm": {s: {n: run.objective for n, run in runs.items()} for s, runs in study.runs.items()},
+        "straight_lines": {name: line._asdict() for name, line in study.lines.items()},
         "runs": {s: {n: status_facts(run.result.flags) for n, run in runs.items()} for s, runs in study.runs.items()},
         "outcomes": list(outcome_rows(study)),
         "published_outcomes": PAPER.outcomes,

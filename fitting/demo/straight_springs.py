@@ -87,12 +87,3 @@ def nearest_line(pull: Pull) -> StraightSpring:
     """The line nearest to the law of the plant's spring over the recorded forces, each as often as it occurs."""
     stiffness, slack = float(pull.spring.stiffness), float(pull.spring.slack_length)
     return straight_line(slack + stretch_under(pull.forces, stiffness, slack), pull.forces)
-
-
-def recorded_line(pull: Pull) -> StraightSpring:
-    """The line through the recorded forces over the recorded lengths: the result of a calibration on the rig.
-
-    The plant's attachments are misplaced, so its springs are longer or shorter than the twin's. The slack length shifts
-    accordingly, unlike that of `nearest_line`.
-    """
-    return straight_line(pull.lengths, pull.forces)

@@ -154,7 +154,7 @@ def test_import_shows_its_stages(screen, monkeypatch, tmp_path):
 
 
 def test_the_fits_of_the_demo_show_how_far_they_are(screen, monkeypatch, tmp_path):
-    """Three fits in seven steps; each by simulations has two, of which half of the first is done."""
+    """Three fits in six steps; each by simulations has two, of which half of the first is done."""
     from fitting.demo import paper_study
 
     def half(*_: Any, progress: Any, **options: Any) -> None:
@@ -162,9 +162,8 @@ def test_the_fits_of_the_demo_show_how_far_they_are(screen, monkeypatch, tmp_pat
         raise KeyboardInterrupt
 
     monkeypatch.setattr("fitting.demo.cases.run_demo", lambda folder, shown, full: ({"figures": []}, []))
-    monkeypatch.setattr(paper_study, "compile_fit", lambda: 1.0)
     monkeypatch.setattr(paper_study, "fit_tendons", lambda *_, **options: SimpleNamespace(reason="converged"))
     monkeypatch.setattr(paper_study, "train_posterior", half)
     done = CliRunner().invoke(app, ["demo", "--out", str(tmp_path / "demo")])
     assert done.exit_code == 130, done.output
-    assert any(line.startswith("fit B: simulating 2,048 knees") and "2 of 7" in line for line in lines(screen))
+    assert any(line.startswith("fit B: simulating 2,048 knees") and "1 of 6" in line for line in lines(screen))

@@ -4,13 +4,12 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pftwin.base.output import written_whole
-from pftwin.base.sheet import Sheet
+from pftwin.base.sheet import Column, Sheet, to_csv
+from pftwin.base.text_files import write_text
 
 if TYPE_CHECKING:
     from pftwin.results.metrics import Validation, ValidationRow
@@ -164,9 +163,6 @@ def number_cell(value: float | None, *, signed: bool = False) -> str:
 
 
 def write_csv(path: Path, rows: Sequence[dict[str, Any]]) -> Path:
-    """Writes a table, complete or not at all (OutputError): numbers with six digits, and empty cells for None."""
-    with written_whole(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
-        writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows({k: f"{v:.6g}" if isinstance(v, float) else v for k, v in row.items()} for row in rows)
+    """Writes a table, complete or not at all (OutputError), as `to_csv` does."""
+    write_text(path, to_csv([Column(name, [row[name] for row in rows]) for name in rows[0]]))
     return path

@@ -145,7 +145,7 @@ class Column(NamedTuple):
 
 
 def to_csv(columns: Sequence[Column]) -> str:
-    """Returns CSV text with units in the column names; NaN becomes an empty cell."""
+    """Returns CSV text; numbers have six digits, NaN and None become empty cells."""
     text = io.StringIO()
     sheet = csv.writer(text, lineterminator="\n")
     sheet.writerow([c.key for c in columns])
@@ -155,7 +155,7 @@ def to_csv(columns: Sequence[Column]) -> str:
 
 def _cell(value: Any) -> str:
     if not isinstance(value, float):
-        return str(value)
+        return "" if value is None else str(value)
     return "" if math.isnan(value) else f"{value:.6g}"
 
 

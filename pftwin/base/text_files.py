@@ -10,7 +10,7 @@ import json
 import os
 import stat
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -174,20 +174,30 @@ def write_json_file(path: str | os.PathLike[str], value: Any) -> None:
     Raises:
         OutputError: the place cannot be written to.
     """
-    write_text(path, json.dumps(_written_numbers(value), indent=2, allow_nan=False) + "\n")
+    write_text(path, json_text(value, lambda x: "NaN" if np.isnan(x) else "Infinity" if x > 0 else "-Infinity"))
 
 
 _NOT_FINITE = {"NaN": np.nan, "Infinity": np.inf, "-Infinity": -np.inf}
 
 
-def _written_numbers(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _written_numbers(own) for key, own in value.items()}
-    if isinstance(value, list | tuple):
-        return [_written_numbers(own) for own in value]
-    if isinstance(value, float) and not np.isfinite(value):
-        return "NaN" if np.isnan(value) else "Infinity" if value > 0 else "-Infinity"
-    return value
+def json_text(value: Any, not_finite: Callable[[float], str | None]) -> str:
+    """A value as JSON: arrays and sequences as lists, what JSON has no type for as text.
+
+    `not_finite` gives what stands in place of a number that is not finite, for which JSON has no form.
+    """
+
+    def plain(value: Any) -> Any:
+        if isinstance(value, Mapping):
+            return {str(key): plain(own) for key, own in value.items()}
+        if hasattr(value, "tolist"):
+            return plain(value.tolist())
+        if isinstance(value, float):
+            return value if np.isfinite(value) else not_finite(value)
+        if isinstance(value, str | int | bool) or value is None:
+            return value
+        return [plain(own) for own in value] if isinstance(value, Sequence) else str(value)
+
+    return json.dumps(plain(value), indent=2, allow_nan=False) + "\n"
 
 
 def restored_numbers(value: Any) -> Any:

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import json
-import math
 import os
 import sys
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -212,25 +210,10 @@ def write_json(value: Any, to: str | None) -> None:
     """Writes JSON to a file, to stdout ("-"), or nowhere (None); numbers that are not finite become null."""
     if to is None:
         return
-    text = json.dumps(_plain(value), indent=2, allow_nan=False) + "\n"
+    from pftwin.base.text_files import json_text, write_text
+
+    text = json_text(value, lambda _: None)
     if to == "-":
         sys.stdout.write(text)
-        return
-    from pftwin.base.text_files import write_text
-
-    write_text(to, text)
-
-
-def _plain(value: Any) -> Any:
-    """Converts a value to types that JSON supports."""
-    if isinstance(value, Mapping):
-        return {str(k): _plain(v) for k, v in value.items()}
-    if hasattr(value, "tolist"):
-        return _plain(value.tolist())
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, str | int | bool) or value is None:
-        return value
-    if isinstance(value, Sequence):
-        return [_plain(v) for v in value]
-    return str(value)
+    else:
+        write_text(to, text)

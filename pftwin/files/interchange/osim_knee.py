@@ -14,7 +14,7 @@ import numpy as np
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.files.interchange.osim_document import OsimFrame
-from pftwin.files.interchange.osim_model import LeftOut, Mesh, OsimModel, plain_name
+from pftwin.files.interchange.osim_model import LeftOut, Mesh, OsimModel, loose_name, plain_name
 from pftwin.geometry.mesh.files import read_triangles
 from pftwin.geometry.mesh.mesh import SurfaceMesh
 
@@ -102,7 +102,7 @@ class Written(NamedTuple):
 
 
 def load_mesh(mesh: Mesh, knee: OsimKnee, places: list[Path]) -> Written:
-    """Loads a mesh of one of the knee's bones from the model's folder, its subfolder Geometry, or other `places`.
+    """Loads a mesh of one of the knee's bones from the model's folder, its subfolder geometry, or other `places`.
 
     Raises InputError for no such file, an unreadable file, and a mesh on another body.
     """
@@ -135,17 +135,27 @@ def bones(knee: OsimKnee, places: list[Path], taken: set[str], left: list[LeftOu
 def _mesh_file(mesh: Mesh, home: Path, places: list[Path]) -> Path:
     """Finds a mesh's file by the last part of its name only, since a model must not choose where to read.
 
-    Models often come from systems that ignore case: "Patella.stl" also matches "patella.stl" if that is unambiguous.
+    Models often come from systems that ignore case, and downloads rename files: an exact name comes first, then one
+    that differs in case alone, then one that differs in dots, underscores, blanks or hyphens too.
     """
     name = mesh.file.replace("\\", "/").rpartition("/")[2]
     if not name:
         raise InputError(f"{mesh.name!r} names no file", where=mesh.where)
-    folders = [home, home / "Geometry", *places]
-    if same := next((folder / name for folder in folders if (folder / name).is_file()), None):
-        return same
-    for folder in folders:
-        alike = [f for f in folder.glob("*") if f.name.lower() == name.lower()] if folder.is_dir() else []
-        if len(alike) == 1 and alike[0].is_file():
-            return alike[0]
-    looked = ", ".join(str(f) for f in folders)
+    own = sorted(f for f in home.glob("*") if f.name.lower() == "geometry" and f.is_dir())
+    folders = [home, *own, *places]
+    files = [sorted(f for f in folder.glob("*") if f.is_file()) for folder in folders if folder.is_dir()]
+    for plain in (str, str.lower, loose_name):
+        for held in files:
+            alike = [f for f in held if plain(f.name) == plain(name)]
+            if len(alike) > 1:
+                several = ", ".join(f.name for f in alike)
+                raise InputError(
+                    f"no mesh {name!r}, and several that it may be: {several}",
+                    where=mesh.where,
+                    expected=f"one in {alike[0].parent}",
+                    remedy="remove or rename the others",
+                )
+            if alike:
+                return alike[0]
+    looked = ", ".join(str(f) for f in (folders if own else [home, home / "Geometry", *places]))
     raise InputError(f"no mesh {name!r}", where=mesh.where, expected=f"in {looked}", remedy="--geometry FOLDER")

@@ -7,7 +7,6 @@ centres, determined from the markers of pelvis and tibia, can be used as markers
 from __future__ import annotations
 
 import os
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
@@ -20,7 +19,7 @@ from pftwin.base.text_files import refuse_repeated
 from pftwin.files.interchange.osim_document import GROUND, Element, OsimFrame, read_xml
 from pftwin.files.interchange.osim_joints import Joint
 from pftwin.files.interchange.osim_knee import OsimKnee
-from pftwin.files.interchange.osim_model import LeftOut
+from pftwin.files.interchange.osim_model import LeftOut, loose_name
 from pftwin.files.interchange.osim_motion import tree_joint
 from pftwin.files.mocap import MarkerTrajectories, segment_poses
 
@@ -80,11 +79,11 @@ def recorded_names(markers: Sequence[OsimMarker], recorded: Sequence[str], where
     """
     alike: dict[str, list[str]] = {}
     for name in recorded:
-        alike.setdefault(_plain(name), []).append(name)
+        alike.setdefault(loose_name(name), []).append(name)
     found: dict[str, str] = {}
     meant: dict[str, str] = {}
     for marker in markers:
-        names = [marker.name] if marker.name in recorded else alike.get(_plain(marker.name), [])
+        names = [marker.name] if marker.name in recorded else alike.get(loose_name(marker.name), [])
         if len(names) > 1:
             several = f"{marker.name!r} of the model may be {' or '.join(map(repr, names))}"
             raise InputError(several, where=where, expected="one")
@@ -102,10 +101,6 @@ def recorded_names(markers: Sequence[OsimMarker], recorded: Sequence[str], where
             remedy="--markers FILE.xml with the marker set of this recording",
         )
     return found
-
-
-def _plain(name: str) -> str:
-    return re.sub(r"[._\s-]", "", name).casefold()
 
 
 class Center(NamedTuple):

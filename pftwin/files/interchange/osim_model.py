@@ -195,3 +195,8 @@ def plain_name(name: str) -> str:
     """Converts a name to one that is valid in a scene file, in lower case."""
     words = re.sub(r"[^A-Za-z0-9_]+", "_", name).strip("_").lower()
     return words if words[:1].isalpha() else f"part_{words}"
+
+
+def loose_name(name: str) -> str:
+    """A name without dots, underscores, blanks, hyphens and case, in which files of one subject often differ."""
+    return re.sub(r"[._\s-]", "", name).casefold()

@@ -94,7 +94,7 @@ def import_osim(
             activations and the lengths of the paths.
         side: "right" or "left"; None: by the end of the patella's name.
         femur, tibia, patella: names of bodies, if they cannot be found automatically.
-        geometry: additional folders with meshes, besides the model's and `Geometry` in it.
+        geometry: additional folders with meshes, besides the model's and `geometry` in it.
         markers: file with the <MarkerSet> of a recording of markers; None: the model's own.
         units: unit of length of a recording of markers that does not state it.
         without: markers to leave out, by the recording's or the model's names.

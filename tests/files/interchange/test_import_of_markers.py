@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -339,12 +338,9 @@ def test_a_persons_gait(dm_knee: Path, tmp_path: Path) -> None:
 @pytest.mark.filterwarnings("ignore:.*DM_smooth1_new")
 def test_a_persons_patella_goes_up_and_down_with_the_knee(dm_knee: Path, tmp_path: Path) -> None:
     """Half a second of gait from the files to the comparison, as docs/bring_your_own_knee.md does with all of it."""
-    meshes = {"femoral_component": "Femoral Component", "patellar_button": "Patellar Button"}
-    for file, name in meshes.items():
-        shutil.copy(dm_knee / f"{file}_contact.stl", tmp_path / f"{name} contact.stl")
     scene, told = tmp_path / "gait" / "scene.toml", tmp_path / "told.json"
     runner, options = CliRunner(), ["--side", "right", "--joint-centers", "--without", "R_Thigh_Lateral"]
-    files = [str(dm_knee / "DM.osim"), "--motion", str(dm_knee / "DM_smooth1_new.trc"), "--geometry", str(tmp_path)]
+    files = [str(dm_knee / "DM.osim"), "--motion", str(dm_knee / "DM_smooth1_new.trc")]
     command = ["import", *files, *options, "--quadriceps", "200", "-o", str(tmp_path / "gait")]
     done = runner.invoke(app, ["--allow", "most_marker_residual_mm=20", *command])
     assert done.exit_code == 0, done.output

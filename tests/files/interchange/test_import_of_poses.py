@@ -115,7 +115,7 @@ def test_a_scene_file_takes_such_poses_with_their_rate(tmp_path):
 @pytest.mark.filterwarnings("ignore:.*the header says nrows=48")
 def test_a_living_knee_is_a_scene_with_its_measurements(healthy_knee, tmp_path):
     recording = healthy_knee / "passive_body_transformations.sto"
-    options = ["--side", "right", "--geometry", str(healthy_knee / "geometry"), "--motion", str(recording)]
+    options = ["--side", "right", "--motion", str(recording)]
     command = ["import", str(healthy_knee / "lenhart2015.osim"), *options, "--rate", "30", "-o", str(tmp_path / "knee")]
     done = CliRunner().invoke(app, [*command, "--quadriceps", "40"])
     assert done.exit_code == 0, done.output

@@ -145,6 +145,31 @@ def test_the_case_of_a_files_name_does_not_matter(tmp_path):
     (folder / "FEMUR.stl").write_bytes((folder / "femur.stl").read_bytes())
     why = {part.name: part.why for part in import_osim(path, tmp_path / "other").left_out}
     assert "no mesh 'Femur.STL'" in why["pf_contact"]
+    assert "several that it may be: FEMUR.stl, femur.stl" in why["pf_contact"]
+
+
+@pytest.mark.parametrize("name", ["Geometry", "geometry", "GEOMETRY"])
+def test_the_case_of_the_folder_of_meshes_does_not_matter(tmp_path, name):
+    path = write_knee(tmp_path / "model")
+    (tmp_path / "model" / name).mkdir()
+    for mesh in (tmp_path / "model").glob("*.stl"):
+        mesh.rename(tmp_path / "model" / name / mesh.name)
+    told = import_osim(path, tmp_path / "scene")
+    assert any(p.name == "femur_cartilage.stl" for p in told.files)
+    assert not any("no mesh" in part.why for part in told.left_out)
+
+
+def test_blanks_and_underscores_in_a_files_name_do_not_matter(tmp_path):
+    """Downloads rename files; a name that differs in case alone comes first, and of two alike none is taken."""
+    folder = tmp_path / "model"
+    path = write_knee(folder, model().replace(">femur.stl<", ">Femoral Component.stl<"))
+    (folder / "femur.stl").rename(folder / "femoral_component.stl")
+    assert any(p.name == "femur_cartilage.stl" for p in import_osim(path, tmp_path / "scene").files)
+    (folder / "femoral-component.stl").write_bytes(b"not a mesh")
+    why = {part.name: part.why for part in import_osim(path, tmp_path / "other").left_out}
+    assert "several that it may be: femoral-component.stl, femoral_component.stl" in why["pf_contact"]
+    (folder / "femoral_component.stl").rename(folder / "femoral component.stl")
+    assert any(p.name == "femur_cartilage.stl" for p in import_osim(path, tmp_path / "third").files)
 
 
 def test_strands_that_cannot_wrap_are_told_in_one_line(tmp_path):

@@ -58,7 +58,8 @@ def find_knee(model: OsimModel, side: str | None = None, **named: str | None) ->
     """Finds the knee's bodies, unless the caller names them, by their names and the joints between them.
 
     The side is "right" or "left"; None: by the end of the patella's name, else right. Raises InputError for an unknown
-    body, and for no or several candidates for patella, femur or tibia.
+    body, and for no or several candidates for patella, femur or tibia. A body whose name ends with the other side is
+    none, unless it is named.
     """
     tree, file = model.tree, model.root.file
     if side is not None and side not in SIDES:
@@ -68,10 +69,15 @@ def find_knee(model: OsimModel, side: str | None = None, **named: str | None) ->
             known = ", ".join(sorted(model.bodies))
             raise InputError(f"no body is called {name!r}", where=f"{file}, --{part}", expected=f"one of: {known}")
 
-    def by_name(part: str, names: Iterable[str]) -> str:
+    def by_name(part: str, names: Iterable[str], side: str | None) -> str:
         found = [n for n in names if part in n.lower()]
         if side is not None:
-            found = [n for n in found if n.lower().endswith(SIDES[side])] or found
+            other = next(s for s in SIDES if s != side)
+            may = [n for n in found if not n.lower().endswith(SIDES[other])]
+            if found and not may:
+                only = f"no {part} of the {side} side, only: {', '.join(found)}"
+                raise InputError(only, where=file, remedy=f"--{part} NAME, or --side {other}")
+            found = [n for n in may if n.lower().endswith(SIDES[side])] or may
         if len(found) != 1:
             raise InputError(
                 f"{len(found)} bodies may be the {part}: {', '.join(found)}" if found else f"no body is called {part}",
@@ -81,16 +87,16 @@ def find_knee(model: OsimModel, side: str | None = None, **named: str | None) ->
             )
         return found[0]
 
-    patella = named.get("patella") or by_name("patella", model.bodies)
+    patella = named.get("patella") or by_name("patella", model.bodies, side)
+    side = side or next((s for s, end in SIDES.items() if patella.lower().endswith(end)), None)
     if patella not in tree.joints:
         raise InputError(f"no joint carries {patella!r}", where=file, remedy="--patella NAME")
     carrier = tree.joints[patella].parent.body
-    femur = named.get("femur") or (carrier if "femur" in carrier.lower() else by_name("femur", model.bodies))
+    femur = named.get("femur") or by_name("femur", [carrier] if "femur" in carrier.lower() else model.bodies, side)
     moving = (b for b, j in tree.joints.items() if j.kind != "WeldJoint" and b != patella)
     on_femur = (b for b in moving if tree.welded(tree.joints[b].parent.body)[0] == tree.welded(femur)[0])
-    tibia = named.get("tibia") or by_name("tibia", on_femur)
-    sides = (s for s, end in SIDES.items() if patella.lower().endswith(end))
-    return OsimKnee(model, femur, tibia, patella, side or next(sides, "right"))
+    tibia = named.get("tibia") or by_name("tibia", on_femur, side)
+    return OsimKnee(model, femur, tibia, patella, side or "right")
 
 
 class Written(NamedTuple):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -184,6 +185,11 @@ def model(forces: str | None = None, joints: str = "", meshes: bool = True, head
         )
         + "</Model></OpenSimDocument>\n"
     )
+
+
+def as_left(text: str) -> str:
+    """A model's text with the knee's bodies named as those of the left side."""
+    return re.sub(r"(femur|tibia|patella|shank)_r\b", r"\1_l", text)
 
 
 def write_knee(folder: Path, text: str | None = None) -> Path:

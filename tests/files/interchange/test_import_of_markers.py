@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import recorded_knee
+from knee_models import as_left
 from recorded_knee import FRAMES, HIP_IN_FEMUR, PELVIS, PLACES, TIMES, marker, marker_set, motion, osim, record, seen
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
@@ -300,7 +301,7 @@ def test_a_left_knee_is_mirrored_with_its_markers(tmp_path: Path) -> None:
 
 def imported_side(folder: Path, side: str) -> Scene:
     folder.mkdir()
-    return load(imported(folder, seen(), side=side))
+    return load(imported(folder, seen(), as_left(osim()) if side == "left" else osim(), side=side))
 
 
 @pytest.mark.filterwarnings("ignore:.*DM_smooth1_new")

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from knee_models import BUTTON_RADIUS, FEMUR, PATELLA, PT, TIBIA, ligament, ligaments, model, write_knee
+from knee_models import BUTTON_RADIUS, FEMUR, PATELLA, PT, TIBIA, as_left, ligament, ligaments, model, write_knee
 from typer.testing import CliRunner
 
-from pftwin.base.errors import OutputError
+from pftwin.base.errors import InputError, OutputError
 from pftwin.base.rotations import tibiofemoral_angles
 from pftwin.cli import app
 from pftwin.files.interchange import import_osim
@@ -211,11 +211,24 @@ def test_a_file_that_is_there_is_not_overwritten(knee):
 
 def test_a_left_knee_is_told_by_its_names_and_mirrored(tmp_path):
     text = model(forces=ligaments(), meshes=False)
-    told = bare(tmp_path, re.sub(r"(femur|tibia|patella|shank)_r\b", r"\1_l", text))
+    told = bare(tmp_path, as_left(text))
     scene = load_scene_file(told.scene).scene
     lateral = effect(scene, "pt").insertion.array()[1, 1]
     assert lateral == pytest.approx(-0.004)  # to the right of a left knee is medial
     assert 'side = "left"' in told.scene.read_text()
+
+
+def test_a_bone_of_the_other_side_is_not_taken(tmp_path):
+    """A patella or femur of the other side would be a wrong knee; names without a side may be of either."""
+    text = model(forces=ligaments(), meshes=False)
+    left = as_left(text)
+    with pytest.raises(InputError, match=r"no patella of the right side, only: patella_l.*try: --patella NAME, or"):
+        bare(tmp_path, left, side="right")
+    one_left = left.replace("patella_l", "patella_r")
+    for change in ({}, {"side": "right"}, {"side": "right", "patella": "patella_r"}):
+        with pytest.raises(InputError, match=r"no femur of the right side, only: femur_l"):
+            bare(tmp_path, one_left, **change)
+    assert 'side = "right"' in bare(tmp_path, re.sub(r"_l\b", "", one_left), side="right").scene.read_text()
 
 
 def test_a_motion_of_coordinates_moves_the_bones(tmp_path):

@@ -9,7 +9,7 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
-from knee_models import FEMUR, PATELLA, PT, TIBIA, ligament, model, write_knee
+from knee_models import FEMUR, PATELLA, PT, TIBIA, as_left, ligament, model, write_knee
 from opensim_process import ask
 from scipy.spatial.transform import Rotation
 
@@ -194,6 +194,7 @@ def scene_of(folder: Path, *lines: tuple[str, str, tuple[str, ...]], side: str =
     here = '<Body name="femur_r">'
     assert here in text
     text = text.replace(here, here + wrap_set(CYLINDER, ELLIPSOID, SPHERE, TORUS, OFF, HALF, HALF_SPHERE), 1)
+    text = as_left(text) if side == "left" else text
     told = import_osim(write_knee(folder / "model", text), folder / "scene", side=side)
     return load_scene(told.scene), told
 

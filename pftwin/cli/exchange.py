@@ -15,6 +15,7 @@ from pftwin.cli.scenes import limits
 
 if TYPE_CHECKING:
     from pftwin.files.interchange.osim_scene import Imported
+    from pftwin.model.scene import Scene
 
 RateOption = Annotated[
     float | None, Option("--rate", metavar="HERTZ", help="Frame rate, if the time column of a file counts frames.")
@@ -156,17 +157,19 @@ def import_model(
         shown(0, 2)
         found = import_osim(model, folder, motion=motion, rate=rate, bend=bend, side=side, **bodies, **more)
         shown(1, 2, what="loading the scene")
-        trouble = _import_problem(found)
+        trouble, overlap = _import_problem(found)
     facts = {
         "files": [str(p) for p in found.files],
         "notes": found.notes,
         "not_imported": [part._asdict() for part in found.left_out],
         "tensions_N": found.tensions,
+        "start_overlap": overlap,
         "trouble": trouble,
     }
     cells = tuple((kind, _shorten_names(names), why) for kind, names, why in rows(found.left_out))
     sheet = Sheet("not imported", ("what", "names", "why"), cells)
-    terminal.present(facts, *found.notes, sheet, terminal.written_line(found.files), json=json)
+    remark = f"remark: {overlap}" if overlap else ""
+    terminal.present(facts, *found.notes, remark, sheet, terminal.written_line(found.files), json=json)
     if trouble is not None:
         exit_flagged(trouble)
     terminal.show(f"next: pftwin simulate {found.scene} -o knee.nc", json=json)
@@ -176,15 +179,22 @@ def _shorten_names(names: str) -> str:
     return names if len(names) <= _MOST_NAMES else f"{names[:_MOST_NAMES]} ... ({names.count(',') + 1})"
 
 
-def _import_problem(found: Imported) -> str | None:
-    """Why the imported scene cannot be simulated yet; None if it can."""
+def _import_problem(found: Imported) -> tuple[str | None, str]:
+    """Why the imported scene cannot be simulated yet, None if it can; and a remark on meshes that overlap, or ""."""
+    from pftwin.dynamics.equilibrium_report import start_overlap
     from pftwin.files.scene_file import load_scene_file
-    from pftwin.model.limits import upward_lines
 
     try:
         scene = load_scene_file(found.scene).scene
     except InputError as error:
-        return str(error)
+        return str(error), ""
+    return _still_missing(found, scene), start_overlap(scene)
+
+
+def _still_missing(found: Imported, scene: Scene) -> str | None:
+    """What the imported scene lacks before it can be simulated; None if nothing."""
+    from pftwin.model.limits import upward_lines
+
     if scene.contact is None:
         return f"{found.scene}: a scene without contact"
     if not found.muscles or found.tensions:

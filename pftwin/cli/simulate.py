@@ -76,6 +76,7 @@ def _facts(result: Result, chosen: Chosen, first: float, files: list[Path]) -> d
         "real_time_factor": result.real_time_factor,
         "verdict": result.verdict.describe(),
         "tracking": result.tracking,
+        "start_overlap": result.start_overlap,
         **status_facts(result.flags),
         "largest_indentation_m": result.largest_indentation,
         "estimated_error": _largest_errors(result),
@@ -101,7 +102,7 @@ def equilibrium(*, knee: SceneOptions, json: JsonOption = None) -> None:
     """
     check_outputs(json)
     chosen = knee.load()
-    from pftwin.dynamics.equilibrium_report import invalid_start
+    from pftwin.dynamics.equilibrium_report import invalid_start, start_overlap
     from pftwin.dynamics.simulate import equilibrium as solve
     from pftwin.dynamics.status import Status
     from pftwin.results.verdict import INVALID, verdict_of
@@ -118,9 +119,11 @@ def equilibrium(*, knee: SceneOptions, json: JsonOption = None) -> None:
     sheet = Sheet("", ("quantity", "value"), rows)
     start = Status(0) if report.converged else Status.START_NOT_IN_EQUILIBRIUM
     verdict = verdict_of([report.status | start], invalid_start(chosen.scene, report))  # as of a motion from there
-    facts = {"scene": name, "contact": chosen.contact, "verdict": verdict.describe(), **report.to_dict()}
+    overlap = start_overlap(chosen.scene)
+    remark = f"remark: {overlap}" if overlap and overlap not in verdict.reasons else ""
+    facts = {"scene": name, "contact": chosen.contact, "verdict": verdict.describe(), "start_overlap": overlap}
     first_line = "" if verdict.valid else verdict.describe()
-    present(facts, first_line, f"{name}: {report.description}", sheet, json=json)
+    present(facts | report.to_dict(), first_line, f"{name}: {report.description}", remark, sheet, json=json)
     if not report.converged:
         exit_flagged(f"{name}: no equilibrium was found; try: a start pose nearer to where the patella rests")
     if not verdict.valid:
@@ -196,6 +199,7 @@ def validate(
     facts = {**_facts(result, chosen, first, files), **found.to_dict(), "rows": shown}
     facts["side_as_given"] = chosen.side_as_given
     first_lines = [*([] if result.verdict.valid else [result.verdict.describe()]), *found.doubts]
+    first_lines += [f"remark: {result.start_overlap}"] if result.start_overlap else []
     skin = _skin_sheet(found) if found.skin_markers else ("", "")
     present(facts, "\n".join(first_lines), sheet, *skin, written_line(files), json=json)
     check_trust(result)

@@ -203,6 +203,17 @@ def invalid_start(scene: Scene, start: EquilibriumReport | Start, *, explained: 
     return (*not_pulled(scene), *far, *(_overlap_at_start(scene) if far and explained else ()))
 
 
+def start_overlap(scene: Scene) -> str:
+    """Names meshes that overlap by more than 1 mm where the patella was recorded; empty if they do not.
+
+    A motion starts from an equilibrium, so this is no reason against one from an equilibrium near by; but the recorded
+    pose and the meshes do not belong together. Empty for patches, which may differ as much from the femur that they
+    are fitted to, and for scenes without limits.
+    """
+    on_meshes = scene.contact is not None and scene.contact.method != ""
+    return "".join(_overlap_at_start(scene)) if on_meshes and scene.limits is not None else ""
+
+
 def largest_indentation(seen: Seen) -> float:
     """Largest penetration among effects' observables [m]; 0 if nothing touches, NaN without a finite depth."""
     depths = [np.asarray(v) for report in seen.values() for key, v in report.items() if key.startswith("indentation")]

@@ -23,7 +23,13 @@ from pftwin.base.rotations import (
 )
 from pftwin.base.spatial import Quaternion
 from pftwin.dynamics.equilibrium import Solution
-from pftwin.dynamics.equilibrium_report import EquilibriumReport, invalid_start, largest_indentation, on_host
+from pftwin.dynamics.equilibrium_report import (
+    EquilibriumReport,
+    invalid_start,
+    largest_indentation,
+    on_host,
+    start_overlap,
+)
 from pftwin.dynamics.error_estimate import ErrorEstimate
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.observe import Observation
@@ -218,6 +224,12 @@ class Result:
         """Whether the motion is valid, with the reasons if it is not."""
         return verdict_of(self.flags, invalid_start(self.scene, self.equilibrium))
 
+    @cached_property
+    def start_overlap(self) -> str:
+        """Remark on an overlap of meshes at the recorded start; empty if there is none, or if `verdict` names it."""
+        found = start_overlap(self.scene)
+        return "" if found in self.verdict.reasons else found
+
     @property
     def tracking(self) -> str:
         """Description of the patella's tracking and dislocations; "INVALID" with the reasons if it is not valid."""
@@ -277,6 +289,7 @@ class Result:
         remarks = [f"remark: {words}" for f, words in said.items() if f in REMARKS]
         if self.impact is not None and self.impact.unresolved:
             remarks.append(f"remark: restitution: {self.impact.describe()}")
+        remarks += [f"remark: {self.start_overlap}"] if self.start_overlap else []
         elsewhere = REMARKS | self.verdict.flags  # at the end, and in the first line
         marks = [f"status: {words}" for f, words in said.items() if f not in elsewhere]
         lines = [f"{self.scene_name}: {self.times.size} frames, {self.duration:.2f} s"]

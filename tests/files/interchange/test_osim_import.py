@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from knee_models import BUTTON_RADIUS, FEMUR, PATELLA, PT, TIBIA, as_left, ligament, ligaments, model, write_knee
+from knee_models import BUTTON_RADIUS, FEMUR, PATELLA, PT, START, TIBIA, as_left, ligament, ligaments, model, write_knee
 from typer.testing import CliRunner
 
 from pftwin.base.errors import InputError, OutputError
@@ -268,6 +268,25 @@ def test_the_command(knee, tmp_path):
     assert facts["tensions_N"] == {"vasint_r": 25.0}
     assert len(facts["not_imported"]) == 2
     assert f"next: pftwin simulate {tmp_path / 's' / 'scene.toml'}" in done.stderr.replace("\n", "")
+
+
+@pytest.mark.parametrize("nearer", [0.0, 0.006])
+def test_the_command_names_an_overlap_where_the_patella_starts(tmp_path, nearer):
+    """By default the button, a ball about the patella's origin, clears the femur; 6 mm further back it does not."""
+    text, there = model(), START["pf_tx_r"]
+    assert f"<default_value>{there}<" in text
+    path = write_knee(tmp_path / "m", text.replace(f"<default_value>{there}<", f"<default_value>{there - nearer}<"))
+    command = ["import", str(path), "-o", str(tmp_path / "s"), "--quadriceps", "25", "--json", str(tmp_path / "facts")]
+    done = CliRunner().invoke(app, command)
+    assert done.exit_code == 0, done.output
+    remark = json.loads((tmp_path / "facts").read_text())["start_overlap"]
+    said = " ".join(done.stdout.split())
+    assert bool(remark) == (nearer > 0)
+    assert ("remark: the surfaces in contact overlap by" in said) == (nearer > 0)
+    if nearer:
+        center = [there - nearer, START["pf_ty_r"], START["pf_tz_r"]]
+        off = np.linalg.norm(load_mesh(tmp_path / "m" / "femur.stl", units="m").vertices - center, axis=1).min()
+        assert float(re.findall(r"by ([0-9.]+) mm", remark)[0]) == pytest.approx(1e3 * (BUTTON_RADIUS - off), abs=0.3)
 
 
 def test_a_knee_whose_muscles_were_left_out_is_code_3(knee, tmp_path):

@@ -12,7 +12,6 @@ import dataclasses
 from collections.abc import Iterator, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple, cast
 
-import jax
 import numpy as np
 
 from pftwin.base.arrays import Floats
@@ -196,15 +195,16 @@ def _at_start(scene: Scene, line: LineElement) -> Floats:
 
 
 def _at_rest(scene: Scene) -> Instant:
-    """The first frame with all bodies at rest; computed by numpy, since a check precedes every simulation."""
+    """The first frame with all bodies at rest; of numpy's numbers, since a check precedes every simulation."""
     still = _vector(np.zeros(3))
-    frames = []
-    for pose in (first_pose(scene.motion, "femur"), first_pose(scene.motion, "tibia")):
+
+    def frame(body: str) -> Frame:
+        pose = first_pose(scene.motion, body)
         origin, axes = (np.zeros(3), np.eye(3)) if pose is None else pose
-        frames.append(Frame(_vector(origin), Rotation(*map(_vector, axes.T)), still, still))
+        return Frame(_vector(origin), Rotation(*map(_vector, axes.T)), still, still)
+
     patella = Patella(_vector(host_array(scene.start.position)), _start_axes(scene), still, still)
-    patella, femur, tibia = jax.device_put((patella, *frames))
-    return Instant(patella, femur, tibia, float(scene.motion.times[0]), 0.0)
+    return Instant(patella, frame("femur"), frame("tibia"), float(scene.motion.times[0]), 0.0)
 
 
 def _vector(values: Any) -> Vec3:

@@ -31,14 +31,13 @@ from pftwin.base.errors import InputError
 from pftwin.base.leaves import host_array
 from pftwin.base.spatial import Vec3
 from pftwin.dynamics.trajectory import knee_angles
-from pftwin.geometry.patch.closest import Surface
+from pftwin.geometry.patch.closest import Surface, rectangle_of
 from pftwin.model.scene import Scene
 from pftwin.results.tracking import groove_line
 
 LEVEL = 0.25  # section of the trochlea, as a share of the groove's length from its proximal end
 _SAMPLES = 401
 _LIFT = (0.02, 0.021)  # two heights whose difference gives the direction out of the bone [m]
-_HALF_WIDTH = 0.020  # for a surface of unknown width [m]
 _NEAREST = np.radians(2.0)  # largest difference of a recorded flexion from the requested one
 # Usual values of natural knees on X-rays, CT or MR images: text for readers, not used in computations.
 USUAL = {
@@ -277,9 +276,7 @@ def section(surface: Surface, level: float) -> TrochlearSection:
     proximal, distal = (line.u[-1], line.u[0]) if ends[1, 0] > ends[0, 0] else (line.u[0], line.u[-1])
     u = float(proximal + level * (distal - proximal))
     bottom_v = float(line.at(u))
-    v0 = float(getattr(surface, "center", (0.0, 0.0))[1])
-    half = float(getattr(surface, "half_size", (_HALF_WIDTH, _HALF_WIDTH))[1])
-    medial, lateral = (np.linspace(bottom_v, v0 + side * half, _SAMPLES) for side in (-1, 1))
+    medial, lateral = (np.linspace(bottom_v, edge, _SAMPLES) for edge in rectangle_of(surface)[1])
     ridges, facets = [], []
     for v in (medial, lateral):
         heights = np.asarray(surface.jet(jnp.full(v.shape, u), jnp.asarray(v)).f)

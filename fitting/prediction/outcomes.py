@@ -23,7 +23,7 @@ from pftwin.dynamics.trajectory import knee_angles
 from pftwin.geometry.patch.closest import Surface
 from pftwin.model.scene import Scene
 from pftwin.results.result import Result
-from pftwin.results.tracking import DISLOCATED, RE_ENGAGED, groove_line
+from pftwin.results.tracking import DISLOCATED, RE_ENGAGED, groove_bottom
 from pftwin.results.verdict import is_invalid
 
 
@@ -60,12 +60,7 @@ class Groove(NamedTuple):
         Raises:
             InputError: for a scene without contact between button and trochlea.
         """
-        surface = groove_surface(scene)
-        line = groove_line(surface)
-        if line is None:
-            middle = float(getattr(surface, "center", (0.0, 0.0))[1])
-            return Groove(jnp.asarray([-1.0, 1.0]), jnp.asarray([middle, middle]))
-        return Groove(jnp.asarray(line.u, dtype=float), jnp.asarray(line.v, dtype=float))
+        return Groove(*(jnp.asarray(x, dtype=float) for x in groove_bottom(groove_surface(scene))))
 
 
 class Course(NamedTuple):

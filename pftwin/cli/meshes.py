@@ -149,7 +149,7 @@ def _fit_facts(f: PatchFit) -> dict[str, Any]:
     from pftwin.base.spatial import Quaternion
 
     spline, chart = f.name == "spline", f.patch.chart
-    radius = getattr(chart, "radius", None)
+    radius = chart.axis_radius
     return {
         "name": f.name,
         **({} if spline else {"polynomial": f.name}),

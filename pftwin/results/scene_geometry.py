@@ -29,7 +29,7 @@ from numpy.typing import ArrayLike, NDArray
 from pftwin.base.leaves import host_array
 from pftwin.base.quantities import about
 from pftwin.base.spatial import Pose, Quaternion, Vec3
-from pftwin.geometry.patch.closest import Surface
+from pftwin.geometry.patch.closest import Surface, rectangle_of
 from pftwin.geometry.wrapping.obstacle import Obstacle
 from pftwin.model.effects.base import Effect
 from pftwin.model.motion import KneeMotion
@@ -50,16 +50,6 @@ Mesh = tuple[NDArray[np.float64], NDArray[np.int64]]  # vertices (n, 3) [m], tri
 Variables = dict[str, tuple[tuple[str, ...], Any, dict[str, Any]]]
 Effects = dict[str, dict[str, NDArray[Any]]]  # values by effect and observable
 Poses = dict[str, tuple[NDArray[np.float64], NDArray[np.float64]]]  # of bodies in the femur: see `Result.poses`
-
-
-def has_rectangle(surface: Any) -> bool:
-    """Whether a smooth surface has a fitted rectangle; user-defined surfaces may lack one."""
-    return hasattr(surface, "center") and hasattr(surface, "half_size")
-
-
-def rectangle_of(surface: Any) -> list[tuple[float, float]]:
-    """Returns the minimum and maximum of u, and of v, of the rectangle to which a surface was fitted [m]."""
-    return [(float(c - h), float(c + h)) for c, h in zip(surface.center, surface.half_size, strict=True)]
 
 
 def fitted_surface(surface: Surface) -> Mesh:
@@ -120,7 +110,7 @@ def geometry(scene: Scene, effects: Effects | None = None, poses: Poses | None =
         femur, button = contact.femur_triangles(), contact.button_triangles()
         if femur is not None:
             variables |= _mesh("femur", indexed(femur), "femur", "the contact's mesh")
-        elif scene.surface is not None and has_rectangle(scene.surface):
+        elif scene.surface is not None:
             variables |= _mesh("surface", fitted_surface(scene.surface), "femur", "the contact's smooth surface")
             beyond = continuation(scene.surface, _points((effects or {}).get(contact.name, {})))
             if beyond is not None:

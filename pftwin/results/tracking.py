@@ -19,12 +19,11 @@ from numpy.typing import ArrayLike, NDArray
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.base.spatial import Vec3
-from pftwin.geometry.patch.closest import Surface
+from pftwin.geometry.patch.closest import Surface, rectangle_of
 
 DISLOCATED = 0.020  # distance from the groove's bottom [m]: past the ridge of a facet, which is 15 to 20 mm wide
 RE_ENGAGED = 0.6  # hysteresis: share of that distance below which the button has re-engaged
 _SECTIONS, _SAMPLES = 81, 161
-_HALF_WIDTH = 0.020  # half width of a surface that does not state its extent [m]
 _LARGEST_JUMP = 0.003  # of the groove's bottom between neighbouring sections [m]
 
 
@@ -46,10 +45,7 @@ def groove_line(surface: Surface) -> GrooveLine | None:
     The line starts in the deepest section and continues proximally and distally until it jumps. Returns None for a
     surface without a groove.
     """
-    u0, v0 = (float(x) for x in getattr(surface, "center", (0.0, 0.0)))
-    half_u, half_v = (float(x) for x in getattr(surface, "half_size", (_HALF_WIDTH, _HALF_WIDTH)))
-    u = np.linspace(u0 - half_u, u0 + half_u, _SECTIONS)
-    v = np.linspace(v0 - half_v, v0 + half_v, _SAMPLES)
+    u, v = (np.linspace(*ends, n) for ends, n in zip(rectangle_of(surface), (_SECTIONS, _SAMPLES), strict=True))
     heights = np.asarray(_heights(surface, *np.meshgrid(u, v, indexing="ij")), dtype=np.float64)
     sections = [_minima(v, h) for h in heights]
     depths = [max((d for _, d in s), default=-np.inf) for s in sections]
@@ -68,6 +64,17 @@ def groove_line(surface: Surface) -> GrooveLine | None:
     return GrooveLine(u[rows], np.array([line[i][0] for i in rows]), np.array([line[i][1] for i in rows]))
 
 
+def groove_bottom(surface: Surface) -> tuple[Floats, Floats]:
+    """u and v (k,) of the groove's bottom in chart coordinates [m]; on a surface without a groove, of its middle line.
+
+    Between and beyond these points `numpy.interp` gives the bottom, as `GrooveLine.at` does.
+    """
+    line = groove_line(surface)
+    if line is None:
+        return np.array([-1.0, 1.0]), np.full(2, float(surface.center[1]))
+    return line.u, line.v
+
+
 def groove_offset(surface: Surface, centers: ArrayLike) -> tuple[Floats, Floats]:
     """Computes the position of sphere centres (n, 3) [m], in the femur frame, relative to the trochlear groove.
 
@@ -77,9 +84,7 @@ def groove_offset(surface: Surface, centers: ArrayLike) -> tuple[Floats, Floats]
     """
     points = np.asarray(centers, dtype=np.float64)
     u, v = (np.asarray(a, dtype=np.float64) for a in _chart_coordinates(surface, Vec3(*points.T)))
-    line = groove_line(surface)
-    bottom = float(getattr(surface, "center", (0.0, 0.0))[1]) if line is None else line.at(u)
-    return u, v - bottom
+    return u, v - np.interp(u, *groove_bottom(surface))
 
 
 @eqx.filter_jit

@@ -98,3 +98,8 @@ def test_the_foot_lies_below(chart):
 def test_slopes_beside_a_place_are_linear():
     jet, du, dv = Jet(*(J(x) for x in (1.0, 2.0, 3.0, 4.0, 5.0, 6.0))), 0.1, -0.2
     assert jet.slopes_beside(J(du), J(dv)) == pytest.approx((2 + 4 * du + 5 * dv, 3 + 5 * du + 6 * dv))
+
+
+def test_a_chart_says_whether_it_goes_round_an_axis():
+    assert PLANE.axis_radius is None
+    assert CYLINDER.axis_radius == RADIUS

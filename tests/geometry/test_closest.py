@@ -12,7 +12,8 @@ from scipy.optimize import minimize
 
 from pftwin.base.spatial import Rotation, Vec3
 from pftwin.geometry.patch.charts import CylindricalChart
-from pftwin.geometry.patch.closest import newton_step
+from pftwin.geometry.patch.closest import newton_step, rectangle_of
+from pftwin.geometry.patch.implant import rig_implant
 from pftwin.geometry.patch.polynomial import exponents
 from pftwin.model.effects.contact_law import Flores, Hertz
 
@@ -317,3 +318,14 @@ def test_a_point_that_has_not_converged_creates_no_indentation():
     p = one_step(ridge, c, J(0.0), J(-0.02), J(0.003))
     assert float(p.settled) == 0
     assert float(p.distance) > nearest
+
+
+@pytest.mark.parametrize("surface", [rig_implant(), GROOVE], ids=["implant", "patch"])
+def test_every_surface_says_where_it_ends(surface):
+    """Within its rectangle nothing is outside, and 1 mm beyond each edge is 1 mm outside."""
+    (u0, u1), (v0, v1) = rectangle_of(surface)
+    middle = 0.5 * (u0 + u1), 0.5 * (v0 + v1)
+    for u, v in ((u0, v0), (u1, v1), middle):
+        assert float(surface.outside(jnp.asarray(u), jnp.asarray(v))) == pytest.approx(0, abs=1e-12)
+    for u, v in ((u0 - 1e-3, middle[1]), (u1 + 1e-3, middle[1]), (middle[0], v0 - 1e-3), (middle[0], v1 + 1e-3)):
+        assert float(surface.outside(jnp.asarray(u), jnp.asarray(v))) == pytest.approx(1e-3)

@@ -5,8 +5,10 @@ from __future__ import annotations
 import dataclasses
 import re
 
+import equinox as eqx
 import numpy as np
 import pytest
+from scenes import J
 from small_scene import GROOVE_AT, groove, polynomial, small_result
 
 import pftwin
@@ -284,6 +286,15 @@ def test_a_surface_without_groove_counts_from_its_middle():
     assert tracking.groove_line(ridge) is None
     center = np.asarray(ridge.chart.from_frame(ridge.chart.local_point(0.0, 0.004, 0.02)).array())[None]
     np.testing.assert_allclose(tracking.groove_offset(ridge, center)[1], 0.004, atol=1e-12)
+
+
+def test_the_bottom_of_a_groove_or_the_middle_of_a_surface_without_one():
+    ridge = eqx.tree_at(lambda s: s.center, polynomial({(0, 2): -20.0}), (J(0.002), J(0.003)))
+    u, v = tracking.groove_bottom(ridge)
+    np.testing.assert_allclose(np.interp([-0.05, 0.0, 0.05], u, v), 0.003)
+    u, v = tracking.groove_bottom(groove())
+    np.testing.assert_allclose(v, GROOVE_AT, atol=1e-6)
+    assert u.shape == v.shape
 
 
 def test_dislocation_and_re_engagement():

@@ -113,25 +113,6 @@ def test_a_surface_goes_on_to_where_it_was_touched():
     assert ((np.abs(middle.x) > HALF_U) | (np.abs(middle.y) > HALF_V)).all()
 
 
-def test_a_surface_that_does_not_say_where_it_ends_is_not_drawn():
-    scene = small_scene()
-    k = scene.index("contact")
-    endless = eqx.tree_at(lambda s: s.effects[k].surface, scene, Endless(scene.surface))
-    made = geometry(endless)
-    assert "surface_vertices" not in made
-    assert "button_radius" in made
-
-
-class Endless(eqx.Module):
-    """A surface of one's own."""
-
-    inner: eqx.Module
-
-    @property
-    def chart(self):
-        return self.inner.chart  # pyright: ignore[reportAttributeAccessIssue]
-
-
 def test_groups_and_pulls_from_moving_origins():
     scene = small_scene()
     three, two = jnp.ones(3), jnp.ones(2)

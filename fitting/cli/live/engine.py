@@ -19,8 +19,9 @@ from fitting.prediction.untreated import reasons_of, untrusted_start
 from pftwin.base.errors import InputError
 from pftwin.base.spatial import Vec3
 from pftwin.dynamics.simulate import prepare_relaxation, simulate
+from pftwin.geometry.patch.closest import rectangle_of
 from pftwin.model.scene import Scene
-from pftwin.results.scene_geometry import MARGIN, continuation, geometry, has_rectangle
+from pftwin.results.scene_geometry import MARGIN, continuation, geometry
 from pftwin.results.viewer.shapes import MM, Shape
 
 if TYPE_CHECKING:
@@ -189,17 +190,17 @@ def _along(chart: Any, points: Floats) -> tuple[Floats, Floats]:
 
 def _beyond(scene: Scene) -> tuple[Any, list[tuple[float, float]], Shape, tuple[Floats, Floats]] | None:
     """The extrapolation of a fitted surface: its chart, the edges of the fitted rectangle [m], its shape at the largest
-    extent, and chart coordinates of its triangles' centroids, (m,) each [m]; None without a fitted rectangle."""
-    surface: Any = scene.surface
-    contact = scene.contact
-    if surface is None or contact is None or contact.femur_triangles() is not None or not has_rectangle(surface):
+    extent, and chart coordinates of its triangles' centroids, (m,) each [m]; None without a smooth surface."""
+    surface, contact = scene.surface, scene.contact
+    if surface is None or contact is None or contact.femur_triangles() is not None:
         return None
-    edges = [(float(c - h), float(c + h)) for c, h in zip(surface.center, surface.half_size, strict=True)]
-    most = MOST_ANGLE * float(getattr(surface.chart, "radius", np.inf))  # as far as a cylinder's chart goes
+    chart: Any = surface.chart
+    edges = rectangle_of(surface)
+    most = np.inf if chart.axis_radius is None else MOST_ANGLE * float(chart.axis_radius)  # as far as a cylinder's goes
     along = [max(edges[0][0] - FAR, -most), min(edges[0][1] + FAR, most)]
-    corners = [surface.chart.point(u, v, HEIGHT) for u in along for v in (edges[1][0] - FAR, edges[1][1] + FAR)]
+    corners = [chart.point(u, v, HEIGHT) for u in along for v in (edges[1][0] - FAR, edges[1][1] + FAR)]
     made = continuation(surface, np.array([[float(c.x), float(c.y), float(c.z)] for c in corners]))
     if made is None:
         return None
     shape = Shape((MM * made[0]).astype(np.float32), made[1].astype(np.uint32))
-    return surface.chart, edges, shape, _along(surface.chart, made[0][made[1]].mean(axis=1))
+    return chart, edges, shape, _along(chart, made[0][made[1]].mean(axis=1))

@@ -27,9 +27,10 @@ from pftwin.dynamics.relaxation import THROWN
 from pftwin.dynamics.status import Status
 from pftwin.dynamics.tolerance import HALVINGS, UNCONFIRMED
 from pftwin.dynamics.trajectory import DEFAULT_STEP
+from pftwin.geometry.patch.closest import Surface
 from pftwin.model.motion_on_host import tibia_orientation
 from pftwin.model.scene import Scene
-from pftwin.results.tracking import DISLOCATED, RE_ENGAGED, groove_line
+from pftwin.results.tracking import DISLOCATED, RE_ENGAGED, groove_bottom
 from pftwin.results.verdict import IN_ORDER, most_frames
 
 # Treatments in which a scene's parameters are linear, as in the tendons' stiffness; rotations are not.
@@ -180,7 +181,7 @@ def facts(scene: Scene, knobs: tuple[Knob, ...], missing: dict[str, str]) -> dic
     `reasons` are why the untreated scene is INVALID; they hold for all values of the sliders.
     """
     motion, contact = scene.motion, scene.contact
-    surface: Any = None if contact is None else contact.groove_surface()
+    surface = scene.surface
     shown = ("name", "label", "group", "unit", "least", "most", "step", "neutral", "hint")
     return {
         "name": scene.name,
@@ -208,9 +209,7 @@ def facts(scene: Scene, knobs: tuple[Knob, ...], missing: dict[str, str]) -> dic
     }
 
 
-def _groove(surface: Any) -> dict[str, list[float]]:
-    """Bottom line of the groove in chart coordinates; the surface's centre without a groove, as in `groove_offset`."""
-    line = groove_line(surface)
-    if line is None:
-        return {"u": [0.0], "v": [float(getattr(surface, "center", (0.0, 0.0))[1])]}
-    return {"u": line.u.tolist(), "v": line.v.tolist()}
+def _groove(surface: Surface) -> dict[str, list[float]]:
+    """Bottom line of the groove in chart coordinates [m]."""
+    u, v = groove_bottom(surface)
+    return {"u": u.tolist(), "v": v.tolist()}

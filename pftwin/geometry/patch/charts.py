@@ -49,6 +49,11 @@ class FramedChart(eqx.Module):
     origin: Vec3 = eqx.field(metadata=quantity("m", frame="femur"))
     axes: Rotation  # chart frame to femur frame; z points out of the bone
 
+    @property
+    def axis_radius(self) -> Scalar | None:
+        """Radius at which u measures the angle about an axis [m]; None for a chart that goes round none."""
+        return None
+
     def to_frame(self, p: Vec3) -> Vec3:
         """Transforms a point from the femur's frame to the chart's [m]."""
         return self.axes.unapply(p - self.origin)
@@ -120,6 +125,11 @@ class CylindricalChart(FramedChart):
     """
 
     radius: Scalar = eqx.field(metadata=quantity("m", positive=True))  # makes the angle a length
+
+    @property
+    def axis_radius(self) -> Scalar:
+        """See `FramedChart`."""
+        return self.radius
 
     def coordinates(self, p: Vec3) -> Vec3:
         """(u, v, height) of a point given in the femur frame."""

@@ -28,6 +28,16 @@ class Surface(Protocol):
         """The chart that maps (u, v, height) to points."""
         ...
 
+    @property
+    def center(self) -> Pair:
+        """Centre (u, v) of its domain, a rectangle [m]."""
+        ...
+
+    @property
+    def half_size(self) -> Pair:
+        """Half the extent of its domain along u and v [m]."""
+        ...
+
     def height(self, u: Scalar, v: Scalar) -> Scalar:
         """Height [m]."""
         ...
@@ -51,6 +61,11 @@ class Surface(Protocol):
     def unstacked(self) -> Surface:
         """The same surface, prepared for use in a loop."""
         ...
+
+
+def rectangle_of(surface: Surface) -> list[tuple[float, float]]:
+    """Minimum and maximum of u, and of v, of a surface's domain, such as the rectangle to which it was fitted [m]."""
+    return [(float(c) - float(h), float(c) + float(h)) for c, h in zip(surface.center, surface.half_size, strict=True)]
 
 
 class ClosestPoint(NamedTuple):

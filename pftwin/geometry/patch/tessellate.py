@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from pftwin.base.errors import InputError
 from pftwin.geometry.mesh.mesh import SurfaceMesh
+from pftwin.geometry.patch.closest import rectangle_of
 from pftwin.geometry.patch.implant import FemoralComponent
 
 _LONGEST = 5e-3  # largest grid spacing [m]
@@ -31,10 +32,7 @@ def tessellate(surface: FemoralComponent, *, deviation: float, angle: float | No
         raise InputError(f"a deviation of {deviation} m", where="deviation", expected="a positive length, e.g. 0.1e-3")
     if angle is not None and not 0 < angle < math.pi / 2:
         raise InputError(f"an angle of {angle} rad", where="angle", expected="between 0 and pi/2 rad")
-    lines = [
-        float(c) + np.array([-1.0, 1.0]) * float(h) for c, h in zip(surface.center, surface.half_size, strict=True)
-    ]
-    samples = [np.linspace(low, high, _SAMPLES) for low, high in lines]
+    samples = [np.linspace(*ends, _SAMPLES) for ends in rectangle_of(surface)]
     densities = _densities(surface, samples, deviation, angle)
     for _ in range(8):
         u, v = (_spaced(s, d) for s, d in zip(samples, densities, strict=True))

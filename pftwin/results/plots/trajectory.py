@@ -13,10 +13,11 @@ from numpy.typing import NDArray
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.base.spatial import Rotation, Vec3
-from pftwin.geometry.patch.charts import CylindricalChart, PlaneChart
+from pftwin.geometry.patch.charts import Chart, PlaneChart
+from pftwin.geometry.patch.closest import Surface, rectangle_of
 from pftwin.results.plots import style
 from pftwin.results.plots.quantities import provenance
-from pftwin.results.scene_geometry import has_rectangle, indexed, rectangle_of
+from pftwin.results.scene_geometry import indexed
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -42,7 +43,7 @@ _SMALLEST, _LARGEST = (4.4, 4.2), (7.2, 8.5)
 class Relief(NamedTuple):
     """Heights over (u, v) [mm], on a grid (triangles None) or at the vertices of a triangle mesh."""
 
-    chart: Any
+    chart: Chart
     u: Floats
     v: Floats
     height: Floats
@@ -53,8 +54,8 @@ class Relief(NamedTuple):
     def labels(self) -> tuple[str, str, str]:
         """Axis labels of u, v and height, with the positive directions of u and v."""
         along, across = _direction_label(self.chart.axes.ex), _direction_label(self.chart.axes.ey)
-        round_axis = isinstance(self.chart, CylindricalChart)
-        height = "distance from the trochlear axis" if round_axis else "height over the chart's plane"
+        flat = self.chart.axis_radius is None
+        height = "height over the chart's plane" if flat else "distance from the trochlear axis"
         return f"along the groove, {along} [mm]", f"across the groove, {across} [mm]", f"{height} [mm]"
 
     @property
@@ -92,17 +93,14 @@ def relief(result: Result, *paths: Floats) -> Relief:
     return _of_surface(surface, _window(surface.chart, np.concatenate(paths)))
 
 
-def _of_surface(surface: Any, window: Floats) -> Relief:
+def _of_surface(surface: Surface, window: Floats) -> Relief:
     """The map of a smooth surface over its rectangle, extended to cover the paths."""
-    rectangle = None
-    if has_rectangle(surface):
-        (u0, u1), (v0, v1) = 1e3 * np.array(rectangle_of(surface))
-        rectangle = u0, u1, v0, v1
-        window = np.stack([np.fmin(window[0], [u0, v0]), np.fmax(window[1], [u1, v1])])
+    (u0, u1), (v0, v1) = 1e3 * np.array(rectangle_of(surface))
+    window = np.stack([np.fmin(window[0], [u0, v0]), np.fmax(window[1], [u1, v1])])
     lines = [np.linspace(window[0, k], window[1, k], _SAMPLES) for k in (0, 1)]
     u, v = np.meshgrid(*lines, indexing="ij")
     height = _compiled(surface.height, *(jnp.asarray(1e-3 * a, float) for a in (u, v)))
-    return Relief(surface.chart, u, v, 1e3 * np.asarray(height, dtype=np.float64), None, rectangle)
+    return Relief(surface.chart, u, v, 1e3 * np.asarray(height, dtype=np.float64), None, (u0, u1, v0, v1))
 
 
 def _of_mesh(chart: Any, mesh: tuple[Floats, NDArray[np.int64]], window: Floats) -> Relief:

@@ -157,10 +157,10 @@ def import_model(
         shown(0, 2)
         found = import_osim(model, folder, motion=motion, rate=rate, bend=bend, side=side, **bodies, **more)
         shown(1, 2, what="loading the scene")
-        trouble, overlap = _import_problem(found)
+        notes, overlap, trouble = _loaded(found)
     facts = {
         "files": [str(p) for p in found.files],
-        "notes": found.notes,
+        "notes": notes,
         "not_imported": [part._asdict() for part in found.left_out],
         "tensions_N": found.tensions,
         "start_overlap": overlap,
@@ -169,7 +169,7 @@ def import_model(
     cells = tuple((kind, _shorten_names(names), why) for kind, names, why in rows(found.left_out))
     sheet = Sheet("not imported", ("what", "names", "why"), cells)
     remark = f"remark: {overlap}" if overlap else ""
-    terminal.present(facts, *found.notes, remark, sheet, terminal.written_line(found.files), json=json)
+    terminal.present(facts, *notes, remark, sheet, terminal.written_line(found.files), json=json)
     if trouble is not None:
         exit_flagged(trouble)
     terminal.show(f"next: pftwin simulate {found.scene} -o knee.nc", json=json)
@@ -179,16 +179,19 @@ def _shorten_names(names: str) -> str:
     return names if len(names) <= _MOST_NAMES else f"{names[:_MOST_NAMES]} ... ({names.count(',') + 1})"
 
 
-def _import_problem(found: Imported) -> tuple[str | None, str]:
-    """Why the imported scene cannot be simulated yet, None if it can; and a remark on meshes that overlap, or ""."""
+def _loaded(found: Imported) -> tuple[list[str], str, str | None]:
+    """Notes of importing and loading a scene, a remark on meshes that overlap or "", and why it cannot be simulated
+    yet, None if it can.
+    """
     from pftwin.dynamics.equilibrium_report import start_overlap
     from pftwin.files.scene_file import load_scene_file
 
     try:
-        scene = load_scene_file(found.scene).scene
+        loaded = load_scene_file(found.scene)
     except InputError as error:
-        return str(error), ""
-    return _still_missing(found, scene), start_overlap(scene)
+        return found.notes, "", str(error)
+    notes = [*found.notes, *(n for n in loaded.notes if n not in found.notes)]
+    return notes, start_overlap(loaded.scene), _still_missing(found, loaded.scene)
 
 
 def _still_missing(found: Imported, scene: Scene) -> str | None:

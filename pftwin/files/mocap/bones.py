@@ -47,8 +47,7 @@ def mended_bones(
     knee = _knee(_in_femur(bones))
 
     def out_of_line(bones: list[PoseSeries]) -> NDArray[np.bool_]:
-        seen = _in_femur(bones)
-        return jumps(replace(seen, positions=seen.positions + seen.matrices() @ knee), speed=speed, spin=spin)
+        return _jumps_at(knee, _in_femur(bones), speed, spin)
 
     odd = out_of_line(bones)
     if not odd.any():
@@ -74,6 +73,16 @@ def mended_bones(
         if w.any()
     ]
     return (None if femur is None else mended[0]), mended[-1], words
+
+
+def knee_jumps(tibia: PoseSeries, *, speed: float, spin: float) -> NDArray[np.bool_]:
+    """Which frames (n,) of a tibia in the femur are outliers for `mended_bones`."""
+    return _jumps_at(_knee(tibia), tibia, speed, spin)
+
+
+def _jumps_at(knee: Floats, tibia: PoseSeries, speed: float, spin: float) -> NDArray[np.bool_]:
+    """Outliers of the tibia in the femur, by its point (3,) at the knee."""
+    return jumps(replace(tibia, positions=tibia.positions + tibia.matrices() @ knee), speed=speed, spin=spin)
 
 
 def _in_femur(bones: list[PoseSeries]) -> PoseSeries:

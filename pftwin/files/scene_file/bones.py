@@ -27,8 +27,8 @@ class Bones:
     femur: PoseSeries | None  # poses of a moving femur in the world
 
     @staticmethod
-    def read(recording: SegmentRecording, side: Side) -> Bones:
-        """Makes the bones' motion from a recording.
+    def read(recording: SegmentRecording, side: Side, start: StartSection) -> Bones:
+        """Makes the bones' motion from a recording, from the first frame on in which they are in line.
 
         Raises InputError for a fixed tibia, and poses implausible for a knee.
         """
@@ -40,6 +40,7 @@ class Bones:
                 expected="a recording: the run goes through its frames",
                 remedy="a file of poses with one pose in every frame",
             )
+        recording.skip_outliers(None if start.fixed is not None else start)
         thigh, shin = recording.bones()
         shin = side.poses("world", "tibia", shin)
         if thigh is None:

@@ -23,6 +23,7 @@ from pftwin.files.mocap import (
     segment_poses,
     three_point_frames,
 )
+from pftwin.files.mocap.bones import in_words, jumps, knee_jumps
 from pftwin.files.mocap.filters import samples_needed
 from pftwin.files.mocap.poses import check_same_times
 from pftwin.files.scene_file.clusters import ClusterFits
@@ -76,6 +77,39 @@ class SegmentRecording:
             poses = three_point_frames(a, b, c, markers.times, axes=three.axes, source=source)
             return poses.compose(three.segment.pose().pose())
 
+    def skip_outliers(self, start: SegmentSection | None) -> None:
+        """Starts the scene later, by up to `max_gap_s` and with a note, if its first frames are outliers: of femur and
+        tibia in a file of poses, or of the patella, if it starts as recorded (`start`). More of them are refused later.
+        """
+        femur, tibia = self.segments["femur"], self.segments["tibia"]
+        shin = self.poses(tibia, "tibia")
+        thigh = None if femur.fixed is not None else self.poses(femur, "femur")
+
+        def in_femur(poses: PoseSeries) -> PoseSeries:
+            return poses if thigh is None else poses.relative_to(thigh)
+
+        odd = {}
+        if tibia.body is not None and (thigh is None or femur.body is not None):
+            odd["femur and tibia jump against each other"] = knee_jumps(in_femur(shin), **self._fastest)
+        if start is not None:
+            cap = self.poses(start, "patella", "start")
+            if cap.times.size == shin.times.size:  # if not, the start is refused
+                odd["the patella jumps"] = jumps(in_femur(cap))
+        first = int(np.argmin(np.any([*odd.values()], axis=0))) if odd else 0
+        time = float(shin.times[first])
+        if first == 0 or time - shin.times[0] > self.motion.max_gap_s * (1 + 1e-6):
+            return
+        self.motion = self.motion.model_copy(update={"start_time_s": time})
+        before = np.arange(shin.times.size) < first
+        why = "; ".join(f"{what} in {in_words(o & before)}" for what, o in odd.items() if (o & before).any())
+        self.notes.append(f"{shin.source}: the scene starts at {time:g} s: {why} of {shin.times.size}")
+
+    @property
+    def _fastest(self) -> dict[str, float]:
+        """Speeds beyond which a tibia in the femur is an outlier: half of those at which a motion is an error."""
+        limits = self.limits
+        return {"speed": limits.most_knee_speed_m_per_s, "spin": limits.most_angular_speed_rad_per_s / 2}
+
     def bones(self) -> tuple[PoseSeries | None, PoseSeries]:
         """Poses of femur (None if it is fixed) and tibia in the time range of the scene.
 
@@ -87,10 +121,8 @@ class SegmentRecording:
         thigh = None if femur.fixed is not None else self.poses(femur, "femur")
         if tibia.body is None or (thigh is not None and femur.body is None):
             return thigh, shin
-        # Outliers of a bone start at half the speed at which a knee's motion raises an error.
-        speed, spin = self.limits.most_knee_speed_m_per_s, self.limits.most_angular_speed_rad_per_s / 2
         with self.document.naming("motion"):
-            thigh, shin, words = mended_bones(thigh, shin, max_gap_s=self.motion.max_gap_s, speed=speed, spin=spin)
+            thigh, shin, words = mended_bones(thigh, shin, max_gap_s=self.motion.max_gap_s, **self._fastest)
         self.notes.extend(words)
         return thigh, shin
 

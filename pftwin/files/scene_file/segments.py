@@ -169,7 +169,8 @@ class MotionSection(Section):
     )
     max_gap_s: NotNegative = Field(
         default=0.1,
-        description="longest gap of a marker, or run of frames in which a bone jumps, that is filled by a spline [s]",
+        description="longest gap of a marker, or run of frames in which a bone jumps, that is filled by a spline, or "
+        "left out at the start [s]",
     )
     cutoff_Hz: Positive | None = Field(default=None, description="cut-off of the zero-phase Butterworth filter [Hz]")
     filter_order: Literal[1, 2, 3, 4] = Field(default=2, description="order of one pass of the filter")

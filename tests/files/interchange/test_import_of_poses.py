@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 from knee_models import ligaments, model
@@ -59,6 +61,23 @@ def test_bones_move_as_measured_and_the_patella_is_what_is_compared(tmp_path):
     shin = np.asarray(femur.rotation.array()).T @ np.asarray(tibia.rotation.array())
     expected = (np.linalg.inv(bodies["femur_r"]) @ bodies["tibia_r"])[-1, :3, :3]
     np.testing.assert_allclose(shin, ANATOMICAL @ expected @ ANATOMICAL.T, atol=1e-9)
+
+
+def test_the_command_names_frames_that_are_out_of_line(tmp_path):
+    """As loading the scene does: a patella turned by 175 deg in the first frame and in two later ones."""
+    bodies = motion()
+    bodies["patella_r"][[0, 9, 10], :3, :3] = (
+        bodies["patella_r"][[0, 9, 10], :3, :3] @ Rotation.from_rotvec([0, 3.05, 0]).as_matrix()
+    )
+    (tmp_path / "bare.osim").write_text(model(forces=ligaments(), meshes=False))
+    written(tmp_path / "poses.sto", bodies, np.arange(FRAMES) / 30)
+    command = ["import", str(tmp_path / "bare.osim"), "--motion", str(tmp_path / "poses.sto")]
+    done = CliRunner().invoke(app, [*command, "-o", str(tmp_path / "out"), "--json", str(tmp_path / "facts")])
+    assert done.exit_code == 3, done.output  # without contact
+    notes = json.loads((tmp_path / "facts").read_text())["notes"]
+    for words in ("the patella jumps in frame 1 of 31", "the patella's frames 9 to 10 of 30"):
+        assert any(words in note for note in notes)
+        assert words in " ".join(done.stdout.split())
 
 
 def test_bodies_of_the_file_that_are_not_used_are_named(tmp_path):

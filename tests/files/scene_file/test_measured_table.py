@@ -8,9 +8,19 @@ import numpy as np
 import pytest
 from c3d_files import write_c3d
 from scipy.spatial.transform import Rotation
-from toy_scene_files import CLUSTERS, LIGHT, START, changed, load, markers_of, refused, tibia_poses, write_poses
+from toy_scene_files import (
+    CLUSTERS,
+    LIGHT,
+    START,
+    changed,
+    fixed_poses,
+    load,
+    markers_of,
+    refused,
+    tibia_poses,
+    write_poses,
+)
 
-from pftwin.base.errors import InputError
 from pftwin.files.mocap import PoseSeries, write_trc
 from pftwin.files.scene_file import load_scene, load_scene_file
 
@@ -146,18 +156,30 @@ def test_frames_of_the_patella_that_are_out_of_line_are_left_out_and_named(toy: 
     assert "the patella's frames 5, 21 to 23 of 41 (from 0 s on) left out: it jumps" in note
 
 
-def test_a_patella_does_not_start_where_it_never_was(toy: Path) -> None:
+def test_a_scene_starts_at_the_first_frame_in_which_the_patella_is_in_line(toy: Path) -> None:
+    """Also with another recording, and where the file says to start in such a frame."""
     tibia, places = tibia_poses(), np.tile(START[0], (41, 1))
     places[:2] += [0.0, 0.08, 0.0]
     patella = PoseSeries(tibia.times, places, np.tile(START[1], (41, 1)))
     write_poses(toy / "poses.csv", {"tibia": tibia, "patella": patella})
     fixed = "start = { fixed = { position_m = [-0.005, 0.001, 0.05] } }"
-    with pytest.raises(InputError) as told:
-        load(toy, changed(fixed, 'start = { body = "patella" }', LIGHT))
-    assert "the patella jumps from its first pose to where most others are (frames 1 to 2 out of line)" in str(
-        told.value
-    )
-    assert "start_time_s = 0.02 in [motion]" in str(told.value)
+    text = changed(fixed, 'start = { body = "patella" }', LIGHT)
+    (toy / "odd.toml").write_text(text)
+    (toy / "told.toml").write_text(changed("[motion]\n", "[motion]\nstart_time_s = 0.01\n", text))
+    write_poses(toy / "other.csv", {"tibia": tibia, "patella": patella})
+    write_poses(toy / "poses.csv", {"tibia": tibia, "patella": fixed_poses(tibia, *START)})
+    whole = load_scene_file(toy / "odd.toml")
+    assert whole.scene.motion.n_frames == 41
+    assert not whole.notes
+    for file, motion, frames in (("odd", "other", "frames 1 to 2 of 41"), ("told", "poses", "frame 1 of 40")):
+        if motion == "poses":
+            write_poses(toy / "poses.csv", {"tibia": tibia, "patella": patella})
+        loaded = load_scene_file(toy / f"{file}.toml", motion=None if motion == "poses" else toy / "other.csv")
+        assert loaded.scene.motion.n_frames == 39
+        assert loaded.scene.motion.start_time == pytest.approx(0.02)
+        np.testing.assert_allclose(loaded.scene.start.position.array(), START[0], atol=1e-9)
+        (note,) = loaded.notes
+        assert f"the scene starts at 0.02 s: the patella jumps in {frames}" in note
 
 
 SKIN = """

@@ -74,7 +74,14 @@ def test_a_tibia_that_jumps_out_and_back_is_filled_and_named(toy: Path) -> None:
     assert "at most 0.1 s (max_gap_s)" in said
     wide = changed("[motion]\n", "[motion]\nmax_gap_s = 0.2\n", jumping(toy, list(range(10, 21))))
     assert np.linalg.norm(origins(toy, wide)[0] - true, axis=1).max() < 5e-3
-    assert "frames 1 to 2 of 41" in refused(toy, jumping(toy, [0, 1]))
+    assert "frames 40 to 41 of 41" in refused(toy, jumping(toy, [39, 40]))
+    (toy / "start.toml").write_text(jumping(toy, [0, 1, 30]))
+    loaded = load_scene_file(toy / "start.toml")
+    assert loaded.scene.motion.n_frames == 39
+    assert (
+        "the scene starts at 0.02 s: femur and tibia jump against each other in frames 1 to 2 of 41" in loaded.notes[0]
+    )
+    assert "frame 29 of 39 (counted from 1) filled by a spline" in loaded.notes[1]
     later = changed("[motion]\n", "[motion]\nstart_time_s = 0.02\n", jumping(toy, [0, 1]))
     (toy / "later.toml").write_text(later)
     assert load_scene_file(toy / "later.toml").scene.motion.n_frames == 39

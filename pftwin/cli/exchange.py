@@ -9,6 +9,7 @@ from typer import Argument, Option
 
 from pftwin.base.errors import InputError
 from pftwin.base.sheet import Sheet
+from pftwin.base.written_amounts import listed
 from pftwin.cli import terminal
 from pftwin.cli.exit_codes import exit_flagged
 from pftwin.cli.scenes import limits
@@ -111,6 +112,13 @@ def import_model(
     quadriceps: Annotated[
         float | None, Option(metavar="NEWTONS", help="Constant total tension of the muscles from femur to patella.")
     ] = None,
+    quadriceps_knots: Annotated[
+        str | None,
+        Option(
+            metavar="DEG,DEG,...",
+            help="Flexions of the knee at which to give that tension, so that each can be fitted or changed.",
+        ),
+    ] = None,
     activation: Annotated[
         str | None,
         Option(
@@ -151,6 +159,12 @@ def import_model(
         "joint_centers": joint_centers,
         "units": units,
     }
+    if quadriceps_knots is not None:
+        knots = listed(quadriceps_knots, "deg", "--quadriceps-knots")
+        if not knots:
+            found = f"found {quadriceps_knots!r}"
+            raise InputError(found, where="--quadriceps-knots", expected="flexions in degrees, such as 0,30,60")
+        more["quadriceps_knots"] = knots
     bodies = {"femur": femur, "tibia": tibia, "patella": patella}
     terminal.start_computing()
     with terminal.progress(f"reading {model}") as shown:

@@ -120,7 +120,9 @@ def test_what_is_no_table_is_refused_as_ever(folder):
 def test_tensions_over_time_belong_to_the_scenes_own_recording(folder):
     pulls = '\n[[prescribed_tension]]\nbody = "femur"\nfile = "pulls.csv"\n'
     (folder / "pulled.toml").write_text((folder / "scene.toml").read_text() + pulls)
-    with pytest.raises(InputError, match="tension_N, or a scene file of that recording"):
+    with pytest.raises(
+        InputError, match="tension_N, with at_flexion_deg for one that changes, or a scene file of that recording"
+    ):
         load_scene(folder / "pulled.toml", motion=folder.parent / "other.csv")
 
 

@@ -19,6 +19,7 @@ from pftwin.files.interchange.osim_toml import poses_csv, report, scene_text
 from pftwin.files.interchange.osim_wraps import Wraps
 from pftwin.files.mocap.trc import trc_text
 from pftwin.geometry.mesh.mesh import save_mesh
+from pftwin.model.effects.tension import check_knots
 from pftwin.model.limits import Limits
 
 if TYPE_CHECKING:
@@ -61,6 +62,7 @@ def import_osim(
     rate: float | None = None,
     bend: str | None = None,
     quadriceps: float | None = None,
+    quadriceps_knots: Sequence[float] = (),
     activation: float | str | os.PathLike[str] | None = None,
     side: str | None = None,
     femur: str | None = None,
@@ -89,6 +91,8 @@ def import_osim(
         bend: coordinate to flex if there is no motion; None: the first rotation of the tibia's joint.
         quadriceps: constant total tension [N] of the muscles that end on the patella, distributed by their maximum
             isometric forces; lines start at the point before on their paths. None: no such muscles.
+        quadriceps_knots: flexions of the knee [deg] at which the scene is to have this tension, each to be changed or
+            fitted by itself; at least two, rising. Empty: one constant tension.
         activation: instead of a tension, the activation of these muscles, 0 to 1, or a STO, MOT or CSV file of
             activations over time, with columns named by the muscles or their paths. Static tensions follow from the
             activations and the lengths of the paths.
@@ -111,6 +115,10 @@ def import_osim(
 
     if quadriceps is not None and activation is not None:
         raise InputError("both a tension and an activation", where="activation", expected="one of them")
+    if quadriceps_knots:
+        if quadriceps is None:
+            raise InputError("flexions without a tension", where="quadriceps_knots", expected="quadriceps beside it")
+        check_knots(quadriceps_knots, "quadriceps_knots")
     Limits.of(limits or {})
     found = read_model(read_osim(model))
     knee = find_knee(found, side, femur=femur, tibia=tibia, patella=patella)
@@ -142,7 +150,8 @@ def import_osim(
     told.left_out += _unused_elements(found.root, told, recorded=seen is not None)
     if any(wrap is not None and wrap.kind == "cylinder" for _, wrap in (*strands, *pulling)):
         told.notes.append("wrapping: cylinders are taken as endless")
-    text = scene_text(knee, strands, contact, pressing, told, moved, pulling, pulled, seen, limits or {})
+    drive = moved, pulling, pulled, seen
+    text = scene_text(knee, strands, contact, pressing, told, *drive, limits or {}, quadriceps_knots)
     tables = {} if moved is None else {"poses.csv": poses_csv(moved)}
     tables |= {} if seen is None else {RECORDING: trc_text(RECORDING, seen.markers)}
     if moved is not None and pulled is not None:

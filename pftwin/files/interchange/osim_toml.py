@@ -52,11 +52,13 @@ def scene_text(
     pulled: Activated | None,
     seen: Recording | None,
     limits: Mapping[str, float],
+    knots: Sequence[float],
 ) -> str:
     """Text of the scene file; adds notes on what could not be imported unchanged.
 
     The scene's measurements are the patella's poses if `moved` has measured ones, or its markers if `seen` has them.
-    Each strand and muscle comes with its obstacle; tensions over time (`pulled`) are in a separate file.
+    Each strand and muscle comes with its obstacle; tensions over time (`pulled`) are in a separate file. With `knots`,
+    flexions of the knee [deg], tensions are given at each of them.
     """
     model = knee.model
     body = model.bodies[knee.patella]
@@ -74,6 +76,7 @@ def scene_text(
     pulling = "quadriceps"  # no other effect's name starts with this
     while any(label.startswith(pulling) for label in ligaments):
         pulling += "_muscles"
+    pulls = _groups((pulling, muscle, wrap) for muscle, wrap in muscles)
     return render_toml(
         "pftwin.files.interchange",
         "imported.toml.jinja",
@@ -87,9 +90,10 @@ def scene_text(
         patella_markers=None if seen is None else _marker_effects(seen.clusters["patella"], ligaments),
         limits={**(ANYWHERE if seen else {}), **limits},
         bodies={part: body_label(knee.name(part)) for part in PARTS},
-        tensions=told.tensions,
+        tensions={label: [told.tensions[muscle.name] for muscle in group.lines] for label, group in pulls.items()},
         pulled=pulled,
-        muscles=_groups((pulling, muscle, wrap) for muscle, wrap in muscles),
+        knots=knots,
+        muscles=pulls,
         ligaments=ligaments,
         contact=contact,
         fine=bool(meshes) and len(meshes[0].mesh.faces) > _FINE,

@@ -1,7 +1,8 @@
-"""[[prescribed_tension]]: muscles with a given tension, constant or over time."""
+"""[[prescribed_tension]]: muscles with a given tension, constant, over time or by the knee's flexion."""
 
 from __future__ import annotations
 
+import math
 from typing import ClassVar
 
 import numpy as np
@@ -23,7 +24,8 @@ class PrescribedTensionSection(EffectSection):
 
     A file has the columns time_s and, for every line, LINE_tension_N (or LINE_N for lines named in `lines`) and, unless
     the table gives them, LINE_origin_x_m, _y_m, _z_m (or LINE_via_BODY_x_m ...; may move) and LINE_insertion_x_m ...
-    (or LINE_insertion_patella_x_m ...; must be constant). Without a file, `tension_N` are constant tensions.
+    (or LINE_insertion_patella_x_m ...; must be constant). Without a file, `tension_N` are constant
+    tensions; or, with `at_flexion_deg`, tensions of all lines together at these flexions of the knee.
     """
 
     kind: ClassVar[str] = "prescribed_tension"
@@ -32,7 +34,15 @@ class PrescribedTensionSection(EffectSection):
         default=None, description="CSV file with time_s and LINE_tension_N, or C3D with analog channels LINE_tension"
     )
     tension_N: list[NotNegative] | None = Field(  # noqa: N815
-        default=None, description="instead of a file: constant tension of each line [N]"
+        default=None,
+        description="instead of a file: constant tension of each line; with at_flexion_deg, that of all together [N]",
+    )
+    at_flexion_deg: list[float] | None = Field(
+        default=None,
+        description="flexions of the knee, rising, one for each of tension_N: linear between, constant beyond [deg]",
+    )
+    shares: list[NotNegative] | None = Field(
+        default=None, description="with at_flexion_deg: proportions in which the lines share the tension [-]; equal"
     )
     lines: list[str] | None = Field(default=None, description="names of the lines; by default all of the file's")
     insertion_m: Points | None = Field(default=None, description="insertion of each line, patella frame [m]")
@@ -42,40 +52,59 @@ class PrescribedTensionSection(EffectSection):
     def _check(self) -> None:
         if (self.file is None) == (self.tension_N is None):
             raise problem("neither file nor tension_N" if self.file is None else "both", expected="file or tension_N")
-        if self.tension_N is not None:
-            for name, given in (("insertion_m", self.insertion_m), ("origin_m", self.origin_m), ("lines", self.lines)):
-                if given is not None and len(given) != len(self.tension_N):
-                    raise problem(f"{name} has {len(given)} for {len(self.tension_N)} tensions", expected="one each")
-            if self.insertion_m is None or self.origin_m is None:
-                raise problem("constant tensions without ends", expected="insertion_m and origin_m")
+        if self.at_flexion_deg is None and self.shares is not None:
+            raise problem("shares without at_flexion_deg", expected="both or neither")
+        if self.tension_N is None:
+            if self.at_flexion_deg is not None:
+                raise problem("at_flexion_deg with a file", expected="tension_N at these flexions, or the file")
+            return
+        if self.insertion_m is None or self.origin_m is None:
+            raise problem("tensions without ends", expected="insertion_m and origin_m")
+        n, what = len(self.tension_N), "tensions"
+        if self.at_flexion_deg is not None:
+            n, what = len(self.insertion_m), "insertions"
+        named = {"insertion_m": self.insertion_m, "origin_m": self.origin_m, "lines": self.lines, "shares": self.shares}
+        for name, given in named.items():
+            if given is not None and len(given) != n:
+                raise problem(f"{name} has {len(given)} for {n} {what}", expected="one each")
+        if self.shares is not None and sum(self.shares) == 0:
+            raise problem("all shares are 0", expected="at least one above 0")
 
     def build(self, setting: Setting) -> PrescribedTension:
         """The effect."""
-        if self.tension_N is not None:
-            start, interval, tension = 0.0, 1.0, np.asarray([self.tension_N])
-            origin, insertion = np.asarray([self.origin_m]), np.asarray(self.insertion_m)
-        else:
+        knots = share = None
+        if self.tension_N is None:
             with setting.naming("file"):
                 start, interval, tension, origin, insertion = self._recorded(setting)
-        return PrescribedTension(
-            number(tension),
-            vector(np.broadcast_to(setting.points(self.body, origin), (*tension.shape, 3))),
-            vector(setting.points("patella", insertion)),
-            start_time=start,
-            interval=interval,
-            body=self.body,
-            wrap=obstacle(self.wrap, tension.shape[1], setting),
-            name=self.label,
-        )
+        else:
+            start, interval, tension = 0.0, 1.0, np.asarray([self.tension_N])
+            origin, insertion = np.asarray([self.origin_m]), np.asarray(self.insertion_m)
+        if self.at_flexion_deg is not None:
+            knots, tension = tuple(math.radians(angle) for angle in self.at_flexion_deg), tension[0]
+            shares = np.ones(len(insertion)) if self.shares is None else np.asarray(self.shares)
+            share = number(shares / shares.sum())
+        with setting.naming():
+            return PrescribedTension(
+                number(tension),
+                vector(setting.points(self.body, origin)),
+                vector(setting.points("patella", insertion)),
+                start_time=start,
+                interval=interval,
+                body=self.body,
+                wrap=obstacle(self.wrap, len(insertion), setting),
+                knots=knots,
+                share=share,
+                name=self.label,
+            )
 
     def _recorded(self, setting: Setting) -> tuple[float, float, Floats, Floats, Floats]:
-        """Reads first time and interval [s], tensions (n, m) [N], origins (1 or n, m, 3) and insertions (m, 3) [m]."""
+        """Reads first time and interval [s], tensions (n, m) [N], origins (n, m, 3) and insertions (m, 3) [m]."""
         if setting.document.given is not None:
             raise InputError(
                 "tensions over time of the scene's own recording",
                 where=setting.where("file"),
                 expected="none beside another recording",
-                remedy="tension_N, or a scene file of that recording",
+                remedy="tension_N, with at_flexion_deg for one that changes, or a scene file of that recording",
             )
         table = read_readings(setting.path(str(self.file)))
         times, motion = uniform_times(table.times, where=table.source), setting.bones.motion
@@ -96,7 +125,7 @@ class PrescribedTensionSection(EffectSection):
             found = f"the insertion of {lines[int(np.argmax(moved))]!r} moves on the patella"
             raise InputError(found, where=table.source, expected="a fixed insertion")
         interval = float(f"{(times[-1] - times[0]) / max(times.size - 1, 1):.12g}") or 1.0
-        return float(times[0]), interval, tension, origin, insertion[0]
+        return float(times[0]), interval, tension, np.broadcast_to(origin, (*tension.shape, 3)), insertion[0]
 
     def _tensions(self, table: Table, lines: list[str]) -> Floats:
         known = set(table.names)

@@ -88,6 +88,11 @@ class Instant(eqx.Module):
         axes = self.patella.rotation
         return Rotation(*(self.femur.local_direction(a) for a in (axes.ex, axes.ey, axes.ez)))
 
+    def knee_flexion(self) -> Scalar:
+        """Flexion of the tibia in the femur [rad], as `pftwin.base.rotations` defines it."""
+        long_axis = self.femur.local_direction(self.tibia.rotation.ex)
+        return jnp.arctan2(long_axis.z, long_axis.x)
+
     def segment(self, name: str) -> Frame | Ground:
         """The frame of "femur", "tibia" or "ground"."""
         segments = {"femur": self.femur, "tibia": self.tibia, "ground": Ground()}

@@ -14,6 +14,7 @@ from pftwin.files.interchange import import_osim
 from pftwin.files.interchange.osim_document import Element
 from pftwin.files.interchange.osim_lines import PatellarMuscle, shared_tensions
 from pftwin.files.scene_file import load_scene_file
+from pftwin.model.number_place import starting_instant
 
 ANATOMICAL = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])  # proximal, lateral, anterior of x, y, z
 
@@ -148,4 +149,36 @@ def test_nothing_is_written_where_a_tension_is_refused(tmp_path):
     path = write_knee(tmp_path / "model")
     with pytest.raises(InputError, match="quadriceps: found -1"):
         import_osim(path, tmp_path / "scene", quadriceps=-1.0)
+    assert not (tmp_path / "scene").exists()
+
+
+def test_a_tension_at_flexions_keeps_its_shares(knee, tmp_path):
+    """At each of them the tension is the constant one, until one is changed."""
+    constant, told = knee
+    forces = model().index("<Millard2012EquilibriumMuscle")
+    path = write_knee(tmp_path / "model", model()[:forces] + MUSCLES + model()[forces:])
+    made = import_osim(path, tmp_path / "scene", quadriceps=42.0, quadriceps_knots=(0, 30, 75.5))
+    scene = load_scene_file(made.scene).scene
+    assert made.tensions == told.tensions
+    now = starting_instant(scene)
+    effect, other = scene.effect("quadriceps"), constant.effect("quadriceps")
+    np.testing.assert_allclose(effect.tension, [42, 42, 42])
+    np.testing.assert_allclose(np.degrees(effect.knots), [0, 30, 75.5])
+    np.testing.assert_allclose(effect.tensions(now), other.tensions(now), rtol=1e-9)
+    np.testing.assert_array_equal(effect.origin.array(), other.origin.array())
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({"quadriceps_knots": (0, 30)}, "quadriceps_knots: flexions without a tension"),
+        ({"quadriceps_knots": (0, 30), "activation": 0.1}, "quadriceps_knots: flexions without a tension"),
+        ({"quadriceps_knots": (30, 0), "quadriceps": 10.0}, "quadriceps_knots: tensions at flexions of 30, 0 deg"),
+        ({"quadriceps_knots": (30,), "quadriceps": 10.0}, "at least two flexions"),
+    ],
+)
+def test_flexions_that_make_no_tension_are_refused_before_anything_is_written(tmp_path, options, said):
+    path = write_knee(tmp_path / "model")
+    with pytest.raises(InputError, match=said):
+        import_osim(path, tmp_path / "scene", **options)
     assert not (tmp_path / "scene").exists()

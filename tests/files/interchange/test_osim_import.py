@@ -289,6 +289,21 @@ def test_the_command_names_an_overlap_where_the_patella_starts(tmp_path, nearer)
         assert float(re.findall(r"by ([0-9.]+) mm", remark)[0]) == pytest.approx(1e3 * (BUTTON_RADIUS - off), abs=0.3)
 
 
+def test_the_command_takes_flexions_of_a_tension(knee, tmp_path):
+    command = ["import", str(knee[2] / "model" / "knee.osim"), "-o", str(tmp_path / "s"), "--quadriceps", "25"]
+    for wrong in ("0,thirty", "0,30,60 mm", ""):
+        done = CliRunner().invoke(app, [*command, "--quadriceps-knots", wrong])
+        assert done.exit_code == 2, done.output
+        assert "flexions in degrees, such as 0,30,60" in done.stderr
+    assert not (tmp_path / "s").exists()
+    done = CliRunner().invoke(app, [*command, "--quadriceps-knots", "-5, 30,60 deg"])
+    assert done.exit_code == 0, done.output
+    text = (tmp_path / "s" / "scene.toml").read_text()
+    assert "tension_N = [25, 25, 25]" in text
+    assert "at_flexion_deg = [-5, 30, 60]" in text
+    assert "shares = [25]" in text
+
+
 def test_a_knee_whose_muscles_were_left_out_is_code_3(knee, tmp_path):
     done = CliRunner().invoke(app, ["import", str(knee[2] / "model" / "knee.osim"), "-o", str(tmp_path / "s")])
     assert done.exit_code == 3, done.output

@@ -189,7 +189,7 @@ class Nuisance:
                 for place in find(scene, whole):
                     found[place.name] = place, self.damping * float(place.read(scene)), "damping"
         for name, sd in dict(self.others).items():
-            own = find(scene, name)  # replaces what the fields above give for the same numbers
+            own = find(scene, name, "nuisance")  # replaces what the fields above give for the same numbers
             found = {n: each for n, each in found.items() if not any(each[0].overlaps(place) for place in own)}
             found |= {place.name: (place, sd, "others") for place in own}
         if self.friction:

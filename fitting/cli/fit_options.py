@@ -10,7 +10,7 @@ from typer import Option
 
 from pftwin.base.errors import InputError
 from pftwin.base.written_amounts import numbers_between_colons, numbers_by_name
-from pftwin.cli.scenes import TrialsOptions
+from pftwin.cli.scenes import Chosen, TrialsOptions
 
 if TYPE_CHECKING:
     from pftwin.model.scene import Scene
@@ -64,6 +64,14 @@ class ExperimentOptions(TrialsOptions):
             help="Standard deviation of a parameter between trials, in its unit or as in L1=0.5 mm; may be repeated.",
         ),
     ] = None
+
+    def load(self) -> list[Chosen]:
+        """See `TrialsOptions`; names that are separated by spaces arrive here as scene files."""
+        if strays := [str(path) for path in self.scene or [] if not path.suffix and not path.exists()]:
+            names = ",".join([self.free, *strays])
+            remedy = f"names are separated by commas: --free {names}"
+            raise InputError("no such file", where=strays[0], expected="a scene file", remedy=remedy)
+        return super().load()
 
     def asked(self, scene: Scene) -> dict[str, Any]:
         """Keyword arguments for `fitting.fit_tendons`, with units from the scene; InputError for malformed options."""

@@ -10,6 +10,8 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
+from jax.core import Tracer
 from jaxtyping import Array
 
 from pftwin.base.errors import InputError
@@ -38,10 +40,17 @@ def substeps_for(interval: float, dt: float) -> int:
     """Smallest number of equal steps, none longer than `dt` [s], in the interval between two frames [s].
 
     Raises:
-        InputError: `dt` is not positive.
+        InputError: `dt` is not a positive number, or traced.
     """
-    if not dt > 0:
-        raise InputError(f"found {dt!r}", where="dt", expected="a positive number of seconds")
+    if isinstance(dt, Tracer):
+        raise InputError(
+            "a traced value",
+            where="dt",
+            expected="a plain number of seconds, which determines the number of steps",
+            remedy="a static argument, as in jax.jit(..., static_argnames='dt')",
+        )
+    if not isinstance(dt, int | float | np.number | np.ndarray | jax.Array) or np.ndim(dt) or not dt > 0:
+        raise InputError(f"found {dt!r}", where="dt", expected="a positive number of seconds, such as 1e-3")
     return max(1, -int(-(interval / dt - 1e-9) // 1))
 
 

@@ -43,7 +43,7 @@ from pftwin.dynamics.tolerance import (
     parse_tolerance,
     with_estimate,
 )
-from pftwin.dynamics.trajectory import DEFAULT_STEP, checked_integrator
+from pftwin.dynamics.trajectory import DEFAULT_STEP, checked_integrator, checked_scene
 from pftwin.model.scene import Scene, check
 
 if TYPE_CHECKING:
@@ -143,7 +143,7 @@ def simulate(
         The result at the recorded frames.
 
     Raises:
-        InputError: a parameter of the scene, the step or the integrator is invalid, or the scene is traced.
+        InputError: `scene` is not one, a parameter of it, the step or the integrator is invalid, or it is traced.
 
     Warns:
         PftwinWarning: JAX's default device is an accelerator, which is slow for a single motion; once per process.
@@ -172,8 +172,8 @@ def simulate(
 
 
 def _refuse_traced(scene: Scene, verb: str) -> None:
-    """Raises an error for a scene inside a JAX transformation, before compilation."""
-    if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(scene)):
+    """Raises an error for what is no scene, or one inside a JAX transformation, before compilation."""
+    if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(checked_scene(scene, verb))):
         raise InputError(
             "a scene inside jit, grad, vmap or another transformation of JAX",
             where=verb,
@@ -277,7 +277,7 @@ def equilibrium(scene: Scene) -> EquilibriumReport:
         search fails, `converged` is False; no error is raised.
 
     Raises:
-        InputError: a parameter of the scene is invalid, or the scene is traced.
+        InputError: `scene` is not one, a parameter of it is invalid, or it is traced.
     """
     from pftwin.dynamics.equilibrium_report import EquilibriumReport
 

@@ -7,6 +7,7 @@ jax.vmap(lambda k: pftwin.trajectory(scene.set("quadriceps.stiffness", k)).shift
 
 from __future__ import annotations
 
+from os import PathLike
 from typing import ClassVar
 
 import equinox as eqx
@@ -100,11 +101,25 @@ def trajectory(
         The motion at the recorded frames.
 
     Raises:
-        InputError: the step is not positive, `integrator` is not one, or it does not support an effect.
+        InputError: `scene` is not one, the step is not a positive number or is traced, `integrator` is not one, or it
+            does not support an effect.
     """
+    checked_scene(scene, "trajectory")
     chosen = BDF2() if integrator is None else checked_integrator(integrator, "trajectory")
     substeps = substeps_for(scene.motion.frame_interval, dt)
     return _computed(scene.unnamed(), start, chosen, substeps, energy_budget)
+
+
+def checked_scene(given: object, where: str) -> Scene:
+    """Returns `given` if it is a scene.
+
+    Raises:
+        InputError: otherwise; for a path, the message gives the call that loads it.
+    """
+    if isinstance(given, Scene):
+        return given
+    remedy = f'pftwin.load_scene("{given}")' if isinstance(given, str | PathLike) else None
+    raise InputError(f"found {given!r}", where=where, expected="a scene", remedy=remedy)
 
 
 def checked_integrator(given: object, where: str) -> Integrator:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import difflib
 import itertools
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -24,7 +26,7 @@ _SHORT = re.compile(r"^([A-Z])(\d+)(?:\.(strain|force))?$")
 _INDEXED = re.compile(r"^(.*)\[(\d+)\]$")
 
 
-def find(scene: Scene, name: str) -> list[NumberPlace]:
+def find(scene: Scene, name: str, where: str = "free") -> list[NumberPlace]:
     """Resolves a parameter name to the numbers it denotes: one, or one for each element of an array.
 
     - "K1", "L1", "K2", ...: stiffness or slack length of the elastic line elements (tendons, strands), in their order.
@@ -34,8 +36,26 @@ def find(scene: Scene, name: str) -> list[NumberPlace]:
     - "quadriceps.damping~patellar_tendon.damping": numbers tied to the first, which gives the value.
 
     Raises:
-        InputError: there is no such parameter (the message suggests the closest name), or tied numbers are unlike.
+        InputError: there is no such parameter (the message suggests the closest name), or tied numbers are unlike;
+            the message begins with `where`, the argument or function that was given the name.
     """
+    with _asked_by(where):
+        return _places(scene, name)
+
+
+@contextmanager
+def _asked_by(where: str) -> Iterator[None]:
+    """Puts what was called before messages that do not yet say where."""
+    try:
+        yield
+    except InputError as error:
+        if error.where is not None:
+            raise
+        raise InputError(error.problem, where=where, expected=error.expected, remedy=error.remedy) from None
+
+
+def _places(scene: Scene, name: str) -> list[NumberPlace]:
+    """See `find`."""
     if TIED in name:
         return [_tie(scene, name)]
     full, meaning = _long_name(scene, name)
@@ -51,13 +71,12 @@ def find(scene: Scene, name: str) -> list[NumberPlace]:
     if meaning != "value":
         elastic = any(e.name == owner for e in numbered_elements(scene))
         if not elastic or shape != () or path != ("slack_length",):
-            raise InputError(f"{name!r}: only the slack length of a single tendon has a {meaning}", where="free")
+            raise InputError(f"{name!r}: only the slack length of a single tendon has a {meaning}")
     if index is None and not shape:
         return [NumberPlace(owner, path, None, meaning)]
     if len(shape) != 1 or (index is not None and index >= shape[0]):
         raise InputError(
             f"{name!r} in scene {scene.name!r}, which has {shape[0] if shape else 'a single number'} there",
-            where="free",
             expected=_expected(full, shape),
         )
     return [NumberPlace(owner, path, i, meaning) for i in (range(shape[0]) if index is None else [index])]
@@ -70,28 +89,28 @@ def _together(scene: Scene, name: str, field: str) -> NumberPlace:
         raise _unknown(scene, name)
     owner, path, shape, _ = numbers[field]
     if not shape:
-        raise InputError(f"{name!r} is a single number", where="free", expected=field)
+        raise InputError(f"{name!r} is a single number", expected=field)
     place = NumberPlace(owner, path, None, "value", together=True)
     mean = place.read(scene)
     if not place.is_coordinate(scene) and not isinstance(mean, Tracer) and float(mean) == 0:
-        raise InputError(f"{name!r}: their mean is 0", where="free", expected="a mean other than 0")
+        raise InputError(f"{name!r}: their mean is 0", expected="a mean other than 0")
     return place
 
 
 def _tie(scene: Scene, name: str) -> NumberPlace:
     """Resolves "A~B~...": the place of the first number, with the others tied to it."""
-    places = [place for part in name.split(TIED) for place in find(scene, part.strip())]
+    places = [place for part in name.split(TIED) for place in _places(scene, part.strip())]
     if len(places) != name.count(TIED) + 1 or any(p.meaning != "value" for p in places):
-        raise InputError(f"{name!r}: a vector, or a strain or force", where="free", expected="single numbers")
+        raise InputError(f"{name!r}: a vector, or a strain or force", expected="single numbers")
     if any(a.overlaps(b) for a, b in itertools.combinations(places, 2)):
-        raise InputError(f"{name!r} ties a number to itself", where="free", expected="different numbers")
+        raise InputError(f"{name!r} ties a number to itself", expected="different numbers")
     if len({(p.unit(scene), p.is_coordinate(scene)) for p in places}) > 1:
         units = ", ".join(p.unit(scene) or "a pure number" for p in places)
-        raise InputError(f"{name!r} ties unlike numbers: {units}", where="free", expected="numbers of one unit")
+        raise InputError(f"{name!r} ties unlike numbers: {units}", expected="numbers of one unit")
     if not places[0].is_coordinate(scene):
         values = [p.read(scene) for p in places]
         if any(not isinstance(v, Tracer) and np.any(np.asarray(v) == 0) for v in values):
-            raise InputError(f"{name!r}: one of them is 0", where="free", expected="numbers other than 0")
+            raise InputError(f"{name!r}: one of them is 0", expected="numbers other than 0")
     return places[0]._replace(tied=tuple(places[1:]))
 
 
@@ -107,7 +126,8 @@ def get_value(scene: Scene, name: str) -> Any:
     """See `Scene.get`."""
     if (vector := _vector(scene, name)) is not None:
         return follow(owner_of(scene, vector[0]), vector[1])
-    return _one_place(scene, name).read(scene)
+    with _asked_by("scene.get"):
+        return _one_place(scene, name).read(scene)
 
 
 def with_value(scene: Scene, name: str, value: Any) -> Scene:
@@ -124,7 +144,8 @@ def with_value(scene: Scene, name: str, value: Any) -> Scene:
         if shapes[:3] != shapes[3:]:
             raise InputError(f"found shape {shapes[3]}", where=name, expected=f"components of shape {shapes[0]}")
         return replaced(scene, owner, path, new)
-    place = _one_place(scene, name)
+    with _asked_by("scene.set"):
+        place = _one_place(scene, name)
     whole = place.index is None and not place.together
     shape = np.shape(follow(owner_of(scene, place.owner), place.path)) if whole else ()
     if np.shape(value) != shape:
@@ -137,7 +158,7 @@ def _one_place(scene: Scene, name: str) -> NumberPlace:
     full, _ = _long_name(scene, name)
     if full in (numbers := named_arrays(scene)) and numbers[full].shape:
         return NumberPlace(numbers[full].owner, numbers[full].path, None, "value")
-    return find(scene, name)[0]
+    return _places(scene, name)[0]
 
 
 def _vector(scene: Scene, name: str) -> tuple[str, tuple[str, ...]] | None:
@@ -170,15 +191,14 @@ def _long_name(scene: Scene, name: str) -> tuple[str, str]:
         found = f"no parameter {name!r}: scene {scene.name!r} has {len(elements)} tendon(s)"
         if lacking := not_pulled(scene):
             remedy = "add the quadriceps to the scene"
-            raise InputError("; ".join((found, *lacking)), where="free", expected=numbered, remedy=remedy)
+            raise InputError("; ".join((found, *lacking)), expected=numbered, remedy=remedy)
         remedy = "name these only, or add the tendon that is missing to the scene"
-        raise InputError(found, where="free", expected=numbered, remedy=remedy)
+        raise InputError(found, expected=numbered, remedy=remedy)
     element = elements[int(number) - 1]
     full = f"{element.name}.{_aliases(element)[letter]}"
     if element.count is not None:
         raise InputError(
             f"{name!r} is that of {element.name!r}, a group of {element.count}",
-            where="free",
             expected=_expected(full, (element.count,)),
         )
     return full, meaning or "value"
@@ -196,7 +216,6 @@ def _unknown(scene: Scene, name: str) -> InputError:
     near = difflib.get_close_matches(name, [*names, *short], 1, cutoff=0.0)
     return InputError(
         f"no parameter {name!r} in scene {scene.name!r}",
-        where="free",
         expected=f"such as {near[0]!r}" if near else None,
         remedy=f"one of: {', '.join([*short, *names][:12])} ...",
     )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -130,6 +132,27 @@ def test_simulate_refuses_a_traced_scene_before_it_compiles(small: Scene, transf
     for verb in (pftwin.simulate, pftwin.equilibrium):
         with pytest.raises(pftwin.InputError, match=r"inside jit, grad, vmap.*try: pftwin.trajectory\(scene\)"):
             transform(lambda k, verb=verb: verb(small.set("K1", k)))(k)
+
+
+@pytest.mark.parametrize("verb", [pftwin.simulate, pftwin.trajectory, pftwin.equilibrium])
+def test_a_path_in_the_place_of_a_scene_names_the_function_that_loads_it(verb) -> None:
+    for path in ("scene.toml", Path("scene.toml")):
+        with pytest.raises(pftwin.InputError) as refused:
+            verb(path)
+        assert str(refused.value) == (
+            f'{verb.__name__}: found {path!r}; expected: a scene; try: pftwin.load_scene("scene.toml")'
+        )
+    with pytest.raises(pftwin.InputError, match=rf"^{verb.__name__}: found 3; expected: a scene$"):
+        verb(3)
+
+
+def test_a_step_that_is_no_plain_number_is_refused(small: Scene) -> None:
+    for verb in (pftwin.simulate, pftwin.trajectory):
+        for wrong in ("5 ms", [1e-3], -1e-3, float("nan")):
+            with pytest.raises(pftwin.InputError, match=r"^dt: found .*; expected: a positive number of seconds"):
+                verb(small, dt=wrong)
+    with pytest.raises(pftwin.InputError, match=r"^dt: a traced value; expected: .* number of steps; try: .*static"):
+        jax.jit(lambda dt: pftwin.trajectory(small, dt=dt).position)(1e-3)
 
 
 def test_a_name_in_the_place_of_an_integrator_names_the_object(small: Scene) -> None:

@@ -52,6 +52,15 @@ def plain(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return files_of(tmp_path_factory.mktemp("plain"), tibia_poses())
 
 
+def test_names_that_are_separated_by_spaces_are_refused_as_such(plain, tmp_path):
+    """The second name is then where a scene file is expected."""
+    for scene in ((plain,), ("--case", 2)):
+        message = refused("fit", *scene, "-o", tmp_path / "fit.json", "--free", "K1", "L1")
+        assert "L1: no such file; expected: a scene file; try: names are separated by commas: --free K1,L1" in message
+    missing = refused("fit", "walk.toml", "-o", tmp_path / "fit.json")
+    assert "walk.toml: no such file; try: check the path" in missing
+
+
 def test_fit_writes_an_estimate_with_figures(plain, tmp_path):
     output = tmp_path / "fit.json"
     result = pftwin("fit", plain, "-o", output, "--free", "K1,L1", "--starts", 2, "--json", "-")

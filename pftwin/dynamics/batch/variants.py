@@ -12,6 +12,7 @@ from jaxtyping import Array
 from numpy.typing import ArrayLike, NDArray
 
 from pftwin.base.errors import InputError
+from pftwin.dynamics.trajectory import checked_scene
 from pftwin.model.scene import Scene, check
 
 
@@ -69,9 +70,7 @@ def groups_of(scenes: Any) -> list[Group]:
         raise InputError("nothing to simulate", where="scenes", expected="at least one scene")
     alike: dict[Any, list[int]] = {}
     for i, scene in enumerate(scenes):
-        if not isinstance(scene, Scene):
-            raise InputError(f"found {scene!r}", where=f"scenes[{i}]", expected="a scene")
-        check(scene)
+        check(checked_scene(scene, f"scenes[{i}]"))
         leaves, structure = jax.tree.flatten(scene.unnamed())
         kinds = tuple((a.shape, str(a.dtype)) if eqx.is_array(a) else (type(a), a) for a in leaves)
         alike.setdefault((structure, kinds), []).append(i)
@@ -97,8 +96,7 @@ def _of_scenes(scenes: Sequence[Scene], places: list[int]) -> Group:
 
 
 def _of_variants(given: Variants) -> Group:
-    if not isinstance(given.scene, Scene):
-        raise InputError(f"found {given.scene!r}", where="Variants.scene", expected="a scene")
+    checked_scene(given.scene, "Variants.scene")
     if not callable(given.change):
         raise InputError(f"found {given.change!r}", where="Variants.change", expected="a function of scene and row")
     check(given.scene)

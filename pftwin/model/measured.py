@@ -7,11 +7,10 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from pftwin.base.errors import InputError
-from pftwin.base.leaves import host_array
-from pftwin.base.rotations import PatellarAngles, patellar_angles, patellar_orientation
+from pftwin.base.rotations import PatellarAngles, patellar_angles
 from pftwin.base.spatial import Quaternion
 from pftwin.files.mocap.tables import increasing_times
 
@@ -93,27 +92,6 @@ class Measured:
             found = f"no frame with a positive weight of {self.times[0]:g} s to {self.times[-1]:g} s"
             raise InputError(found, where="during", expected="spans of the recording")
         return replace(self, weights=weights)
-
-    @staticmethod
-    def from_angles(
-        times: ArrayLike,
-        center: ArrayLike,
-        *,
-        flexion: ArrayLike,
-        rotation: ArrayLike,
-        tilt: ArrayLike,
-        contact_force: NDArray[np.float64] | None = None,
-        tibial_spring_force: NDArray[np.float64] | None = None,
-        femoral_spring_force: NDArray[np.float64] | None = None,
-        synthetic: bool = False,
-        source: str = "measurements",
-    ) -> Measured:
-        """Measurements from the patella's angles (n,) [rad], with the conventions of `pftwin.base.rotations`."""
-        q = patellar_orientation(*(np.asarray(a, dtype=np.float64) for a in (flexion, rotation, tilt)))
-        forces = contact_force, tibial_spring_force, femoral_spring_force
-        return Measured(
-            np.asarray(times), np.asarray(center), host_array(q), *forces, synthetic=synthetic, source=source
-        )
 
     def __eq__(self, other: object) -> bool:
         """Compares content, so that scenes with the same measurements have the same structure."""

@@ -13,7 +13,8 @@ from small_scene import GROOVE_AT, groove, polynomial, small_result
 
 import pftwin
 from pftwin.base.errors import InputError
-from pftwin.base.rotations import patellar_angles
+from pftwin.base.leaves import host_array
+from pftwin.base.rotations import patellar_angles, patellar_orientation
 from pftwin.base.spatial import Quaternion
 from pftwin.dynamics.status import Status
 from pftwin.model.measured import Measured
@@ -38,7 +39,8 @@ def measured_of(result, **changes) -> Measured:
         "femoral_spring_force": result.effects["quadriceps"]["tension"],
         **changes,
     }
-    return Measured.from_angles(values.pop("times", result.times), **values)
+    turned = host_array(patellar_orientation(*(values.pop(name) for name in a._fields)))
+    return Measured(values.pop("times", result.times), quaternion=turned, **values)
 
 
 def test_a_perfect_twin_has_no_error(result):
@@ -246,7 +248,7 @@ def test_measurements_are_checked(changes, message):
 def test_measured_angles_round_trip():
     rng = np.random.default_rng(1)
     angles = rng.uniform(-1, 1, (3, 5))
-    m = Measured.from_angles(np.arange(5), np.zeros((5, 3)), flexion=angles[0], rotation=angles[1], tilt=angles[2])
+    m = Measured(np.arange(5), np.zeros((5, 3)), host_array(patellar_orientation(*angles)))
     np.testing.assert_allclose(np.stack(m.angles), angles, atol=1e-12)
     np.testing.assert_allclose(patellar_angles(Quaternion(*m.quaternion.T)).tilt, angles[2], atol=1e-12)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -72,12 +72,6 @@ class MarkerTrajectories(Sampled):
     def with_positions(self, positions: ArrayLike) -> MarkerTrajectories:
         """The same markers and times with other positions (n, m, 3) [m], for instance filtered ones."""
         return replace(self, positions=np.asarray(positions, dtype=np.float64))
-
-    def rename(self, names: Mapping[str, str]) -> MarkerTrajectories:
-        """The markers with names replaced by {old: new}."""
-        for old in names:
-            self._index(old)
-        return replace(self, names=tuple(names.get(n, n) for n in self.names))
 
 
 def from_file(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -196,7 +197,8 @@ def skin_file(folder: Path, *, femur: str = "", more: str = "", until: int = 41)
     """A scene whose tibia, and the skin over the patella, are seen through markers; P 1 moves along y."""
     tibia = tibia_poses()
     patella = PoseSeries(tibia.times, START[0] + np.outer(tibia.times, [0, 0.1, 0]), np.tile(START[1], (41, 1)))
-    seen = markers_of({"tibia": tibia, "patella": patella}).rename({"P1": "P 1"})
+    named = markers_of({"tibia": tibia, "patella": patella})
+    seen = replace(named, names=tuple("P 1" if name == "P1" else name for name in named.names))
     positions = seen.positions.copy()
     positions[:9, seen.names.index("P 1")] = np.nan
     positions[15:30, seen.names.index("P 1")] = np.nan

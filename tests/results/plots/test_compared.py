@@ -11,6 +11,8 @@ import pytest
 from small_scene import small_result
 
 from pftwin.base.errors import InputError
+from pftwin.base.leaves import host_array
+from pftwin.base.rotations import patellar_orientation
 from pftwin.model.measured import Measured
 from pftwin.results.plots import compared
 
@@ -34,8 +36,7 @@ def measured(result):
         "tibial_spring_force": result.effects["patellar_tendon"]["tension"] + 0.7,
         "femoral_spring_force": result.effects["quadriceps"]["tension"] - 0.3,
     }
-    named = dict(zip(result.angles._fields, angles, strict=True))
-    return Measured.from_angles(result.times, center, **named, **forces, synthetic=True)
+    return Measured(result.times, center, host_array(patellar_orientation(*angles)), **forces, synthetic=True)
 
 
 def numbers(result, measured):

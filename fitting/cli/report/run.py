@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pftwin.base.errors import InputError
+from pftwin.dynamics.status import FLAGS
 from pftwin.results.verdict import REMARKS, Verdict, verdict_of_file
 
 if TYPE_CHECKING:
@@ -96,11 +97,9 @@ class ReportedRun:
         return bool(self._marks(remark=False))
 
     def _marks(self, *, remark: bool) -> list[tuple[int, str]]:
-        status, about = self.data["status"].values, self.data["status"].attrs
-        words = np.atleast_1d(about.get("flag_descriptions", str(about.get("flag_meanings", "")).split()))
-        flags = zip(np.atleast_1d(about.get("flag_masks", [])), words, strict=True)
-        counts = ((int(np.count_nonzero(status & int(m))), str(text)) for m, text in flags if _is_remark(m) == remark)
-        return [(count, text) for count, text in counts if count]
+        status = self.data["status"].values
+        counts = {f: int(np.count_nonzero(status & int(f))) for f in FLAGS if (f in REMARKS) == remark}
+        return [(count, flag.describe()) for flag, count in counts.items() if count]
 
     @cached_property
     def result(self) -> Any:
@@ -123,7 +122,3 @@ class ReportedRun:
             verdict=self.verdict,
             groove=(None, data["groove_offset"].values) if "groove_offset" in data else None,
         )
-
-
-def _is_remark(mask: Any) -> bool:
-    return bool(int(mask) & REMARKS)

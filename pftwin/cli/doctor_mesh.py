@@ -102,10 +102,10 @@ def _axes(mesh: Path, unit: str, output: Path | None) -> tuple[dict[str, Any], l
         surface = load_mesh(mesh, units=unit, size=None, repair=True)
         grooves, axes = directions_with_groove(surface), principal_axes(surface)
     if output is not None:
-        from pftwin.results.plots.region import plot_grooves, plot_principal
+        from pftwin.results.plots.region import plot_directions
 
         with terminal.spinner("drawing"):
-            terminal.save_picture(plot_grooves(grooves, surface) if grooves else plot_principal(axes, surface), output)
+            terminal.save_picture(plot_directions(grooves, axes, surface), output)
     facts = {
         "unit": unit,
         "grooves": [{"anterior": c.anterior, "proximal": c.proximal, "angles_rad": c.region.angles} for c in grooves],

@@ -69,7 +69,7 @@ def fit_surface(
         try:
             region = trochlear_region(surface, **directions, **wanted)
         except InputError as error:
-            raise _with_directions(error, surface, wanted) from None
+            raise _with_directions(error, surface, wanted, output) from None
     with terminal.spinner("fitting"):
         fits = [fit_named(surface, name, chart=chart, region=region, **asked) for name in names]
     found = [_fit_facts(f) for f in fits]
@@ -117,15 +117,32 @@ def _patches(kind: str, degree: str | None, tolerance: str | None) -> tuple[list
     return [parse_name(name) for name in (degree or "P2,P4,P5").split(",")], {}
 
 
-def _with_directions(error: InputError, surface: SurfaceMesh, wanted: dict[str, Any]) -> InputError:
-    """The error of a region search, with the direction options that give a region as a remedy."""
-    from pftwin.geometry.patch.region import directions_with_groove
+def _with_directions(
+    error: InputError, surface: SurfaceMesh, wanted: dict[str, Any], output: Path | None
+) -> InputError:
+    """The error of a region search with directions as a remedy, which are drawn if there is an `output`.
 
-    found = directions_with_groove(surface, **wanted)
-    if not found:
-        return error
-    options = " or ".join(f"--anterior={c.anterior} --proximal={c.proximal}" for c in found)
-    remedy = f"{options}: along these axes a groove is found; -o shows which one is the trochlea"
+    They are options that give a region, along the mesh's axes or else its principal axes, or else the latter.
+    """
+    import numpy as np
+
+    from pftwin.geometry.patch.region import directions_with_groove, principal_axes
+
+    axes = principal_axes(surface)
+    both = [s * a.direction for a in axes for s in (1, -1)]
+    turned = {",".join(f"{v:.3f}" for v in np.round(d, 3) + 0.0): d for d in both}  # no "-0.000"
+    found = directions_with_groove(surface, **wanted) or directions_with_groove(surface, along=turned, **wanted)
+    drawn = f"{output or '-o FIGURE.png'} shows them"
+    if output is not None:
+        from pftwin.results.plots.region import plot_directions
+
+        terminal.save_picture(plot_directions(found, axes, surface), output)
+    if found:
+        options = " or ".join(f"--anterior={c.anterior} --proximal={c.proximal}" for c in found)
+        remedy = f"{options}: along these directions a groove is found; {drawn}"
+    else:
+        own = "" if error.remedy is None else f"{error.remedy}; "
+        remedy = f"{own}principal directions: {' or '.join([*turned][::2])}; {drawn}"
     return InputError(error.problem, where=error.where, expected=error.expected, remedy=remedy)
 
 

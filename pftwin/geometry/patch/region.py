@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -200,7 +201,7 @@ def _charts(
 
 
 class Candidate(NamedTuple):
-    """Directions along a mesh's axes, such as "-x", and the region that is found with them."""
+    """Directions, such as "-x", and the region that is found with them."""
 
     anterior: str
     proximal: str
@@ -208,7 +209,11 @@ class Candidate(NamedTuple):
 
 
 def directions_with_groove(
-    mesh: SurfaceMesh, *, half_width: float = 0.02, angles: tuple[float, float] = (-math.pi / 3, math.pi / 3)
+    mesh: SurfaceMesh,
+    *,
+    half_width: float = 0.02,
+    angles: tuple[float, float] = (-math.pi / 3, math.pi / 3),
+    along: Mapping[str, ArrayLike] = AXES,
 ) -> list[Candidate]:
     """All pairs of directions along a mesh's axes, anterior and proximal, with which `trochlear_region` finds a groove.
 
@@ -218,10 +223,11 @@ def directions_with_groove(
 
     Args:
         mesh, half_width, angles: as for `trochlear_region`.
+        along: other directions to try, by name: unit vectors that are parallel or at right angles.
     """
     found = []
-    for (anterior, ahead), (proximal, up) in itertools.permutations(AXES.items(), 2):
-        if anterior[1] == proximal[1]:
+    for (anterior, ahead), (proximal, up) in itertools.permutations(along.items(), 2):
+        if abs(np.dot(ahead, up)) > 0.5:
             continue  # the same axis
         try:
             region = trochlear_region(mesh, anterior=ahead, proximal=up, half_width=half_width, angles=angles)

@@ -70,6 +70,11 @@ def plot_grooves(candidates: Sequence[Candidate], mesh: SurfaceMesh) -> Figure:
     return figure
 
 
+def plot_directions(candidates: Sequence[Candidate], axes: Sequence[PrincipalAxis], mesh: SurfaceMesh) -> Figure:
+    """Plots the candidates or, if there are none, the principal axes."""
+    return plot_grooves(candidates, mesh) if candidates else plot_principal(axes, mesh)
+
+
 def plot_principal(axes: Sequence[PrincipalAxis], mesh: SurfaceMesh) -> Figure:
     """Plots three views, each along one principal direction, with lines along the axes of the mesh's frame."""
     from matplotlib.figure import Figure

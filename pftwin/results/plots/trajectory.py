@@ -104,13 +104,16 @@ def _of_surface(surface: Surface, window: Floats) -> Relief:
 
 
 def _of_mesh(chart: Any, mesh: tuple[Floats, NDArray[np.int64]], window: Floats) -> Relief:
-    """The map of a mesh: its triangles that face outwards and lie in the window."""
+    """The map of a mesh: its triangles that face outwards and reach into the window, or all of these if none does."""
     u, v, height = _coordinates(chart, mesh[0])
     faces = mesh[1]
     fu, fv = u[faces], v[faces]
     area = (fu[:, 1] - fu[:, 0]) * (fv[:, 2] - fv[:, 0]) - (fu[:, 2] - fu[:, 0]) * (fv[:, 1] - fv[:, 0])
-    inside = (fu > window[0, 0]) & (fu < window[1, 0]) & (fv > window[0, 1]) & (fv < window[1, 1])
-    kept = faces[(area > 0) & inside.all(axis=1)]
+    reaches = np.ones(len(faces), dtype=bool)
+    for c, (low, high) in zip((fu, fv), window.T, strict=True):
+        reaches &= (c.max(axis=1) > low) & (c.min(axis=1) < high)
+    outwards = area > 0
+    kept = faces[outwards & reaches if (outwards & reaches).any() else outwards]
     used, which = np.unique(kept, return_inverse=True)
     return Relief(chart, u[used], v[used], height[used], which.reshape(-1, 3), None)
 

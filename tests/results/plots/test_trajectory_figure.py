@@ -8,10 +8,15 @@ import numpy as np
 import pytest
 from figure_parts import footers
 from pressed_button import disc, pressed
+from scenes import J, vec
 from small_scene import GROOVE_AT, HALF_U, HALF_V, small_result
 
 import pftwin
 from pftwin.base.errors import InputError
+from pftwin.geometry.contact.contact_mesh import contact_mesh
+from pftwin.geometry.mesh.icosphere import icosphere
+from pftwin.model.effects.contact_law import Hertz
+from pftwin.model.effects.mesh_contact import MeshContact
 from pftwin.model.measured import SYNTHETIC, Measured
 from pftwin.results.plots import COLOURS, case_figure
 from pftwin.results.plots.trajectory import relief
@@ -108,6 +113,37 @@ def test_a_mesh_is_drawn_from_where_it_is_touched(on_a_mesh):
     np.testing.assert_allclose(found["contact, medial facet"].get_ydata(), u, atol=1e-6)
     assert np.isnan(np.asarray(found["contact, lateral facet"].get_ydata())).all()
     assert len(figure.axes[0].collections) == 2  # filled contours and their lines
+
+
+def on_coarse_triangles(on_a_mesh):
+    """The same motion over a ball of 30 mm of 320 triangles, each wider than the map around the short path."""
+    femur, button = contact_mesh(icosphere(0.030, 4)), contact_mesh(icosphere(0.020, 4))
+    ball = MeshContact(femur, button, Hertz(J(2e8)), vec(0, 0, 0), None)
+    return dataclasses.replace(on_a_mesh, scene=on_a_mesh.scene.with_effect(ball))
+
+
+def test_coarse_triangles_cover_the_map(on_a_mesh):
+    """No triangle lies within the map; those that reach into it are drawn."""
+    from matplotlib.tri import Triangulation
+
+    coarse = on_coarse_triangles(on_a_mesh)
+    drawn = relief(coarse, coarse.center)
+    u, v = drawn.place(coarse.center)
+    corners = np.array([[a, b] for a in (u.min() - 5, u.max() + 5) for b in (v.min() - 5, v.max() + 5)])
+    find = Triangulation(drawn.v, drawn.u, drawn.triangles).get_trifinder()
+    assert (find(corners[:, 1], corners[:, 0]) >= 0).all()
+    assert drawn.heights[1] == pytest.approx(30.0, rel=0.05)  # the ball's pole, above its centre
+    assert np.ptp(drawn.u) < 50  # not the whole ball
+    coarse.plot.trajectory().draw_without_rendering()
+
+
+def test_a_path_beside_the_mesh_is_drawn_beside_the_whole_of_it(on_a_mesh):
+    """As of a patella that flew away in a motion that is INVALID."""
+    coarse = on_coarse_triangles(on_a_mesh)
+    away = dataclasses.replace(coarse, center=coarse.center + np.array([0.2, 0.2, 0.0]))
+    drawn = relief(away, away.center)
+    assert np.ptp(drawn.u) == pytest.approx(60.0, rel=0.02)
+    away.plot.trajectory().draw_without_rendering()
 
 
 def test_legend_and_title_lie_beside_the_map(result):

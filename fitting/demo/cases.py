@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pftwin.base.sheet import Column, Sheet, to_csv
-from pftwin.base.text_files import write_text
 
 if TYPE_CHECKING:
     from pftwin.results.metrics import Validation, ValidationRow
@@ -164,5 +163,7 @@ def number_cell(value: float | None, *, signed: bool = False) -> str:
 
 def write_csv(path: Path, rows: Sequence[dict[str, Any]]) -> Path:
     """Writes a table, complete or not at all (OutputError), as `to_csv` does."""
+    from pftwin.base.text_files import write_text
+
     write_text(path, to_csv([Column(name, [row[name] for row in rows]) for name in rows[0]]))
     return path

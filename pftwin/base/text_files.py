@@ -180,10 +180,11 @@ def write_json_file(path: str | os.PathLike[str], value: Any) -> None:
 _NOT_FINITE = {"NaN": np.nan, "Infinity": np.inf, "-Infinity": -np.inf}
 
 
-def json_text(value: Any, not_finite: Callable[[float], str | None]) -> str:
-    """A value as JSON: arrays and sequences as lists, what JSON has no type for as text.
+def json_text(value: Any, not_finite: Callable[[float], str | None], other: Callable[[Any], str] | None = None) -> str:
+    """A value as JSON: arrays and sequences as lists.
 
-    `not_finite` gives what stands in place of a number that is not finite, for which JSON has no form.
+    `not_finite` gives what stands in place of a number that is not finite; `other` of a value of a type that JSON
+    lacks, which is a TypeError without it.
     """
 
     def plain(value: Any) -> Any:
@@ -195,9 +196,9 @@ def json_text(value: Any, not_finite: Callable[[float], str | None]) -> str:
             return value if np.isfinite(value) else not_finite(value)
         if isinstance(value, str | int | bool) or value is None:
             return value
-        return [plain(own) for own in value] if isinstance(value, Sequence) else str(value)
+        return [plain(own) for own in value] if isinstance(value, Sequence) else value
 
-    return json.dumps(plain(value), indent=2, allow_nan=False) + "\n"
+    return json.dumps(plain(value), indent=2, allow_nan=False, default=other) + "\n"
 
 
 def restored_numbers(value: Any) -> Any:

@@ -212,7 +212,7 @@ def write_json(value: Any, to: str | None) -> None:
         return
     from pftwin.base.text_files import json_text, write_text
 
-    text = json_text(value, lambda _: None)
+    text = json_text(value, lambda _: None, str)
     if to == "-":
         sys.stdout.write(text)
     else:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from pathlib import Path
 
@@ -10,6 +11,8 @@ import pytest
 from pftwin.base import output
 from pftwin.base.errors import OutputError
 from pftwin.base.output import written_whole
+from pftwin.base.text_files import write_json_file
+from pftwin.cli.terminal import write_json
 
 
 @pytest.mark.skipif(os.name != "posix", reason="folders are not opened elsewhere")
@@ -59,3 +62,12 @@ def test_a_file_system_that_cannot_sync_folders_will_do(tmp_path, monkeypatch):
     with written_whole(tmp_path / "a.txt") as temporary:
         temporary.write_text("new")
     assert (tmp_path / "a.txt").read_text() == "new"
+
+
+def test_what_json_has_no_type_for_is_text_on_the_terminal_and_an_error_in_files(tmp_path, capsys):
+    """A file that is read back must not hold the text of an object."""
+    with pytest.raises(TypeError, match="not JSON serializable"):
+        write_json_file(tmp_path / "estimate.json", {"method": Path("a") / "b"})
+    assert not list(tmp_path.iterdir())
+    write_json({"where": Path("a") / "b", "share": float("nan")}, "-")
+    assert json.loads(capsys.readouterr().out) == {"where": str(Path("a") / "b"), "share": None}

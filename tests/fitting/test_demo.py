@@ -86,5 +86,3 @@ def test_the_whole_demo(tmp_path: Path):
     at_bound = fit["values"][0] > 0.999 * 1.3 * PUBLISHED[0]  # K1, of springs that stiffen: steps are short there
     assert fit["reason"] == "converged" or at_bound
     np.testing.assert_allclose(fit["nominal"], PUBLISHED)
-    took = table["time of the fit, with compiling"]
-    assert took["case2_by_paper"] < took["case2_published"]

@@ -106,4 +106,4 @@ def test_an_estimate_of_knots_holds_in_another_recording(tmp_path: Path):
 
     with open_dataset(tmp_path / "5.nc") as one, open_dataset(tmp_path / "4.nc") as ranged:
         assert one.sizes["time"] == ranged.sizes["time"] == 31
-        assert float((ranged.high - ranged.low).mean()) >= float((one.high - one.low).mean())
+        assert float((ranged.high - ranged.low).mean()) > 1.02 * float((one.high - one.low).mean())

@@ -57,7 +57,7 @@ class OsimKnee(NamedTuple):
 def find_knee(model: OsimModel, side: str | None = None, **named: str | None) -> OsimKnee:
     """Finds the knee's bodies, unless the caller names them, by their names and the joints between them.
 
-    The side is "right" or "left"; None: by the end of the patella's name, else right. Raises InputError for an unknown
+    The side is "right" or "left"; None: by the ends of the bodies' names, else right. Raises InputError for an unknown
     body, and for no or several candidates for patella, femur or tibia. A body whose name ends with the other side is
     none, unless it is named.
     """
@@ -87,16 +87,20 @@ def find_knee(model: OsimModel, side: str | None = None, **named: str | None) ->
             )
         return found[0]
 
+    def side_of(body: str) -> str | None:
+        return next((s for s, end in SIDES.items() if body.lower().endswith(end)), None)
+
     patella = named.get("patella") or by_name("patella", model.bodies, side)
-    side = side or next((s for s, end in SIDES.items() if patella.lower().endswith(end)), None)
+    side = side or side_of(patella)
     if patella not in tree.joints:
         raise InputError(f"no joint carries {patella!r}", where=file, remedy="--patella NAME")
     carrier = tree.joints[patella].parent.body
     femur = named.get("femur") or by_name("femur", [carrier] if "femur" in carrier.lower() else model.bodies, side)
+    side = side or side_of(femur)
     moving = (b for b, j in tree.joints.items() if j.kind != "WeldJoint" and b != patella)
     on_femur = (b for b in moving if tree.welded(tree.joints[b].parent.body)[0] == tree.welded(femur)[0])
     tibia = named.get("tibia") or by_name("tibia", on_femur, side)
-    return OsimKnee(model, femur, tibia, patella, side or "right")
+    return OsimKnee(model, femur, tibia, patella, side or side_of(tibia) or "right")
 
 
 class Written(NamedTuple):

@@ -62,7 +62,7 @@ def import_osim(
     rate: float | None = None,
     bend: str | None = None,
     quadriceps: float | None = None,
-    quadriceps_knots: Sequence[float] = (),
+    quadriceps_knots: Sequence[float] | None = None,
     activation: float | str | os.PathLike[str] | None = None,
     side: str | None = None,
     femur: str | None = None,
@@ -115,10 +115,10 @@ def import_osim(
 
     if quadriceps is not None and activation is not None:
         raise InputError("both a tension and an activation", where="activation", expected="one of them")
-    if quadriceps_knots:
+    if quadriceps_knots is not None:
         if quadriceps is None:
             raise InputError("flexions without a tension", where="quadriceps_knots", expected="quadriceps beside it")
-        check_knots(quadriceps_knots, "quadriceps_knots")
+        quadriceps_knots = check_knots(quadriceps_knots, "quadriceps_knots")
     Limits.of(limits or {})
     found = read_model(read_osim(model))
     knee = find_knee(found, side, femur=femur, tibia=tibia, patella=patella)
@@ -151,7 +151,7 @@ def import_osim(
     if any(wrap is not None and wrap.kind == "cylinder" for _, wrap in (*strands, *pulling)):
         told.notes.append("wrapping: cylinders are taken as endless")
     drive = moved, pulling, pulled, seen
-    text = scene_text(knee, strands, contact, pressing, told, *drive, limits or {}, quadriceps_knots)
+    text = scene_text(knee, strands, contact, pressing, told, *drive, limits or {}, quadriceps_knots or ())
     tables = {} if moved is None else {"poses.csv": poses_csv(moved)}
     tables |= {} if seen is None else {RECORDING: trc_text(RECORDING, seen.markers)}
     if moved is not None and pulled is not None:

@@ -140,7 +140,7 @@ def _check_gaps(stretches: NDArray[np.intp], tibia: PoseSeries, max_gap_s: float
         raise InputError(
             f"femur and tibia jump against each other in {in_words(refused)} of {times.size} (counted from 1)",
             where=tibia.source,
-            expected=f"stretches of at most {max_gap_s:g} s (max_gap_s) to fill, not at the ends",
+            expected=f"stretches of at most {max_gap_s:g} s (max_gap_s) to fill, not at the end",
             remedy="start_time_s and end_time_s, or a larger max_gap_s, in [motion]; or, if it is meant, a larger "
             "most_knee_speed_m_per_s, or most_angular_speed_rad_per_s, in [limits]",
         )

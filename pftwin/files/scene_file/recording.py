@@ -102,7 +102,7 @@ class SegmentRecording:
         self.motion = self.motion.model_copy(update={"start_time_s": time})
         before = np.arange(shin.times.size) < first
         why = "; ".join(f"{what} in {in_words(o & before)}" for what, o in odd.items() if (o & before).any())
-        self.notes.append(f"{shin.source}: the scene starts at {time:g} s: {why} of {shin.times.size}")
+        self.notes.append(f"the scene starts at {time:g} s: {why} of {shin.times.size}")
 
     @property
     def _fastest(self) -> dict[str, float]:

@@ -34,8 +34,8 @@ class PrescribedTension(LineElement):
     external work.
 
     Raises:
-        InputError: fewer than two knots, knots that do not rise, or another number of tensions than of knots; knots
-            without shares, or shares without knots.
+        InputError: fewer than two knots, knots that do not rise or beyond 180 deg; another number of tensions than of
+            knots; knots without a share for each line, or shares without knots.
     """
 
     tension: Scalar = eqx.field(metadata=quantity("N", at_least=0))
@@ -55,12 +55,20 @@ class PrescribedTension(LineElement):
         if self.knots is None:
             return
         check_knots(np.degrees(self.knots), self.name)
-        if (n := self.tension.shape[-1]) != len(self.knots):
-            raise InputError(f"{n} tensions at {len(self.knots)} flexions", where=self.name, expected="one for each")
+        given, lines = np.shape(self.tension), np.shape(self.insertion.x)
+        if given != (len(self.knots),):
+            count = given[0] if len(given) == 1 else f"an array of shape {given} of"
+            found = f"{count} tensions at {len(self.knots)} flexions"
+            raise InputError(found, where=self.name, expected="one for each")
+        if np.shape(self.share) != lines:
+            found = f"shares of shape {np.shape(self.share)}"
+            raise InputError(found, where=self.name, expected=f"one for each line, {lines}")
 
     def at(self, time: Scalar | float) -> tuple[Scalar, Vec3]:
-        """Tensions over time [N] and origins [m] at a time [s], each (n_lines,)."""
-        return self._sampled((self.tension, self.origin), time)
+        """Tensions [N] and origins [m] at a time [s], each (n_lines,); InputError for a tension by flexion."""
+        if self.knots is not None:
+            raise InputError("a tension by flexion has no value at a time", where=self.name, remedy="tensions(now)")
+        return self._sampled(self.tension, time), self.origin_at(time)
 
     def tensions(self, now: Instant) -> Scalar:
         """Tension of each line at an instant [N], (n_lines,)."""
@@ -77,7 +85,7 @@ class PrescribedTension(LineElement):
     def _sampled(self, series: Any, time: Scalar | float) -> Any:
         """Series over time, (n_samples, n_lines) each, at a time [s]."""
         position = (time - self.start_time) / self.interval
-        last = self.origin.x.shape[0] - 1
+        last = jax.tree.leaves(series)[0].shape[0] - 1
         whole = jnp.clip(jnp.floor(position), 0.0, max(last - 1.0, 0.0))
         index, fraction = jnp.asarray(whole, int), jnp.clip(position - whole, 0.0, 1.0)
 
@@ -103,10 +111,14 @@ class PrescribedTension(LineElement):
         return {"tension": jnp.sum(self.tensions(now))}
 
 
-def check_knots(flexions: ArrayLike, where: str) -> None:
-    """Raises InputError unless there are at least two flexions (n,) [deg], each larger than the one before."""
-    found = np.asarray(flexions, dtype=float)
-    if found.size < 2 or not np.all(np.diff(found) > 0) or not np.isfinite(found).all():
-        listed = ", ".join(f"{flexion:g}" for flexion in found) or "none"
-        expected = "at least two flexions, each larger than the one before"
+def check_knots(flexions: ArrayLike, where: str) -> tuple[float, ...]:
+    """Returns flexions (n,) [deg]; raises InputError unless these are two or more that rise, of at most 180."""
+    try:
+        found = np.asarray(flexions, dtype=float)
+    except (TypeError, ValueError):
+        found = np.array(np.nan)
+    if found.ndim != 1 or found.size < 2 or not np.all(np.diff(found) > 0) or not np.all(np.abs(found) <= 180):
+        listed = flexions if found.ndim != 1 else ", ".join(f"{flexion:g}" for flexion in found) or "none"
+        expected = "at least two flexions, each larger than the one before, from -180 to 180 deg"
         raise InputError(f"tensions at flexions of {listed} deg", where=where, expected=expected)
+    return tuple(found.tolist())

@@ -231,6 +231,12 @@ def test_a_bone_of_the_other_side_is_not_taken(tmp_path):
     assert 'side = "right"' in bare(tmp_path, re.sub(r"_l\b", "", one_left), side="right").scene.read_text()
 
 
+@pytest.mark.parametrize("without", [r"patella", r"(patella|femur)"])
+def test_the_side_is_told_by_the_names_that_have_one(tmp_path, without):
+    left = re.sub(rf"{without}_l\b", lambda m: m[0][:-2], as_left(model(forces=ligaments(), meshes=False)))
+    assert 'side = "left"' in bare(tmp_path, left).scene.read_text()
+
+
 def test_a_motion_of_coordinates_moves_the_bones(tmp_path):
     """Exported by us, imported again: the tibia moves in the femur as the result's did."""
     from small_scene import small_result
@@ -287,6 +293,17 @@ def test_the_command_names_an_overlap_where_the_patella_starts(tmp_path, nearer)
         center = [there - nearer, START["pf_ty_r"], START["pf_tz_r"]]
         off = np.linalg.norm(load_mesh(tmp_path / "m" / "femur.stl", units="m").vertices - center, axis=1).min()
         assert float(re.findall(r"by ([0-9.]+) mm", remark)[0]) == pytest.approx(1e3 * (BUTTON_RADIUS - off), abs=0.3)
+
+
+@pytest.mark.parametrize("flexions", [[0.0], "0,30", [30.0, 0.0], [0.0, 200.0], 3.0, []])
+def test_flexions_of_a_tension_rise_and_are_of_a_knee(knee, tmp_path, flexions):
+    with pytest.raises(InputError, match=r"at least two flexions, each larger than .*, from -180 to 180 deg"):
+        import_osim(knee[2] / "model" / "knee.osim", tmp_path / "s", quadriceps=25.0, quadriceps_knots=flexions)
+    assert not (tmp_path / "s").exists()
+    told = import_osim(
+        knee[2] / "model" / "knee.osim", tmp_path / "s", quadriceps=25.0, quadriceps_knots=np.array([0.0, 30.0])
+    )
+    assert "at_flexion_deg = [0, 30]" in told.scene.read_text()
 
 
 def test_the_command_takes_flexions_of_a_tension(knee, tmp_path):

@@ -105,7 +105,7 @@ def test_longer_stretches_and_ends_are_refused_by_frames(frames, named):
     with pytest.raises(InputError) as told:
         mended_bones(femur, spoiled(tibia, list(frames), 90.0, 0.0), **LIMITS)
     assert str(told.value).startswith(f"tibia: femur and tibia jump against each other in {named} of 120 (counted")
-    assert "at most 0.1 s (max_gap_s) to fill, not at the ends" in str(told.value)
+    assert "at most 0.1 s (max_gap_s) to fill, not at the end" in str(told.value)
 
 
 def test_measured_and_simulated_knees_are_kept(healthy_knee, dm_knee):

@@ -267,3 +267,37 @@ def test_each_knot_is_a_parameter_by_name():
     assert float(twice.set("quadriceps.tension[1]", 7.0).get("quadriceps.tension[1]")) == 7.0
     with pytest.raises(InputError, match="expected: zero or a positive number"):
         pftwin.simulate(scene.set("quadriceps.tension[1]", -1.0))
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"share": number((1.0,))}, r"shares of shape \(1,\).*one for each line, \(2,\)"),
+        ({"share": number(0.5)}, r"shares of shape \(\)"),
+        ({"tension": number([TENSIONS])}, r"an array of shape \(1, 3\) of tensions at 3 flexions"),
+        ({"knots": (0.0, 0.5, 3.2)}, "from -180 to 180 deg"),
+    ],
+)
+def test_what_would_multiply_a_force_is_refused(change, words):
+    right = muscle()
+    given = {n: getattr(right, n) for n in ("tension", "origin", "insertion", "knots", "share", "name")} | change
+    with pytest.raises(InputError, match=words):
+        PrescribedTension(**given, start_time=0.0, interval=1.0, body="femur")
+
+
+def test_tension_and_origin_are_sampled_each_by_its_own_length():
+    """Three tensions over time, from an origin that does not move."""
+    over_time = PrescribedTension(
+        number([[10.0], [20.0], [30.0]]),
+        vector([[(0.0, 0.0, 0.1)]]),
+        vector(np.zeros((1, 3))),
+        start_time=0.0,
+        interval=1.0,
+        body="femur",
+        name="muscle",
+    )
+    times = {0.0: 10.0, 0.5: 15.0, 1.5: 25.0, 2.5: 30.0}
+    assert {t: float(over_time.at(J(t))[0][0]) for t in times} == times
+    assert float(over_time.at(J(1.5))[1].z[0]) == 0.1
+    with pytest.raises(InputError, match="a tension by flexion has no value at a time"):
+        muscle().at(0.0)

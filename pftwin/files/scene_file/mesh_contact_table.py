@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
+import numpy as np
 from pydantic import Field
 
 from pftwin.base.arrays import Floats
@@ -19,7 +20,7 @@ from pftwin.files.scene_file.mesh_tables import (
     check_start,
     refuse_patch,
 )
-from pftwin.files.scene_file.section import NotNegative, Positive, Section, problem
+from pftwin.files.scene_file.section import NotNegative, Point, Positive, Section, problem
 from pftwin.files.scene_file.surface_table import SurfaceSection
 
 if TYPE_CHECKING:
@@ -154,6 +155,12 @@ class ElasticFoundationSection(_MeshesSection):
         description="largest number of neighbouring triangles of the button to merge: faster, slightly less accurate",
     )
 
+    button_turn_deg: Point | None = Field(
+        default=None,
+        description="rotation vector of the button's mesh about its frame's origin, patella frame [deg]; zeros make it "
+        "a parameter to be fitted, absent it is none",
+    )
+
     def build(self, setting: Setting) -> Effect:
         """The effect."""
         from pftwin.geometry.contact.depth_sides import pressed_surface, pressing_surface
@@ -177,5 +184,11 @@ class ElasticFoundationSection(_MeshesSection):
                 vector(button.origin),
                 number(self.damping_time_s),
                 surface=surface,
+                turn=None if self.button_turn_deg is None else vector(self._turn(self.button_turn_deg, setting)),
                 name=self.label,
             )
+
+    def _turn(self, degrees: list[float], setting: Setting) -> Floats:
+        """Rotation vector (3,) in the scene's axes [rad]; a mirrored rotation turns the other way."""
+        axes = setting.points("patella", np.eye(3))
+        return np.sign(np.linalg.det(axes)) * setting.points("patella", np.radians(degrees))

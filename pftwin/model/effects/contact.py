@@ -294,7 +294,7 @@ class ButtonSphere(FixedButton):
 
 
 class ButtonMesh(FixedButton):
-    """A contact whose button is a mesh fixed in the patella, at `origin` [m], with axes parallel to the patella's."""
+    """A contact whose button is a mesh fixed in the patella at `origin` [m], by default with axes parallel to its."""
 
     in_turns: ClassVar[bool] = True
 

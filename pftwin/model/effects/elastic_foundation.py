@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from pftwin.base.quantities import quantity
-from pftwin.base.spatial import Scalar, Vec3
+from pftwin.base.spatial import Quaternion, Rotation, Scalar, Vec3
 from pftwin.geometry.bvh.triangle import Triangle, half_extent
 from pftwin.geometry.contact.behind import behind
 from pftwin.geometry.contact.depth_search import centroid
@@ -46,6 +46,8 @@ class ElasticFoundation(ButtonMesh):
     placement: Vec3 = eqx.field(  # offset of the mesh from `origin`: bone and cartilage are registered to each other
         default_factory=Vec3.zero, metadata=quantity("m", frame="patella")
     )
+    # Rotation vector of the mesh about its origin, patella axes; None: the mesh's axes are parallel to the patella's.
+    turn: Vec3 | None = eqx.field(default=None, metadata=quantity("rad"))
     method: ClassVar[str] = "foundation"
     observables: ClassVar[dict[str, Observable]] = {
         **FORCE,
@@ -67,15 +69,19 @@ class ElasticFoundation(ButtonMesh):
         patella, femur = now.patella, now.femur
         velocity = femur.relative_velocity(patella.velocity, patella.position)
         spin = femur.relative_spin(patella.spin, patella.rotation)
-        origin = self.origin + self.placement
+        origin, rotation = self.origin + self.placement, now.turn_in_femur()
+        position = femur.to_local(patella.position + patella.arm(origin))
+        if (turn := self._turn()) is not None:
+            origin, spin = turn.unapply(origin), turn.unapply(spin)
+            rotation = Rotation(*(rotation.apply(axis) for axis in (turn.ex, turn.ey, turn.ez)))
         return Bedded(
             femur=self.femur,
             button=self.button,
             law=self.law,
             damping_time=jnp.asarray(self.damping_time, patella.position.x.dtype),
             origin=origin,
-            position=femur.to_local(patella.position + patella.arm(origin)),
-            rotation=now.turn_in_femur(),
+            position=position,
+            rotation=rotation,
             world=None if isinstance(femur, Ground) else femur.rotation,
             twist=jnp.concatenate([velocity.array(), spin.array()]),
         )
@@ -83,8 +89,12 @@ class ElasticFoundation(ButtonMesh):
     def load(self, now: Instant, memory: Any) -> tuple[Load, Any]:
         """See `Effect`: the forces of all triangles, as one aggregate stiffness."""
         at = self.pressed(now)
-        found = triangle_sums(at)[0]
-        velocity, spin = Vec3.from_array(at.twist[:3]), Vec3.from_array(at.twist[3:])
+        found, twist = triangle_sums(at)[0], at.twist
+        if (turn := self._turn()) is not None:  # moments and spin from the mesh's axes to the patella's
+            turned = jnp.eye(6, dtype=twist.dtype).at[3:, 3:].set(turn.array())
+            force, elastic, twist = (turned @ six for six in (found.force, found.elastic, twist))
+            found = found._replace(force=force, elastic=elastic, stiffness=turned @ found.stiffness @ turned.T)
+        velocity, spin = Vec3.from_array(twist[:3]), Vec3.from_array(twist[3:])
         bed = AggregateStiffness(
             found.force, found.elastic, found.stiffness, at.damping_time, found.size, velocity, spin
         )
@@ -136,4 +146,10 @@ class ElasticFoundation(ButtonMesh):
 
     def button_triangles(self) -> Array:
         """See `Contact`."""
-        return self.button.mesh + jnp.tile(self.placement.array(), 3)[None, :]
+        corners, turn = Vec3.from_array(self.button.mesh.reshape(-1, 3, 3)), self._turn()
+        placed = self.placement + (corners if turn is None else turn.apply(corners))
+        return placed.array().reshape(-1, 9)
+
+    def _turn(self) -> Rotation | None:
+        """From the mesh's axes to the patella's."""
+        return None if self.turn is None else Quaternion.from_rotation_vector(self.turn).rotation()

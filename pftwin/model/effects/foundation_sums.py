@@ -38,15 +38,16 @@ class Bedded(eqx.Module):
     button: PressingSurface
     law: FoundationLaw
     damping_time: Scalar  # [s]
-    origin: Vec3  # of the button's mesh, from the patella's centre of mass, patella axes [m]
+    origin: Vec3  # of the button's mesh, from the patella's centre of mass, axes of the mesh [m]
     position: Vec3  # of the same origin in the femur frame [m]
-    rotation: Rotation  # patella to femur
+    rotation: Rotation  # axes of the mesh to femur
     world: Rotation | None  # femur to world; None if the femur is the world
-    twist: Array  # (6,) relative to the femur: velocity of the centre of mass, world axes; spin, patella axes
+    twist: Array  # (6,) relative to the femur: velocity of the centre of mass, world axes; spin, axes of the mesh
 
 
 class Forces(NamedTuple):
-    """Sums over the triangles in contact, as in `pftwin.model.effects.base.AggregateStiffness`."""
+    """Sums over the triangles in contact, as in `pftwin.model.effects.base.AggregateStiffness`, but with moments in the
+    axes of the button's mesh."""
 
     force: Array  # (6,)
     elastic: Array  # (6,)
@@ -201,7 +202,7 @@ def _lanes_of_leaves(at: Bedded, found: TouchingLeaves, start: Array) -> Lanes:
 
 def _wrench(at: Bedded, d: Depths, forces: Vec3) -> list[Array]:
     """Wrenches of forces at the centroids (femur axes): force in world axes, and moment about the centre of mass in
-    patella axes."""
+    axes of the mesh."""
     moment = (d.local + at.origin).cross(at.rotation.unapply(forces))
     direction = forces if at.world is None else at.world.apply(forces)
     return [direction.x, direction.y, direction.z, moment.x, moment.y, moment.z]

@@ -178,6 +178,18 @@ def test_a_left_knee_is_the_mirror_image(toy: Path) -> None:
     assert lateral_triangles(one) == lateral_triangles(two)
 
 
+def test_a_turn_of_the_buttons_mesh_is_mirrored_for_a_left_knee(toy: Path) -> None:
+    """In the mirror of a sagittal plane a rotation about an axis in it turns the other way, one about y does not."""
+    save_mesh(icosphere(0.022, 9), toy / "ball_to_turn.ply")
+    text = foundation(button='{ mesh = "ball_to_turn.ply", units = "m" }')
+    head = NO_CONTACT.replace('name = "toy"', 'name = "toy"\nside = "left"\n[axes]\nworld_medial_lateral = "y"')
+    right = the(load(toy, text + "\nbutton_turn_deg = [1, 2, 3]\n"))
+    left = the(load(toy, text.replace(NO_CONTACT, head) + "\nbutton_turn_deg = [1, 2, 3]\n"))
+    np.testing.assert_allclose(np.degrees(right.turn.array()), [1, 2, 3], rtol=1e-12)
+    np.testing.assert_allclose(np.degrees(left.turn.array()), [-1, 2, -3], rtol=1e-12)
+    assert the(load(toy, text)).turn is None
+
+
 def test_a_smooth_surface_tells_results_where_the_groove_is(toy: Path) -> None:
     stand_in = SCENE[SCENE.index("mesh = ") :].replace('degree = "P5"', 'kind = "spline"')
     for table, text in (("mesh_contact", SCENES["nearest"]), ("elastic_foundation", SCENES["foundation"])):

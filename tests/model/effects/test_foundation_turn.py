@@ -85,8 +85,10 @@ def test_derivatives_of_forces_are_those_of_finite_differences(by):
 
 @pytest.mark.slow
 def test_a_motions_derivative_by_the_turn():
+    made = scene()
+
     def end(turn: jax.Array) -> jax.Array:
-        sys = System.of(scene().with_effect(turned(scene().effect("contact"), turn)))
+        sys = System.of(made.with_effect(turned(made.effect("contact"), turn)))
         start = state_at(sys, (0.0, 0.0, 0.004), orientation=TILT)
         state = march(sys, eqx.tree_at(lambda s: s.position.z, start, -2e-4 + 0.004), 0.01, 20)
         return 1e3 * jnp.concatenate([state.position.array(), state.velocity.array()])

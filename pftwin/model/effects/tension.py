@@ -52,7 +52,7 @@ class PrescribedTension(LineElement):
     def __check_init__(self) -> None:
         if (self.knots is None) != (self.share is None):
             raise InputError("knots or shares alone", where=self.name, expected="both, for a tension by flexion")
-        if self.knots is None:
+        if self.knots is None or self.share is None:
             return
         check_knots(np.degrees(self.knots), self.name)
         given, lines = np.shape(self.tension), np.shape(self.insertion.x)

@@ -147,7 +147,7 @@ def test_import_shows_its_stages(screen, monkeypatch, tmp_path):
         raise KeyboardInterrupt
 
     monkeypatch.setattr("pftwin.files.interchange.osim_scene.import_osim", lambda *_, **options: None)
-    monkeypatch.setattr("pftwin.cli.exchange._import_problem", interrupted)
+    monkeypatch.setattr("pftwin.cli.exchange._loaded", interrupted)
     done = CliRunner().invoke(app, ["import", "knee.osim", "-o", str(tmp_path / "knee")])
     assert done.exit_code == 130, done.output
     assert any(line.startswith("loading the scene") and "1 of 2" in line for line in lines(screen))

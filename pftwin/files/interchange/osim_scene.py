@@ -92,7 +92,7 @@ def import_osim(
         quadriceps: constant total tension [N] of the muscles that end on the patella, distributed by their maximum
             isometric forces; lines start at the point before on their paths. None: no such muscles.
         quadriceps_knots: flexions of the knee [deg] at which the scene is to have this tension, each to be changed or
-            fitted by itself; at least two, rising. Empty: one constant tension.
+            fitted by itself; at least two, rising. None: one constant tension.
         activation: instead of a tension, the activation of these muscles, 0 to 1, or a STO, MOT or CSV file of
             activations over time, with columns named by the muscles or their paths. Static tensions follow from the
             activations and the lengths of the paths.

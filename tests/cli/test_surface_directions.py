@@ -11,6 +11,8 @@ from scipy.spatial.transform import Rotation
 
 from pftwin.geometry.mesh.icosphere import icosphere
 from pftwin.geometry.mesh.mesh import SurfaceMesh, load_mesh, save_mesh
+from pftwin.geometry.patch.region import directions_with_groove
+from pftwin.results.plots.region import plot_directions
 
 TURN = Rotation.random(rng=np.random.default_rng(1)).as_matrix()
 NUMBERS = r"(-?[0-9.]+),(-?[0-9.]+),(-?[0-9.]+)"
@@ -50,3 +52,16 @@ def test_principal_directions_are_named_and_drawn_where_none_has_a_groove(tmp_pa
     np.testing.assert_allclose(np.abs(axes @ TURN), np.eye(3)[[1, 0, 2]], atol=2e-2)
     assert figure.read_bytes().startswith(b"\x89PNG")
     assert "-o FIGURE.png shows them" in refused("fit-surface", mesh, "--units", "m")
+
+
+def test_a_single_candidate_fills_the_figure_with_its_title_inside(dm_knee: Path) -> None:
+    """It stood beside an empty half, and its title was cut off."""
+    from matplotlib.text import Text
+
+    mesh = load_mesh(dm_knee / "femoral_component_contact.stl", units="m")
+    figure = plot_directions(directions_with_groove(mesh)[:1], [], mesh)
+    figure.draw_without_rendering()
+    (title,) = (t.get_window_extent() for t in figure.findobj(Text) if t.get_text().startswith("anterior "))
+    assert title.y1 <= figure.bbox.y1
+    assert title.x1 <= figure.bbox.x1
+    assert figure.axes[0].get_window_extent().width > 0.6 * figure.bbox.width

@@ -57,10 +57,11 @@ def plot_grooves(candidates: Sequence[Candidate], mesh: SurfaceMesh) -> Figure:
     """Plots the region and groove line of each candidate in a separate front view, proximal upwards."""
     from matplotlib.figure import Figure
 
-    rows = -(-len(candidates) // 2)
+    columns = min(2, len(candidates))
+    rows = -(-len(candidates) // columns)
     with house_style():
-        figure = Figure(figsize=(WIDE, _PANEL * rows + 0.6))
-        panels = figure.subplots(rows, 2, squeeze=False).ravel()
+        figure = Figure(figsize=(WIDE * columns / 2, _PANEL * rows + 0.6))
+        panels = figure.subplots(rows, columns, squeeze=False).ravel()
         for ax, candidate in zip(panels, candidates, strict=False):
             plot_region(candidate.region, mesh, ax)
             ax.set_title(f"anterior {candidate.anterior}, proximal {candidate.proximal}")

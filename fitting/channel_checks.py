@@ -126,17 +126,17 @@ def readings(objective: Objective, trials: Floats) -> Iterator[Reading]:
         keep = _frames_compared(objective.present[:, rows.start])
         if not keep.size:
             continue
-        data, seen = objective.measured[keep, at], trials[:, keep, at]
+        data, twin = objective.measured[keep, at], trials[:, keep, at]
         if channel not in _FLOOR:
-            seen = seen[_rms(seen) >= _SLACK * min(float(_rms(seen).max()), float(_rms(data)))]
+            twin = twin[_rms(twin) >= _SLACK * min(float(_rms(twin).max()), float(_rms(data)))]
         unit = unit_of(channel, objective.readings)
         tried = _poses(channel, data) if channel in _FLOOR else _readings(data, unit)
         # The median: in some trials the contact's force is hundreds of times larger than in the others.
-        size = 1.0 if channel in _FLOOR else max(float(np.median(_rms(seen))), 1e-300)
+        size = 1.0 if channel in _FLOOR else max(float(np.median(_rms(twin))), 1e-300)
         floor = _FLOOR.get(channel, _FORCE_FLOOR)
         if channel == POSITION:
-            tried = _not_just_smaller(data, tried, seen)
-        off = {faults: max(float(_distance(channel, values, seen).min()) / size, floor) for faults, values in tried}
+            tried = _not_just_smaller(data, tried, twin)
+        off = {faults: max(float(_distance(channel, values, twin).min()) / size, floor) for faults, values in tried}
         best = min(off.values())
         faults = next(f for f, value in off.items() if value <= _SIMPLER * best)  # the simplest comes first
         if off.get(faults[:1], np.inf) < _BOTH * off[faults]:
@@ -148,8 +148,8 @@ def readings(objective: Objective, trials: Floats) -> Iterator[Reading]:
         keep = _frames_compared(objective.present[:, j] & objective.present[:, m])
         if not keep.size or unit_of(one, objective.readings) != unit_of(other, objective.readings):
             continue
-        data, seen = objective.measured[keep][:, [i, k]], trials[:, keep][..., [i, k]]
-        straight, swapped = (max(float(up_to_scale(d, seen).min()), _FORCE_FLOOR) for d in (data, data[:, ::-1]))
+        data, twin = objective.measured[keep][:, [i, k]], trials[:, keep][..., [i, k]]
+        straight, swapped = (max(float(up_to_scale(d, twin).min()), _FORCE_FLOOR) for d in (data, data[:, ::-1]))
         if straight > swapped:
             yield Reading((one, other), "swapped", straight / swapped)
 
@@ -245,27 +245,27 @@ def _rms(values: Floats) -> Floats:
     return np.sqrt(np.mean(np.sum(values**2, axis=-1), axis=-1))
 
 
-def _distance(channel: str, data: Floats, seen: Floats) -> Floats:
+def _distance(channel: str, data: Floats, twin: Floats) -> Floats:
     """Distance of a channel (n, k) from each trial (N, n, k); q and -q are the same orientation."""
     if channel == ORIENTATION:
-        data = data * np.where(np.sum(data * seen, axis=-1, keepdims=True) < 0, -1.0, 1.0)
-    return _rms(data - seen)
+        data = data * np.where(np.sum(data * twin, axis=-1, keepdims=True) < 0, -1.0, 1.0)
+    return _rms(data - twin)
 
 
 def _not_just_smaller(
-    data: Floats, tried: Iterator[tuple[Faults, Floats]], seen: Floats
+    data: Floats, tried: Iterator[tuple[Faults, Floats]], twin: Floats
 ) -> Iterator[tuple[Faults, Floats]]:
     """Omits readings of positions that only shrink the values and fit worse than the values with a constant offset.
 
     Positions in a frame far away come closer with any reading that shrinks them; an offset explains them better.
     """
-    apart = data - seen
-    set_off = float(_rms(apart - apart.mean(axis=1, keepdims=True)).min())
+    residuals = data - twin
+    set_off = float(_rms(residuals - residuals.mean(axis=1, keepdims=True)).min())
     for faults, values in tried:
         if (
             not faults
             or _rms(values) > 0.5 * _rms(data)
-            or _SIMPLER * _distance(POSITION, values, seen).min() < set_off
+            or _SIMPLER * _distance(POSITION, values, twin).min() < set_off
         ):
             yield faults, values
 

@@ -133,8 +133,8 @@ class Estimate:
         found: dict[str, dict[str, tuple[float, float]]] = {}
         for at, trial in self.differences:
             weights = weights_in(self.differences, self.shared, trial)[at]
-            told = float(weights @ self.values), float(np.sqrt(max(weights @ self.covariance @ weights, 0.0)))
-            found.setdefault(self.names[at], {})[list(self.trial_rmse)[trial]] = told
+            estimated = float(weights @ self.values), float(np.sqrt(max(weights @ self.covariance @ weights, 0.0)))
+            found.setdefault(self.names[at], {})[list(self.trial_rmse)[trial]] = estimated
         return found
 
     @property
@@ -277,16 +277,16 @@ class Estimate:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for JSON, with derived ones for readers of the file."""
-        plain = {k: getattr(self, k) for k in self.__dataclass_fields__ if k != "trials"}
+        values = {k: getattr(self, k) for k in self.__dataclass_fields__ if k != "trials"}
         for key in _ARRAYS:
-            plain[key] = np.asarray(plain[key]).tolist()
-        plain["draws"] = None if self.draws is None else [[float(f"{v:.7g}") for v in row] for row in self.draws]
-        plain["nuisance"] = asdict(self.nuisance)
+            values[key] = np.asarray(values[key]).tolist()
+        values["draws"] = None if self.draws is None else [[float(f"{v:.7g}") for v in row] for row in self.draws]
+        values["nuisance"] = asdict(self.nuisance)
         return {
             "format": FORMAT,
             "sentence": self.sentence(),
             "doubts": list(self.doubts),
-            **plain,
+            **values,
             "standard_deviations": self.standard_deviations.tolist(),
             "intervals_95": self.intervals.tolist(),
             "at_bounds": list(self.at_bounds),

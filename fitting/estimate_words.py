@@ -51,15 +51,15 @@ def summary(e: Estimate) -> str:
         low, high = e.intervals[i]
         lines += ["nuisance and differences between trials:"] if name == next(iter(e.auxiliary), None) else []
         mark = f"; {e.bound_mark(name)}" if e.bound_mark(name) else ""
-        spread, interval = f" +- {e.standard_deviations[i]:.2g}", f"95 %: {low:.6g} to {high:.6g}; "
+        deviation, interval = f" +- {e.standard_deviations[i]:.2g}", f"95 %: {low:.6g} to {high:.6g}; "
         if name in e.set_by_bounds:
-            spread = interval = ""
+            deviation = interval = ""
         lines.append(
-            f"  {name:<12} {e.values[i]:.6g}{spread} {e.units[i]}  ({interval}nominal {e.nominal[i]:.6g}{mark})"
+            f"  {name:<12} {e.values[i]:.6g}{deviation} {e.units[i]}  ({interval}nominal {e.nominal[i]:.6g}{mark})"
         )
-    for name, told in e.in_trials.items():
+    for name, values in e.in_trials.items():
         unit = e.units[e.names.index(name)]
-        lines += [f"  {name} in {trial}: {value:.6g} +- {sd:.2g} {unit}" for trial, (value, sd) in told.items()]
+        lines += [f"  {name} in {trial}: {value:.6g} +- {sd:.2g} {unit}" for trial, (value, sd) in values.items()]
     lines += [*([] if e.invalid else [sentence(e)]), *remarks(e), f"stopped: {e.reason}"]
     return "\n".join(lines)
 

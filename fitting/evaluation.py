@@ -85,14 +85,14 @@ class Evaluator:
         warn_of_accelerator(found[0].platform)
         mesh = programs.mesh_of(found)
         self._program = programs.FitProgram(self.parameters.places, self.computed or self.channels, mesh)
-        self._plain_scene = self.scene.unnamed()
+        self._unnamed_scene = self.scene.unnamed()
         self._readings = programs.reading_units(self.scene, self.channels)
-        self._with_plain = True
+        self._without_slopes = True
         self._recent: list[tuple[Floats, int, Prediction]] = []
 
     def prepare(self, widest: int | None) -> None:
         """Sets the batch size from the largest request without derivatives; None if there will be no such request."""
-        self._with_plain = widest is not None
+        self._without_slopes = widest is not None
         if self.in_turns:
             self.chunk = 1
         elif self._accelerated:
@@ -103,12 +103,12 @@ class Evaluator:
 
     def begin(self) -> Callable[[], None]:
         """Traces the program that a fit needs first; the returned function compiles it. Call `prepare` before."""
-        slopes = not self._with_plain
+        slopes = not self._without_slopes
         width = self._call_width(self.slope_chunk if slopes else self.chunk)
         theta = jnp.asarray(np.zeros((width, len(self.parameters))), dtype=float)
         guesses = _selected(jax.tree.map(lambda a: np.asarray(a)[None], self.scene.start), np.zeros(width, int))
         program = programs.with_slopes if slopes else programs.predictions
-        return program.begin(self._program, self._plain_scene, jnp.asarray(0), theta, guesses)
+        return program.begin(self._program, self._unnamed_scene, jnp.asarray(0), theta, guesses)
 
     @property
     def scenes(self) -> tuple[Scene, ...]:
@@ -205,7 +205,7 @@ class Evaluator:
             part = slice(i, i + width)
             full, cotangents = (_filled(a[part], width) for a in (theta, pulls))
             numbers = jnp.asarray(full, dtype=float), self.guesses(full), jnp.asarray(cotangents, dtype=float)
-            found = programs.loss_gradients(program, self._plain_scene, substeps, *numbers)
+            found = programs.loss_gradients(program, self._unnamed_scene, substeps, *numbers)
             parts.append(np.asarray(found)[: len(theta[part])])
         return np.concatenate(parts)
 
@@ -241,9 +241,9 @@ class Evaluator:
         assert values is not None
         assert found is not None
         if self.computed is not None:
-            kept = columns_of(self.channels, self.computed)
-            values = values[..., kept]
-            slope = None if slope is None else slope[..., kept, :]
+            columns = columns_of(self.channels, self.computed)
+            values = values[..., columns]
+            slope = None if slope is None else slope[..., columns, :]
         usable = found & np.isfinite(values).all(axis=(1, 2))
         if slope is not None:
             usable &= np.isfinite(slope).all(axis=(1, 2, 3))
@@ -251,7 +251,7 @@ class Evaluator:
 
     def _run(self, theta: NDArray, guesses: Pose, substeps: int, slopes: bool) -> tuple[Any, Any, Any, Any]:
         """Values (N, n, c), slopes (N, n, c, p) or None, whether in equilibrium at the start (N,), starting poses."""
-        args = (self._program, self._plain_scene, jnp.asarray(substeps), jnp.asarray(theta, dtype=float), guesses)
+        args = (self._program, self._unnamed_scene, jnp.asarray(substeps), jnp.asarray(theta, dtype=float), guesses)
         if not slopes:
             values, poses, found = programs.predictions(*args)
             return np.asarray(values), None, np.asarray(found), poses
@@ -267,7 +267,7 @@ class Evaluator:
     @cached_property
     def _cloud(self) -> tuple[Floats, Pose]:
         """Equilibria throughout the bounds: parameters as shares of their range (m, p), poses (m,); nominal first."""
-        slopes = not self._with_plain
+        slopes = not self._without_slopes
         width = self._call_width(self.slope_chunk if slopes else self.chunk)
         start = jax.tree.map(lambda a: np.asarray(a)[None], self.scene.start)
         members = self.parameters.scattered(_CLOUD, np.random.default_rng(_SEED))

@@ -51,13 +51,13 @@ def finished(search: Method, state: State, run: Callable[[Method], State]) -> tu
         problem = _weighed(problem, theta)
         left = settle(problem.evaluator, lambda n: estimate_at(problem, theta, n)) if search.rough else 0.0
         problem = _weighed(problem, theta)
-        again = run(LeastSquares(started_at(problem, theta), search.seed, near=True))
+        resumed = run(LeastSquares(started_at(problem, theta), search.seed, near=True))
     except KeyboardInterrupt:  # before there is an answer
         return search, {**state, "interrupted": True}
-    if again["best_theta"] is None:
+    if resumed["best_theta"] is None:
         return search, {**state, "stopped": "with shorter steps or reweighted measurements the simulation failed"}
     search.problem = replace(search.problem, objective=problem.objective)
-    state = _joined(state, again)
+    state = _joined(state, resumed)
     if left > _SETTLED:
         state["notes"] = [_UNSETTLED]
     return search, state
@@ -116,18 +116,18 @@ def share_of_independent(objective: Objective, r: Floats, j: Floats) -> float:
     size = np.sqrt(np.maximum(np.diagonal(information), 1e-300))
     values, vectors = np.linalg.eigh(information / np.outer(size, size))
     vectors = vectors / size[:, None]
-    told = values > _OPEN * values[-1]
-    spread = np.einsum("pi,pq,qi->i", vectors, long_run_score(a, z, serial, objective.frames), vectors)
-    return float(min(1.0, 1 / np.mean(spread[told] / values[told])))
+    determined = values > _OPEN * values[-1]
+    variances = np.einsum("pi,pq,qi->i", vectors, long_run_score(a, z, serial, objective.frames), vectors)
+    return float(min(1.0, 1 / np.mean(variances[determined] / values[determined])))
 
 
 def share_at(problem: Problem, theta: Floats) -> float:
     """The share w of a problem at the minimum of its quadratic model around parameters (p,); 1 if it is nearly 1."""
     target = problem.objective
-    seen = problem.prediction(theta, problem.evaluator.fine)
-    if not seen.usable[0]:
+    prediction = problem.prediction(theta, problem.evaluator.fine)
+    if not prediction.usable[0]:
         return 1.0
-    r, j = (a[0] for a in target.linear(seen))
+    r, j = (a[0] for a in target.linear(prediction))
     r = r + j @ problem.ahead(theta, problem.evaluator.fine)
     share = share_of_independent(target.known(target.noise or target.noise_of(r, len(theta))), r, j)
     return 1.0 if share > _WHOLE else share
@@ -146,18 +146,18 @@ class NormalEstimate(NamedTuple):
 
     def divergence(self, other: NormalEstimate) -> float:
         """Kullback-Leibler divergence from another distribution [nats]."""
-        spread = np.linalg.solve(self.precision.T, other.precision.T).T  # its precision times our covariance
+        ratio = np.linalg.solve(self.precision.T, other.precision.T).T  # its precision times our covariance
         off = self.mean - other.mean
         determinants = np.linalg.slogdet(self.precision)[1] - np.linalg.slogdet(other.precision)[1]
-        return float(0.5 * (np.trace(spread) - len(off) + off @ other.precision @ off + determinants))
+        return float(0.5 * (np.trace(ratio) - len(off) + off @ other.precision @ off + determinants))
 
 
 def estimate_at(problem: Problem, theta: Floats, substeps: int) -> NormalEstimate | None:
     """The estimate from the quadratic model at these parameters; None if the simulation fails."""
-    seen, target, p = problem.prediction(theta, substeps), problem.objective, problem.parameters
-    if not seen.usable[0]:
+    prediction, target, p = problem.prediction(theta, substeps), problem.objective, problem.parameters
+    if not prediction.usable[0]:
         return None
-    r, j = (a[0] for a in target.linear(seen))
+    r, j = (a[0] for a in target.linear(prediction))
     known = target.known(target.noise or target.noise_of(r, len(p)))
     asked, span = slice(p.asked), p.upper - p.lower
     mean = p.share(theta + problem.ahead(theta, substeps))
@@ -173,10 +173,10 @@ def started_at(problem: Problem, theta: Floats) -> Problem:
     return replace(problem, parameters=Parameters(there))
 
 
-def _joined(state: State, again: State) -> State:
+def _joined(state: State, resumed: State) -> State:
     """The state of a search, continued by another one."""
     before = {key: state[key] for key in ("iteration", "evaluations")}
-    later = [{**entry, **{key: entry[key] + count for key, count in before.items()}} for entry in again["history"]]
-    best = {key: again[key] for key in ("best_theta", "best_value", "stopped", "interrupted")}
-    counts = {key: before[key] + again[key] for key in before}
+    later = [{**entry, **{key: entry[key] + count for key, count in before.items()}} for entry in resumed["history"]]
+    best = {key: resumed[key] for key in ("best_theta", "best_value", "stopped", "interrupted")}
+    counts = {key: before[key] + resumed[key] for key in before}
     return {**state, **best, **counts, "history": [*state["history"], *later]}

@@ -20,7 +20,7 @@ _EXPECTED = "the button's centre in the femur frame, in metres"
 _SEED = 20240418  # for the parameters of these motions: the same for every fit
 
 
-def first_look(problem: Problem, first: Request | None, limits: Limits) -> list[str]:
+def check_by_derivatives(problem: Problem, first: Request | None, limits: Limits) -> list[str]:
     """Evaluates the nominal parameters and others within the bounds, and refuses what no search could fit. Returns
     doubts: what a measured channel looks like, if another reading of it (unit, sign, axes) fits better.
 
@@ -33,29 +33,29 @@ def first_look(problem: Problem, first: Request | None, limits: Limits) -> list[
         others = problem.parameters.scattered(count, np.random.default_rng(_SEED))
         first = Request(np.concatenate([at[None], others[1:]]), evaluator.coarse, "normal")
     trials = evaluator.with_slopes(first.theta, first.substeps)
-    seen = problem.prediction(at, evaluator.coarse)
-    if not seen.usable[0]:
+    found = problem.prediction(at, evaluator.coarse)
+    if not found.usable[0]:
         return _misread(problem, trials, limits)  # the nominal scene does not run, but other starts may
-    assert seen.slopes is not None
+    assert found.slopes is not None
     span = problem.parameters.upper - problem.parameters.lower
-    return _judged(problem, trials, seen.values[0], np.abs(seen.slopes[0] * span).max(axis=(0, 1)), limits)
+    return _judged(problem, trials, found.values[0], np.abs(found.slopes[0] * span).max(axis=(0, 1)), limits)
 
 
-def plain_look(problem: Problem, limits: Limits) -> list[str]:
-    """As `first_look`, with parameters moved by a small share of their range instead of derivatives."""
+def check_by_differences(problem: Problem, limits: Limits) -> list[str]:
+    """As `check_by_derivatives`, with parameters moved by a small share of their range instead of derivatives."""
     parameters, at = problem.parameters, problem.parameters.nominal
     asked = np.arange(parameters.asked)
     span = parameters.upper - parameters.lower
     inward = np.where(at + _SMALL * span < parameters.upper, _SMALL, -_SMALL) * span
     moved = at + np.eye(len(at))[asked] * inward
     others = parameters.scattered(_TRIALS, np.random.default_rng(_SEED))
-    seen = problem.evaluator.values(np.concatenate([at[None], moved, others]), problem.evaluator.first)
-    if not seen.usable[0]:
-        return _misread(problem, seen, limits)
+    found = problem.evaluator.values(np.concatenate([at[None], moved, others]), problem.evaluator.first)
+    if not found.usable[0]:
+        return _misread(problem, found, limits)
     effect = np.full(len(at), np.inf)
-    ran = seen.usable[1 : 1 + len(asked)]
-    effect[asked[ran]] = np.abs(seen.values[1 : 1 + len(asked)][ran] - seen.values[0]).max(axis=(1, 2)) / _SMALL
-    return _judged(problem, seen, seen.values[0], effect, limits)
+    ran, values = found.usable[1 : 1 + len(asked)], found.values[1 : 1 + len(asked)]
+    effect[asked[ran]] = np.abs(values[ran] - found.values[0]).max(axis=(1, 2)) / _SMALL
+    return _judged(problem, found, found.values[0], effect, limits)
 
 
 def _misread(problem: Problem, trials: Prediction, limits: Limits) -> list[str]:

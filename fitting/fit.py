@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 from fitting.channel_checks import limits_of
 from fitting.estimate import Estimate
 from fitting.finish import finished
-from fitting.first_look import first_look, plain_look
+from fitting.first_look import check_by_derivatives, check_by_differences
 from fitting.inference.infer import PER_ROUND, ROUNDS, TOGETHER, check_size, infer
 from fitting.inference.nuisance_draws import at_own_lengths
 from fitting.methods.problem import MOST_SEED, Method, Problem, State, load_checkpoint, save_checkpoint
@@ -164,7 +164,7 @@ def fit_tendons(
         check_size(problem.parameters, count, target.present.size)
         problem.evaluator.prepare(TOGETHER)
         compiled = compiled_aside(knee.unnamed())
-        doubts = plain_look(problem, allowed)
+        doubts = check_by_differences(problem, allowed)
 
         def report(e: dict[str, float], most: int) -> None:
             tell(Progress(method, int(e["iteration"]), most, e["best"], e["spread"]))
@@ -186,7 +186,7 @@ def fit_tendons(
         identity = problem.fingerprint(method, seed, search.settings())
         path = None if checkpoint is None else Path(checkpoint)
         state = load_checkpoint(path, identity) if resume and path is not None else None
-        doubts = first_look(problem, search.ask(search.begin()) if state is None else None, allowed)
+        doubts = check_by_derivatives(problem, search.ask(search.begin()) if state is None else None, allowed)
         search, state = _searched(search, state, identity, tell, path)
         problem, outcome = search.problem, Outcome.of_search(search, state)
     estimate = estimate_of(problem, outcome, method, given, springs, extra, doubts, allowed, began)
@@ -210,7 +210,7 @@ def _searched(
         )
     if state["interrupted"]:
         return search, state
-    return finished(search, state, lambda again: _run(again, None, "", tell, None))
+    return finished(search, state, lambda started: _run(started, None, "", tell, None))
 
 
 def _check_simulations(

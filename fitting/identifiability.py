@@ -73,9 +73,9 @@ class ExperimentPlan:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, for JSON."""
-        plain = ("names", "values", "channels", "covariance", "condition", "unfelt", "trials")
+        as_lists = ("names", "values", "channels", "covariance", "condition", "unfelt", "trials")
         return {
-            **{name: np.asarray(getattr(self, name)).tolist() for name in plain},
+            **{name: np.asarray(getattr(self, name)).tolist() for name in as_lists},
             "noise": self.noise,
             "relative_standard_deviations": self.relative.tolist(),
             "additions": {k: v.tolist() for k, v in self.additions.items()},
@@ -176,16 +176,16 @@ def _channels(
 ) -> tuple[tuple[str, ...], list[str], dict[str, str]]:
     """Channels measured or possible, in the scene's order; the possible ones; units of those that are neither poses
     nor forces. Raises InputError for an unknown channel, or if none is measured."""
-    plain = channels_of(scene)
-    more = [c for c in plain if c not in use] if candidates is None else list(candidates)
+    known = channels_of(scene)
+    more = [c for c in known if c not in use] if candidates is None else list(candidates)
     for channel in (*use, *more):
         if channel not in with_readings(scene):
-            expected = f"one of: {', '.join(plain)}; or what an effect reports, EFFECT.OBSERVABLE"
+            expected = f"one of: {', '.join(known)}; or what an effect reports, EFFECT.OBSERVABLE"
             raise InputError(f"no channel {channel!r}", where="use", expected=expected)
     if not use:
-        raise InputError("nothing is measured", where="use", expected=f"some of: {', '.join(plain)}")
+        raise InputError("nothing is measured", where="use", expected=f"some of: {', '.join(known)}")
     units = reading_units(scene, (*use, *more))
-    return tuple(c for c in (*plain, *units) if c in use or c in more), more, units
+    return tuple(c for c in (*known, *units) if c in use or c in more), more, units
 
 
 def _noise(channels: Sequence[str], units: Mapping[str, str], stated: Mapping[str, float]) -> dict[str, float]:
@@ -248,11 +248,11 @@ def _information_at(
     evaluator: Evaluator, parameters: Parameters, noise: Mapping[str, float], substeps: int
 ) -> dict[str, Floats]:
     """Fisher information of each channel (p, p) with so many steps between frames; empty if the simulation fails."""
-    seen, out = evaluator.with_slopes(parameters.nominal[None], substeps), {}
-    if not seen.usable[0] or seen.slopes is None:
+    prediction, out = evaluator.with_slopes(parameters.nominal[None], substeps), {}
+    if not prediction.usable[0] or prediction.slopes is None:
         return {}
     for channel, columns in side_by_side(evaluator.channels):
-        j = seen.slopes[0, :, columns] / noise[channel]
+        j = prediction.slopes[0, :, columns] / noise[channel]
         if channel == ORIENTATION:
             j = 2 * j  # a unit quaternion changes by half the rotation
         flat = j.reshape(-1, j.shape[-1])
@@ -336,8 +336,8 @@ def _conditional(problem: Problem, estimate: Estimate, i: int, held: Floats, ite
         better = new.value < best.value
         theta = np.where(better[:, None], trial, theta)
         damping = np.where(better, damping / 5, damping * 10)
-        for kept, fresh in zip(best, new, strict=True):
-            kept[better] = fresh[better]
+        for old, latest in zip(best, new, strict=True):
+            old[better] = latest[better]
     return theta
 
 

@@ -32,9 +32,9 @@ def measured_channels(
     available: dict[str, Any] = {POSITION: measured.center, ORIENTATION: measured.quaternion}
     available |= {channel: getattr(measured, name) for channel, name in force_fields(scene, springs).items()}
     for name, values in measured.readings.items():
-        told = scene.reported(name)
-        if told.key in _FORCE_KEYS and available.get(told.effect) is not None:
-            found, expected = f"{name} and the force of {told.effect}", "one of them: they are the same"
+        reading = scene.reported(name)
+        if reading.key in _FORCE_KEYS and available.get(reading.effect) is not None:
+            found, expected = f"{name} and the force of {reading.effect}", "one of them: they are the same"
             raise InputError(found, where=measured.source, expected=expected)
         available[name] = values
     data = {

@@ -120,8 +120,8 @@ class Objective:
         weights = measured.weights
         if weights is not None:
             there &= weights[:, None] > 0
-            if unseen := [c for i, c in enumerate(channels) if not there[:, i].any()]:
-                found = f"no frame in which {unseen[0]} was measured counts"
+            if uncounted := [c for i, c in enumerate(channels) if not there[:, i].any()]:
+                found = f"no frame in which {uncounted[0]} was measured counts"
                 raise InputError(found, where=measured.source, expected="a weight that is not 0")
             weights = weights / weights[weights > 0].mean()
         own = None if noise is None else {c: noise[c] for c in channels}
@@ -159,7 +159,7 @@ class Objective:
         )
 
     @property
-    def plain(self) -> Objective:
+    def unweighted(self) -> Objective:
         """With all columns weighted equally, to state residuals; frames keep their weights."""
         return self if self.metric is None else replace(self, metric=self.metric._replace(channels={}))
 

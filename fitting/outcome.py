@@ -41,7 +41,7 @@ class Outcome(NamedTuple):
     theta: Floats  # (p,)
     covariance: Floats  # (p, p)
     draws: Floats | None  # posterior samples (N, p), if the method gives them
-    seen: Prediction  # at theta, with derivatives
+    prediction: Prediction  # at theta, with derivatives
     steps: dict[str, StepError]  # errors of the time steps
     noise: dict[str, float]  # by channel
     serial: float  # correlation of neighbouring residuals
@@ -56,16 +56,16 @@ class Outcome(NamedTuple):
     def of_search(search: Method, state: State) -> Outcome:
         """Outcome of a finished search, at its best parameters."""
         problem, theta = search.problem, np.asarray(state["best_theta"])
-        seen, target = problem.prediction(theta, problem.evaluator.fine), problem.objective
-        _check_usable(seen, "the best parameters found with long time steps give no finite motion with short ones")
-        r, j = (a[0] for a in target.linear(seen))
+        fitted, target = problem.prediction(theta, problem.evaluator.fine), problem.objective
+        _check_usable(fitted, "the best parameters found with long time steps give no finite motion with short ones")
+        r, j = (a[0] for a in target.linear(fitted))
         noise = target.noise or target.noise_of(r, len(problem.parameters))
         sure = uncertainty(target.known(noise), problem.parameters, r, j, theta)
         return Outcome(
             theta,
             sure.covariance,
             None,
-            seen,
+            fitted,
             problem.evaluator.step_errors(theta, problem.evaluator.fine),
             noise,
             sure.serial,
@@ -134,8 +134,8 @@ def _slopes(theta: Floats, values: Floats) -> Floats:
     return (np.linalg.lstsq(x, rows, rcond=None)[0].T / scale).reshape(*values.shape[1:], -1)
 
 
-def _check_usable(seen: Prediction, found: str) -> None:
-    if not seen.usable[0]:
+def _check_usable(prediction: Prediction, found: str) -> None:
+    if not prediction.usable[0]:
         raise PftwinError(f"{found}; try: narrower bounds, or another method")
 
 
@@ -155,17 +155,17 @@ def estimate_of(
     Arguments are those of `fit_tendons`, and `doubts` about the measurements from before the search, and its start time
     `began` (`time.perf_counter`). Raises InputError if residuals or time shifts exceed the limits.
     """
-    parameters, target, seen = problem.parameters, problem.objective, found.seen
-    r = target.plain.residuals(seen.values)[0]
+    parameters, target, fitted = problem.parameters, problem.objective, found.prediction
+    r = target.unweighted.residuals(fitted.values)[0]
     rmse = _rmse(target, r)
-    assert seen.slopes is not None
+    assert fitted.slopes is not None
     scenes, names = problem.evaluator.scenes, trial_names(problem.evaluator.scenes)
     shifts: dict[str, TimeShift] = {}
     late: list[str] = []
     of_trials: dict[str, dict[str, float]] = {}
     for scene, name, rows, own in zip(scenes, names, target.frames, target.trials, strict=True):
         of_trials[name] = _rmse(own, r[rows])
-        late_by = time_shifts(own, scene.motion.times, seen.values[0][rows], seen.slopes[0][rows])
+        late_by = time_shifts(own, scene.motion.times, fitted.values[0][rows], fitted.slopes[0][rows])
         named = {channel if len(scenes) == 1 else f"{channel} of {name}": s for channel, s in late_by.items()}
         late += late_channels(named, own.source, limits)
         shifts |= named
@@ -186,7 +186,7 @@ def estimate_of(
         upper=parameters.upper,
         nominal=parameters.nominal,
         objective=target.kind,
-        objective_value=float(target.value(seen)[0] + parameters.prior_terms(found.theta)[0]),
+        objective_value=float(target.value(fitted)[0] + parameters.prior_terms(found.theta)[0]),
         objective_unit=target.unit,
         channels=target.channels,
         noise={k: float(v) for k, v in found.noise.items()},

@@ -199,9 +199,9 @@ def _values(ax: Axes, e: Estimate) -> None:
     rows, nominal, values = np.arange(e.asked), e.nominal[: e.asked], e.values[: e.asked]
     scale = np.where(nominal == 0, 1.0, np.abs(nominal))
     off = 100 * (values - nominal) / scale
-    spread = 100 * (e.intervals[: e.asked] - values[:, None]) / scale[:, None]
-    spread[[name in e.set_by_bounds for name in e.names[: e.asked]]] = np.nan
-    ax.errorbar(off, rows, xerr=np.abs(spread).T, fmt="o", markersize=5, color=COLOURS[0], capsize=3)
+    errors = 100 * (e.intervals[: e.asked] - values[:, None]) / scale[:, None]
+    errors[[name in e.set_by_bounds for name in e.names[: e.asked]]] = np.nan
+    ax.errorbar(off, rows, xerr=np.abs(errors).T, fmt="o", markersize=5, color=COLOURS[0], capsize=3)
     for row, mark in enumerate(map(e.bound_mark, e.names[: e.asked])):
         look = {"textcoords": "offset points", "ha": "center", "va": "bottom", "fontsize": TINY}
         ax.annotate(mark, (off[row], row), xytext=(0, 5), **look)

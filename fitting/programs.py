@@ -157,11 +157,11 @@ def with_slopes(program: FitProgram, scene: Scene, substeps: Array, theta: Array
             out = batched(lambda t, g: program.predicted(shared[0], t, g, shared[1]))(some, near)
             return out[0], out[1:]
 
-        def push(direction: Array) -> Any:
+        def pushforward(direction: Array) -> Any:
             return jax.jvp(batch, (thetas,), (jnp.broadcast_to(direction, thetas.shape),))
 
         directions = jnp.eye(len(program.places), dtype=thetas.dtype)
-        (values, rest), (slopes, _) = jax.vmap(push, out_axes=(None, 0))(directions)
+        (values, rest), (slopes, _) = jax.vmap(pushforward, out_axes=(None, 0))(directions)
         return (values, *rest), slopes
 
     return _sharded(program.mesh, pushed, (scene, substeps), (theta, guesses), (SPLIT, _COLUMNS))

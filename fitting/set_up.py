@@ -54,7 +54,7 @@ class SetUp(NamedTuple):
             problem.parameters.varies,
         )
 
-    def plain(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, Any]:
         """Plain values, for files."""
         return {**self._asdict(), "nuisance": asdict(self.nuisance)}
 
@@ -91,14 +91,14 @@ class SetUp(NamedTuple):
 def from_nominal(problem: Problem, substeps: int, others: Floats) -> tuple[Objective, Prediction]:
     """The objective with the nominal knee's motion in place of the measurements, for the measured channels and frames;
     and motions of other parameters (N, p), simulated in the same call. Raises InputError if the nominal knee fails."""
-    seen = problem.evaluator.values(np.concatenate([problem.parameters.nominal[None], others]), substeps)
-    if not seen.usable[0]:
+    prediction = problem.evaluator.values(np.concatenate([problem.parameters.nominal[None], others]), substeps)
+    if not prediction.usable[0]:
         raise InputError("the nominal knee finds no equilibrium or no finite motion", where=problem.scene.name)
     target, present = problem.objective, np.zeros_like(problem.objective.present)
     for rows in target.frames:
         present[rows] = target.present[rows].any(axis=0)
-    held = replace(target, measured=seen.values[0], present=present)
-    return held, Prediction(seen.values[1:], None, seen.usable[1:])
+    held = replace(target, measured=prediction.values[0], present=present)
+    return held, Prediction(prediction.values[1:], None, prediction.usable[1:])
 
 
 def bridged(problem: Problem, held: Objective, wanted: NDArray[np.bool_]) -> Rows:

@@ -65,9 +65,9 @@ class Working(NamedTuple):
         below the mean, and the stiffness is that of the line over 1 + m (2 d + c). A tendon that is slack at some of
         the lengths stays linear.
         """
-        reach = self.mean - slack_length
+        stretch = self.mean - slack_length
         m = jnp.where(self.taut(slack_length), 4 * share / slack_length, 0.0)
-        b, a = 1 - 2 * m * reach, reach * (1 + m * self.skew) - m * self.variance
+        b, a = 1 - 2 * m * stretch, stretch * (1 + m * self.skew) - m * self.variance
         square = b * b + 4 * m * a
         d = 2 * a / (b + jnp.sqrt(jnp.where(square > 0, square, 1.0)))
         return StiffeningSpring(stiffness / (1 + m * (2 * d + self.skew)), m), self.mean - d
@@ -141,14 +141,14 @@ def stiffening_tendons(scene: Scene) -> tuple[str, ...]:
     return tuple(name.removesuffix(_SHARE) for name in named_arrays(scene) if name.endswith(_SHARE))
 
 
-def stiffened(scene: Scene, working: Mapping[str, Working], shares: Mapping[str, Any]) -> Scene:
+def stiffened(scene: Scene, working: Mapping[str, Working], stiffenings: Mapping[str, Any]) -> Scene:
     """The scene with each linear tendon of known working lengths replaced by one that stiffens by its share at a
     stretch of a quarter of its length. Pure in the numbers."""
     for name in linear_tendons(scene):
         if name in working:
             e: Any = scene.effect(name)
             own = e.stiffness, e.slack_length, e.damping, e.insertion, e.origin
-            share, mean, variance, skew = (jnp.asarray(x, float) for x in (shares[name], *working[name]))
+            share, mean, variance, skew = (jnp.asarray(x, float) for x in (stiffenings[name], *working[name]))
             bent = StiffeningTendon(*own, share, mean, variance, skew, e.body, wrap=e.wrap, name=name)
             scene = scene.with_effect(bent)
     return scene

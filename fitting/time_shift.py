@@ -26,9 +26,9 @@ from pftwin.base.errors import InputError
 
 EXPLAINED = (1 / 6, 1 / 3)  # least share of the whitened squares of a pose, and of a force, that a delay must explain
 EARLY = 0.1  # the same for a lead of either
-_REACH = 0.2  # largest shift searched [s], and at most this share of the recording:
+_LARGEST = 0.2  # largest shift searched [s], and at most this share of the recording:
 _SHARE = 1 / 8
-_LEAST_REACH = 0.1  # reach [s] below which a minimum at its end is no evidence of a shift, but may be slow model error
+_SHORT = 0.1  # if no larger shifts than this are searched [s], a minimum at the end may be slow model error
 _STEPS = 40  # most steps of the search to either side
 _ROUNDS = 3  # alternations of shift, and correlation of the residuals
 
@@ -54,16 +54,16 @@ def time_shifts(objective: Objective, times: Floats, values: Floats, slopes: Flo
 
     Empty if the recording is too short for a shift of two frames.
     """
-    reach = min(_REACH, _SHARE * float(times[-1] - times[0]))
-    if reach < 2 * float(np.median(np.diff(times))):
+    largest = min(_LARGEST, _SHARE * float(times[-1] - times[0]))
+    if largest < 2 * float(np.median(np.diff(times))):
         return {}
-    inner = (times >= times[0] + reach) & (times <= times[-1] - reach)
+    inner = (times >= times[0] + largest) & (times <= times[-1] - largest)
     present = objective.present & inner[:, None]
-    seen = _Fitted(objective, times, values, objective.slopes(slopes[None], values[None])[0], present)
+    fit = _Fitted(objective, times, values, objective.slopes(slopes[None], values[None])[0], present)
     return {
         channel: found
         for channel, columns, rows in objective.columns()
-        if (found := _shift(seen, columns, rows, reach)) is not None
+        if (found := _shift(fit, columns, rows, largest)) is not None
     }
 
 
@@ -120,14 +120,14 @@ class _Whitened(NamedTuple):
     root: Floats  # (p, p) triangular factor: q root are the whitened derivatives
 
     @staticmethod
-    def of(seen: _Fitted, r: Floats) -> _Whitened:
+    def of(fit: _Fitted, r: Floats) -> _Whitened:
         """Whitening with the correlation of these residuals (n, m)."""
-        pairs = seen.present[1:] & seen.present[:-1]
+        pairs = fit.present[1:] & fit.present[:-1]
         squares = np.maximum(np.sum(r**2, axis=0), 1e-300)
         correlation = np.sum(np.where(pairs, r[1:] * r[:-1], 0.0), axis=0) / squares
         steps = np.where(pairs, r[1:] - correlation * r[:-1], 0.0)
         size = np.maximum(np.sqrt(np.sum(steps**2, axis=0) / np.maximum(pairs.sum(axis=0), 1)), 1e-12)
-        j = seen.slopes
+        j = fit.slopes
         directions = np.where(pairs[..., None], j[1:] - correlation[:, None] * j[:-1], 0.0) / size[:, None]
         return _Whitened(correlation, size, pairs, *np.linalg.qr(directions.reshape(-1, j.shape[-1])))
 
@@ -144,24 +144,24 @@ class _Whitened(NamedTuple):
         return (z - self.q @ (self.q.T @ z)).reshape(self.pairs.shape)
 
 
-def _shift(seen: _Fitted, columns: slice, rows: slice, reach: float) -> TimeShift | None:
+def _shift(fit: _Fitted, columns: slice, rows: slice, largest: float) -> TimeShift | None:
     """Shift of one channel; at the end of a long search range it is `at_least` that. None if too little is known."""
-    frame = float(np.median(np.diff(seen.times)))  # whole frames: between them interpolation would smooth the motion
-    h = frame * max(1, int(reach / frame) // _STEPS)
-    grid = h * np.arange(-int(reach / h), int(reach / h) + 1)
-    plain = seen.residuals(columns, 0.0)
-    model = _Whitened.of(seen, plain)
+    frame = float(np.median(np.diff(fit.times)))  # whole frames: between them interpolation would smooth the motion
+    h = frame * max(1, int(largest / frame) // _STEPS)
+    grid = h * np.arange(-int(largest / h), int(largest / h) + 1)
+    unshifted = fit.residuals(columns, 0.0)
+    model = _Whitened.of(fit, unshifted)
     freedom = int(model.pairs.sum()) - model.q.shape[1] - 1
     if freedom <= 0 or not model.pairs[:, rows].any():
         return None
     for _ in range(_ROUNDS):
-        squares = np.array([np.sum(model.left(model.residuals(seen.residuals(columns, s))) ** 2) for s in grid])
+        squares = np.array([np.sum(model.left(model.residuals(fit.residuals(columns, s))) ** 2) for s in grid])
         best = int(np.argmin(squares))
-        used, r = model, seen.residuals(columns, grid[best])
+        used, r = model, fit.residuals(columns, grid[best])
         at_end = best in (0, len(grid) - 1)
         if at_end:
             break
-        model = _Whitened.of(seen, np.where(seen.present, r + seen.slopes @ model.change(model.residuals(r)), 0.0))
+        model = _Whitened.of(fit, np.where(fit.present, r + fit.slopes @ model.change(model.residuals(r)), 0.0))
     seconds, deviation = float(grid[best]), 0.0
     if not at_end:
         below, least, above = squares[best - 1 : best + 2]
@@ -170,10 +170,10 @@ def _shift(seen: _Fitted, columns: slice, rows: slice, reach: float) -> TimeShif
             return None
         seconds += float(0.5 * (below - above) / (h * curvature))
         deviation = float(np.sqrt(2 * least / freedom / curvature))
-    one, other = used.residuals(plain), used.residuals(r)
+    one, other = used.residuals(unshifted), used.residuals(r)
     before, after = (float(np.sum(used.left(z)[:, rows] ** 2)) for z in (one, other))
     late = EXPLAINED[rows.stop - rows.start == 1]
     explained, enough = 1 - after / max(before, 1e-300), late if at_end or seconds > 0 else EARLY
-    if at_end and (reach < _LEAST_REACH or explained < enough):
+    if at_end and (largest < _SHORT or explained < enough):
         return None
     return TimeShift(seconds, deviation, explained, enough, used.change(other) - used.change(one), at_end)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from fitting.channel_checks import Limits, bounded, limits_of
 from fitting.estimate import Estimate
 from fitting.evaluation import Prediction
-from fitting.first_look import plain_look
+from fitting.first_look import check_by_differences
 from fitting.fit import SIMULATIONS
 from fitting.inference.infer import DRAWS, TOGETHER, Inferred
 from fitting.inference.learning import Answer, Learned
@@ -92,7 +92,7 @@ class TrainedPosterior:
         began, allowed = time.perf_counter(), limits_of(limits)
         problem, given = self._problem(scene, measured, self.set_up)
         compiled = compiled_aside(problem.scene.unnamed())
-        doubts = plain_look(problem, allowed)
+        doubts = check_by_differences(problem, allowed)
         answer, draws, extra, more = self._answer(problem, allowed)
         problem, given = self._problem(scene, measured, self.set_up._replace(nuisance=extra))
         reason = f"a posterior trained by {self.simulations - self.dropped} simulations answered"
@@ -139,9 +139,9 @@ class TrainedPosterior:
 
     def _answer(self, problem: Problem, limits: Limits) -> tuple[Answer, Floats, Nuisance, list[str]]:
         """Posterior without nuisance, draws (N, p) with it, nuisance with the lengths they refer to, and doubts."""
-        held, seen = from_nominal(problem, self.substeps, self.probes.theta)
+        held, prediction = from_nominal(problem, self.substeps, self.probes.theta)
         source = problem.objective.source
-        off = self._set_up_error(held, seen)
+        off = self._set_up_error(held, prediction)
         said = f"in this motion and set-up the error of the trained posterior is {off.max():.2g} standard deviations"
         doubts = bounded("set_up", float(off.max()), said, source, limits)
         recording = bridged(problem, held, self.present)
@@ -154,16 +154,16 @@ class TrainedPosterior:
         extra, draws = at_own_lengths(problem, nuisance, draws)
         return answer, draws, extra, doubts
 
-    def _set_up_error(self, held: Objective, seen: Prediction) -> Floats:
+    def _set_up_error(self, held: Objective, prediction: Prediction) -> Floats:
         """Shift of the posteriors (d,) of the probes between training and this motion and set-up, each relative to its
         own nominal knee: rms, in standard deviations of the posteriors.
         Raises InputError if most of the probes do not run."""
-        if seen.usable.mean() < _FEWEST_PROBES:
+        if prediction.usable.mean() < _FEWEST_PROBES:
             found = "most knees that the posterior was trained with do not run"
             raise InputError(found, where=held.source, expected="the set-up that it was trained for")
-        moved = held.residuals(seen.values[seen.usable]).astype(np.float32)
+        moved = held.residuals(prediction.values[prediction.usable]).astype(np.float32)
         ends = []
-        for each in (self.probes.recordings[seen.usable], moved):
+        for each in (self.probes.recordings[prediction.usable], moved):
             random = np.random.default_rng(self.seed)  # the same for both
             u = self.learned.coordinates_drawn(self.learned.seen(each), _DRAWN, random)
             ends.append((u.mean(axis=1), u.std(axis=1)))
@@ -172,7 +172,7 @@ class TrainedPosterior:
 
     def facts(self) -> dict[str, Any]:
         """Plain values, for JSON and the file."""
-        return {"format": FORMAT, **self.set_up.plain(), **{key: getattr(self, key) for key in _FACTS}}
+        return {"format": FORMAT, **self.set_up.to_dict(), **{key: getattr(self, key) for key in _FACTS}}
 
     def sentence(self) -> str:
         """Which recordings it answers, and from what it was learned."""
@@ -238,14 +238,14 @@ class TrainedPosterior:
             facts.setdefault("plants", {})  # older files have none
             rest: dict[str, Any] = {key: facts[key] for key in _FACTS}
             rest |= {key: tuple(facts[key]) for key in ("widened", "doubts")}
-            told = {"noise": noise, "added": SummaryNoise(held["root"], noise.span), "usual": facts["usual"]}
+            noise_facts = {"noise": noise, "added": SummaryNoise(held["root"], noise.span), "usual": facts["usual"]}
             present = held["present"]
         except FileNotFoundError:
             raise InputError("no such file", where=path, expected=_EXPECTED) from None
         except (OSError, ValueError, KeyError, TypeError, AttributeError, IndexError, EOFError, BadZipFile) as error:
             raise InputError(f"no trained posterior: {error}", where=path, expected=_EXPECTED) from None
         region = Region(set_up.parameters([scene] if isinstance(scene, Scene) else list(scene))[1][0])
-        learned = Learned(region, tuple(nets), table, summaries, **arrays, **told)
+        learned = Learned(region, tuple(nets), table, summaries, **arrays, **noise_facts)
         return TrainedPosterior(set_up, learned, probes, present, **rest)
 
 

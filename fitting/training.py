@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from fitting.channel_checks import limits_of
-from fitting.first_look import plain_look
+from fitting.first_look import check_by_differences
 from fitting.fit import SPRING_PARAMETERS
 from fitting.inference.infer import MOST_NUMBERS, TOGETHER, check_enough, check_size
 from fitting.inference.learning import learn
@@ -81,12 +81,12 @@ def train_posterior(
     simulations = min(AT_ALL, MOST_NUMBERS // numbers) if simulations is None else simulations
     check_size(problem.parameters, simulations, numbers)
     problem.evaluator.prepare(TOGETHER)
-    doubts = plain_look(problem, allowed)
+    doubts = check_by_differences(problem, allowed)
     substeps = problem.evaluator.short_enough(slopes=False)
     random, region = np.random.default_rng(seed), Region(problem.parameters)
     probed = region.drawn(_PROBES, random)
-    held, seen = from_nominal(problem, substeps, probed)
-    probes = Probes(probed[seen.usable], held.residuals(seen.values[seen.usable]).astype(np.float32))
+    held, prediction = from_nominal(problem, substeps, probed)
+    probes = Probes(probed[prediction.usable], held.residuals(prediction.values[prediction.usable]).astype(np.float32))
     check_enough(len(probes.theta), _PROBES, problem)
     first = bridged(problem, held, held.present)
     drawn = region.drawn(simulations, random)
@@ -118,13 +118,13 @@ def _simulated(
 ) -> tuple[Floats, Rows]:
     """Those of the parameters (N, p) that could be simulated, and their recordings (N, n, m) relative to the nominal
     one, without noise but with sensor errors drawn for each."""
-    kept, recordings = [], []
+    usable, recordings = [], []
     for i in range(0, len(theta), _AT_ONCE):
         part = theta[i : i + _AT_ONCE]
-        seen = problem.evaluator.values(part, substeps)
-        kept.append(part[seen.usable])
-        read = sensed(seen.values[seen.usable], nuisance, problem, random)
+        prediction = problem.evaluator.values(part, substeps)
+        usable.append(part[prediction.usable])
+        read = sensed(prediction.values[prediction.usable], nuisance, problem, random)
         recordings.append(held.residuals(read).astype(np.float32))
         if progress is not None:
             progress(i + len(part), len(theta))
-    return np.concatenate(kept), np.concatenate(recordings)
+    return np.concatenate(usable), np.concatenate(recordings)

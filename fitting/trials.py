@@ -163,9 +163,9 @@ def _shared(first: Parameters, own: Parameters, number: int, varies: Mapping[str
     """Free parameters of trial `number`, with the first's values, bounds and priors; coordinates are shifted."""
     here, there = ({p.place.name: p for p in both.items} for both in (first, own))
     if here.keys() != there.keys():
-        apart = ", ".join(sorted(here.keys() ^ there.keys()))
+        differing = ", ".join(sorted(here.keys() ^ there.keys()))
         expected = "trials of one knee, with the same tendons, damping and friction; or full names of parameters"
-        raise InputError(f"only one of trials 1 and {number} has {apart} free", where="trials", expected=expected)
+        raise InputError(f"only one of trials 1 and {number} has {differing} free", where="trials", expected=expected)
     if odd := [name for name, p in here.items() if p.place.meaning != "value"]:
         expected = "the slack length itself: each trial begins at another length"
         raise InputError(f"{odd[0]} is no number that trials share", where="free", expected=expected)

@@ -145,8 +145,8 @@ def in_words(
     subject = "positions" if channels == (POSITION,) else ", ".join(channels)
     verb = "fix" if units is None else "give"
     verb += "" if channels == (POSITION,) or len(channels) > 1 else "es" if verb == "fix" else "s"
-    plain = [n.partition("[")[0] for n in names]
-    stiff = [i for i, n in enumerate(plain) if n.endswith(".stiffness") or (n[:1] == "K" and n[1:].isdigit())]
+    bases = [n.partition("[")[0] for n in names]
+    stiff = [i for i, n in enumerate(bases) if n.endswith(".stiffness") or (n[:1] == "K" and n[1:].isdigit())]
     parts, rest, weak = [], list(range(len(sd))), ""
     if len(stiff) == 2:
         a, b = stiff

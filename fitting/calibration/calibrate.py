@@ -13,7 +13,7 @@ import numpy as np
 
 from fitting.calibration.laboratory import Laboratory
 from fitting.calibration.operations import OUTCOMES, Operated, Operation
-from fitting.calibration.plants import PLANTS, Knee, Maker, Plant, Seen, check_truth, run, truth_of
+from fitting.calibration.plants import PLANTS, Knee, Maker, Plant, PlantMotion, check_truth, run, truth_of
 from fitting.calibration.quick_fit import interval_draws
 from fitting.calibration.result import Answers, Calibration, Plans
 from fitting.channel_checks import limits_of
@@ -90,19 +90,19 @@ def calibrate(
         knees = [replace(knee, lacking=(one, own.shared)) for knee, (one, own) in zip(knees, wider, strict=True)]
     calibrator = _Calibrator(trained, knees, parameters[0].items, lab, scenes, operation, limits)
     found: dict[str, Answers] = {}
-    told: dict[str, dict[str, Any]] = {"predictions": {}, "plans": {}}
+    optional: dict[str, dict[str, Any]] = {"predictions": {}, "plans": {}}
     for index, (kind, make) in enumerate(made.items()):
         random = np.random.default_rng([seed, index, _OWN_STREAM])
         members = [plant_in_trials(make, knees, random) for _ in range(plants)]
         found[kind], operated = calibrator.answers(members, random, partial(progress, kind) if progress else None)
         if operation is not None:
-            told["predictions"][kind] = Answers.of_predictions(operated, OUTCOMES)
+            optional["predictions"][kind] = Answers.of_predictions(operated, OUTCOMES)
         if operation is not None and operation.limits:
-            told["plans"][kind] = Plans.of(operated, operation.confidence)
+            optional["plans"][kind] = Plans.of(operated, operation.confidence)
     asked = parameters[0]
     words = operation.describe() if operation is not None else ""
     seconds = time.perf_counter() - began
-    return Calibration(asked.names[: asked.asked], found, trained.sentence(), seed, seconds, words, **told)
+    return Calibration(asked.names[: asked.asked], found, trained.sentence(), seed, seconds, words, **optional)
 
 
 def plant_in_trials(make: Maker, knees: Sequence[Knee], random: np.random.Generator) -> list[Plant]:
@@ -141,21 +141,21 @@ class _Calibrator(NamedTuple):
         rows: list[tuple[Floats, Floats, bool]] = []
         dropped, refused, operated = 0, 0, []
         differing = [with_differences(plant, self.items, random) for plant in plants]
-        did = zip(*(run(in_one) for in_one in zip(*differing, strict=True)), strict=True)
-        for i, (plant, own, each) in enumerate(zip(plants, differing, did, strict=True)):
+        simulated = zip(*(run(in_one) for in_one in zip(*differing, strict=True)), strict=True)
+        for i, (plant, own, each) in enumerate(zip(plants, differing, simulated, strict=True)):
             if progress is not None:
                 progress(i, len(plants))
-            seen = [one for one in each if one is not None]
-            if len(seen) < len(each):
+            motions = [one for one in each if one is not None]
+            if len(motions) < len(each):
                 dropped += 1
                 continue
-            recorded, measured = self._recorded(own, seen, random)
+            recorded, measured = self._recorded(own, motions, random)
             try:
                 draws, doubts, estimate = self._answer(recorded, measured)
             except PftwinError:  # of this recording; the caller's errors have been raised before
                 refused += 1
                 continue
-            truth = truth_of(plant[0], seen, parameters, own if self.trained.set_up.varies else None)
+            truth = truth_of(plant[0], motions, parameters, own if self.trained.set_up.varies else None)
             rows.append((truth, draws, bool(doubts)))
             if self.operation is not None and estimate is not None and not doubts:
                 (further,) = with_differences(plant[:1], self.items, random)  # predictions are of a further trial
@@ -163,13 +163,13 @@ class _Calibrator(NamedTuple):
         return Answers.of(rows, dropped, refused, parameters.asked), operated
 
     def _recorded(
-        self, plant: list[Plant], seen: list[Seen], random: np.random.Generator
+        self, plant: list[Plant], motions: list[PlantMotion], random: np.random.Generator
     ) -> tuple[list[Scene], list[Measured]]:
         """The nominal knee in the recorded motion of every trial, and what was measured."""
         springs, constant = self.trained.set_up.springs, random.spawn(1)[0]
         each = [
-            self.lab.recorded(one.scene, did, springs, random, deepcopy(constant), first=k == 0)
-            for k, (one, did) in enumerate(zip(plant, seen, strict=True))
+            self.lab.recorded(one.scene, true_motion, springs, random, deepcopy(constant), first=k == 0)
+            for k, (one, true_motion) in enumerate(zip(plant, motions, strict=True))
         ]
         scenes = [replace(scene, motion=motion) for scene, (motion, _) in zip(self.scenes, each, strict=True)]
         return scenes, [measured for _, measured in each]

@@ -22,7 +22,7 @@ from pftwin.model.motion_on_host import poses
 from pftwin.model.scene import Scene
 
 if TYPE_CHECKING:
-    from fitting.calibration.plants import Seen
+    from fitting.calibration.plants import PlantMotion
 
 
 _CORNERS = np.array([[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]]) / np.sqrt(3)
@@ -67,7 +67,7 @@ class Laboratory:
     def recorded(
         self,
         scene: Scene,
-        seen: Seen,
+        motion: PlantMotion,
         springs: Mapping[str, str],
         random: np.random.Generator,
         constant: np.random.Generator | None = None,
@@ -78,7 +78,7 @@ class Laboratory:
 
         Args:
             scene: the plant's scene.
-            seen: the plant's motion and forces.
+            motion: the plant's motion and forces.
             springs: names of the effects whose tensions are measured as "femoral" and "tibial" spring forces.
             random: of the noise.
             constant: of errors that are constant; by default a stream spawned from `random`. Copies of one generator
@@ -88,10 +88,10 @@ class Laboratory:
         Raises:
             InputError: a recording that is too short for the filter.
         """
-        motion, constant = scene.motion, constant or random.spawn(1)[0]
-        times = np.asarray(motion.frame_times())
-        femur, tibia = (poses(part, times) for part in (motion.femur, motion.tibia))
-        patella = PoseSeries(times, seen.position, seen.quaternion)
+        knee_motion, constant = scene.motion, constant or random.spawn(1)[0]
+        times = np.asarray(knee_motion.frame_times())
+        femur, tibia = (poses(part, times) for part in (knee_motion.femur, knee_motion.tibia))
+        patella = PoseSeries(times, motion.position, motion.quaternion)
         world = PoseSeries.from_matrices(
             times,
             femur.positions + np.einsum("nij,nj->ni", femur.matrices(), patella.positions),
@@ -108,21 +108,21 @@ class Laboratory:
         if not first:
             late = random.spawn(1)[0].normal(0.0, self.time_shift)
         forces = {}
-        for name, value in seen.forces.items():
+        for name, value in motion.forces.items():
             scaled = np.interp(times - late, times, value) * (1 + constant.normal(0.0, self.force_scale))
             zero = random.normal(0.0, self.force_bias)
             forces[name] = scaled + zero + random.normal(0.0, self.force_noise, value.shape)
-        told: dict[str, Any] = {kind: forces.get(name) for name, kind in force_fields(scene, springs).items()}
+        spring_forces: dict[str, Any] = {kind: forces.get(name) for name, kind in force_fields(scene, springs).items()}
         measured = Measured(
             times,
             center,
             relative.quaternions,
-            **told,
+            **spring_forces,
             synthetic=True,
             source="a plant",
-            readings={name: self._read(seen, name, random) for name in self.readings},
+            readings={name: self._reading(motion, name, random) for name in self.readings},
         )
-        if motion.femur is None:
+        if knee_motion.femur is None:
             return KneeMotion.from_poses(None, tibia.relative_to(femur)), measured
         return KneeMotion.from_poses(femur, tibia), measured
 
@@ -134,9 +134,9 @@ class Laboratory:
             markers = butterworth_lowpass(markers, true.rate, self.cutoff)
         return cluster_poses(markers, places, true.times)
 
-    def _read(self, seen: Seen, name: str, random: np.random.Generator) -> Floats:
+    def _reading(self, motion: PlantMotion, name: str, random: np.random.Generator) -> Floats:
         owner, _, key = name.rpartition(".")
-        value = seen.reported.get(owner, {}).get(key)
+        value = motion.reported.get(owner, {}).get(key)
         if value is None:
             raise InputError(f"{name} is no single number a frame", where="laboratory", expected="another reading")
         return value + random.normal(0.0, self.readings[name], value.shape)

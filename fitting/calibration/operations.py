@@ -97,17 +97,17 @@ class Operation:
                 options: Any = {"samples": self.samples, "confidence": self.confidence}
                 plan = optimise_treatment(recorded, self.limits, self.ranges, treatment, estimate, **options)
                 treatment, met = plan.treatment, plan.met
-            told = predict(recorded, treatment, estimate, samples=self.samples)
+            predicted = predict(recorded, treatment, estimate, samples=self.samples)
         except PftwinError:
             return Operated(_UNKNOWN, np.zeros((0, len(OUTCOMES))), False if self.limits else None, None, 0.0)
-        draws = np.stack([in_si(told[name])[0, 1:] for name in OUTCOMES], axis=1)
+        draws = np.stack([in_si(predicted[name])[0, 1:] for name in OUTCOMES], axis=1)
         run = np.isfinite(draws).all(axis=1)
         try:
-            done = predict(plant, treatment)
+            treated = predict(plant, treatment)
         except PftwinError:
             return Operated(_UNKNOWN, draws[run], met, met and False, float(run.mean()))
-        truth = np.array([in_si(done[name])[0] for name in OUTCOMES])
-        safe = met and bool(smallest_margin(done, self.limits)[0] >= 0)
+        truth = np.array([in_si(treated[name])[0] for name in OUTCOMES])
+        safe = met and bool(smallest_margin(treated, self.limits)[0] >= 0)
         return Operated(truth, draws[run], met, safe, float(run.mean()))
 
 

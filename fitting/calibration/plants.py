@@ -3,8 +3,8 @@
 A function of a knee and random numbers makes one:
 
     def sticky(knee, random):
-        spread = knee.near(random)
-        return Plant(spread.with_effect(...))  # some other effect
+        scene = knee.near(random)
+        return Plant(scene.with_effect(...))  # some other effect
 
     calibrate(trained, scene, kinds={"sticky": sticky})
 
@@ -66,7 +66,7 @@ class Knee:
 
     def near(self, random: np.random.Generator) -> Scene:
         """A scene whose springs lie near the middle of their bounds, and whose parameters with a prior, such as
-        nuisance, are uniform with a smaller spread than the prior's."""
+        nuisance, are uniform with a smaller standard deviation than the prior's."""
         scene, p = self.lacking or (self.scene, self.parameters)
         middle, half = 0.5 * (p.lower + p.upper), 0.5 * (p.upper - p.lower)
         theta = middle + _NEAR * half * random.uniform(-1.0, 1.0, len(p))
@@ -158,7 +158,7 @@ PLANTS: dict[str, Maker] = {
 BY_NAME = {"reshaped": reshaped}  # not by default: they need a contact with a fitted patch
 
 
-class Seen(NamedTuple):
+class PlantMotion(NamedTuple):
     """A plant's motion and forces, without noise."""
 
     position: Floats  # (n, 3) of the patella in the femur [m]
@@ -168,11 +168,11 @@ class Seen(NamedTuple):
     @property
     def forces(self) -> dict[str, Floats]:
         """Forces (n,) of contact and tendons by name [N]."""
-        told = {name: seen.get("force", seen.get("tension")) for name, seen in self.reported.items()}
-        return {name: force for name, force in told.items() if force is not None}
+        found = {name: report.get("force", report.get("tension")) for name, report in self.reported.items()}
+        return {name: force for name, force in found.items() if force is not None}
 
 
-def run(plants: Sequence[Plant]) -> list[Seen | None]:
+def run(plants: Sequence[Plant]) -> list[PlantMotion | None]:
     """Motion of each plant; None if it could not be simulated. Raises InputError for scenes that fail `check`."""
     found = simulate_batch(
         [plant.scene for plant in plants],
@@ -186,23 +186,23 @@ def run(plants: Sequence[Plant]) -> list[Seen | None]:
     )
     failed = np.asarray(found["failed"])
     names = [str(name) for name in found.data_vars if str(name).startswith(_PREFIX)]
-    kept = {name.removeprefix(_PREFIX): np.asarray(found[name]) for name in names}
+    arrays = {name.removeprefix(_PREFIX): np.asarray(found[name]) for name in names}
 
-    def of(i: int) -> Seen:
+    def motion_of(i: int) -> PlantMotion:
         reported: dict[str, dict[str, Floats]] = {}
-        for name, value in kept.items():
+        for name, value in arrays.items():
             owner, _, key = name.rpartition(".")
             if owner:
                 reported.setdefault(owner, {})[key] = value[i]
-        return Seen(kept["position"][i], kept["quaternion"][i], reported)
+        return PlantMotion(arrays["position"][i], arrays["quaternion"][i], reported)
 
-    return [None if failed[i] else of(i) for i in range(len(plants))]
+    return [None if failed[i] else motion_of(i) for i in range(len(plants))]
 
 
-def _outputs(scene: Scene, seen: Observation) -> dict[str, Array]:
-    patella = seen.patella
+def _outputs(scene: Scene, observation: Observation) -> dict[str, Array]:
+    patella = observation.patella
     found: dict[str, Any] = {"position": patella.position.array(), "quaternion": patella.orientation.array()}
-    for name, report in seen.effects.items():
+    for name, report in observation.effects.items():
         found |= {f"{name}.{key}": value for key, value in report.items() if jnp.ndim(value) == 1}
     return {f"{_PREFIX}{name}": value for name, value in found.items()}
 
@@ -220,12 +220,12 @@ def check_truth(plant: Plant, parameters: Parameters) -> None:
 
 
 def truth_of(
-    plant: Plant, seen: Sequence[Seen], parameters: Parameters, differing: Sequence[Plant] | None = None
+    plant: Plant, motions: Sequence[PlantMotion], parameters: Parameters, differing: Sequence[Plant] | None = None
 ) -> Floats:
     """True values of the requested parameters (d,): for a tendon that follows another law, those of the straight line
     nearest to its spring over the lengths that occurred in all trials; for what differs between trials, the mean.
 
-    The plant and parameters are those of the first trial, without differences; `seen` are the motions of all trials,
+    The plant and parameters are those of the first trial, without differences; `motions` are those of all trials,
     and `differing` the plant in each. Raises InputError for a tendon that is never stretched.
     """
     found = []
@@ -235,9 +235,9 @@ def truth_of(
             found.append(float(item.place.read(plant.scene)))
             continue
         mean: Any = plant.scene.effect(owner)
-        tendons: list[Any] = [own.scene.effect(owner) for own in differing or [plant] * len(seen)]
+        tendons: list[Any] = [own.scene.effect(owner) for own in differing or [plant] * len(motions)]
         longer = [float(tendon.slack_length - mean.slack_length) for tendon in tendons]
-        lengths = np.concatenate([one.reported[owner]["length"] - by for one, by in zip(seen, longer, strict=True)])
+        lengths = np.concatenate([one.reported[owner]["length"] - by for one, by in zip(motions, longer, strict=True)])
         line = straight_line(lengths, np.maximum(np.asarray(mean.held_tension(jnp.asarray(lengths))), 0.0))
         found.append(line.stiffness if path == ("stiffness",) else line.slack_length)
     return np.array(found)

@@ -35,9 +35,9 @@ class CalibrationPlots:
             for ax, (kind, answers) in zip(panels, c.kinds.items(), strict=True):
                 ax.plot([0, 1], [0, 1], color="black", linewidth=0.7)
                 for i, name in enumerate(c.names):
-                    shares = [answers.covered(level)[:, i].mean() for level in _GRID] if len(answers.ranks) else []
+                    coverages = [answers.covered(level)[:, i].mean() for level in _GRID] if len(answers.ranks) else []
                     style = {"color": COLOURS[i % len(COLOURS)], "linestyle": DASHES[i % len(DASHES)]}
-                    ax.plot(_GRID[: len(shares)], shares, label=name, **style)
+                    ax.plot(_GRID[: len(coverages)], coverages, label=name, **style)
                 ax.set(title=f"{kind}: {len(answers.ranks)} plants", xlabel="level", xlim=(0, 1), ylim=(0, 1))
                 ax.set_aspect("equal")
             panels[0].set_ylabel("coverage")

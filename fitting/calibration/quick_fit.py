@@ -96,14 +96,14 @@ class QuickFit:
             InputError: another number of trials or frames, or other nominal parameters, than in the first recording.
             PftwinError: as `fit_tendons`.
         """
-        s = self.set_up
+        set_up = self.set_up
         scenes, given = trials_of(scene, measured)
-        s.check_frames(scenes, given[0].source)
+        set_up.check_frames(scenes, given[0].source)
         self._check_nominal(scenes)
-        kept = [_only(*each, s.springs) for each in zip(self.measured, scenes, given, strict=True)]
+        selected = [_with_channels(*each, set_up.springs) for each in zip(self.measured, scenes, given, strict=True)]
         names = ("free", "bounds", "priors", "nuisance", "varies", "noise", "springs")
-        asked: dict[str, Any] = {name: getattr(s, name) for name in names}
-        found = fit_tendons(scenes, kept, method=self.method, use=s.channels, limits=limits, **asked, **more)
+        asked: dict[str, Any] = {name: getattr(set_up, name) for name in names}
+        found = fit_tendons(scenes, selected, method=self.method, use=set_up.channels, limits=limits, **asked, **more)
         if not self.widened or found.reason.startswith("interrupted"):
             return found
         return _widened(found, self)
@@ -147,7 +147,7 @@ class QuickFit:
             OutputError: if it cannot be written.
         """
         own = {name: getattr(self, name) for name in ("method", "measured", "nominal", "widened", "plants")}
-        write_json_file(path, {"format": FORMAT, "set_up": self.set_up.plain(), **own})
+        write_json_file(path, {"format": FORMAT, "set_up": self.set_up.to_dict(), **own})
         return Path(path)
 
     @staticmethod
@@ -190,11 +190,11 @@ def _widened(estimate: Estimate, fit: QuickFit) -> Estimate:
     """The estimate with larger standard deviations of the requested parameters; correlations are kept."""
     scale = np.append(fit.widened, np.ones(len(estimate.names) - len(fit.widened)))
     widened = dict(zip(fit.set_up.free, fit.widened, strict=True))
-    told: dict[str, Any] = {"plants": dict(fit.plants), "calibrated": fit.set_up.scene_name}
-    return replace(estimate, covariance=estimate.covariance * np.outer(scale, scale), widened=widened, **told)
+    calibrated: dict[str, Any] = {"plants": dict(fit.plants), "calibrated": fit.set_up.scene_name}
+    return replace(estimate, covariance=estimate.covariance * np.outer(scale, scale), widened=widened, **calibrated)
 
 
-def _only(channels: Sequence[str], scene: Scene, data: Measured, springs: Mapping[str, str]) -> Measured:
+def _with_channels(channels: Sequence[str], scene: Scene, data: Measured, springs: Mapping[str, str]) -> Measured:
     """The measurements without forces and readings of other channels."""
     forces = force_fields(scene, springs).items()
     absent: dict[str, Any] = {name: None for channel, name in forces if channel not in channels}

@@ -123,8 +123,8 @@ class Answers(NamedTuple):
         of = len(self.ranks) + self.doubted + self.refused + self.dropped
         cells, words = [""] * len(names), [self.verdict(names)]
         if len(self.ranks):
-            shares, half = self.coverage[self.level], scales * self.half_widths.mean(axis=0)
-            cells = [f"{100 * share:.0f} %, {width:.2g}" for share, width in zip(shares, half, strict=True)]
+            coverages, half = self.coverage[self.level], scales * self.half_widths.mean(axis=0)
+            cells = [f"{100 * coverage:.0f} %, {width:.2g}" for coverage, width in zip(coverages, half, strict=True)]
             words = [word for word in (_NARROW, _WIDE, _FEW) if word in self._verdicts()] or [_AS_STATED]
         return f"{len(self.ranks)} of {of}", *cells, "; ".join(words)
 
@@ -136,7 +136,7 @@ class Answers(NamedTuple):
             "doubted": self.doubted,
             "refused": self.refused,
             "dropped": self.dropped,
-            "coverage": {f"{level:g}": shares.tolist() for level, shares in self.coverage.items()} if some else {},
+            "coverage": {f"{level:g}": each.tolist() for level, each in self.coverage.items()} if some else {},
             "rms_error": self.rms.tolist() if some else [],
             "half_width": self.half_widths.mean(axis=0).tolist() if some else [],
             "verdict": self.verdict(names),

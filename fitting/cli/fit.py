@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from fitting.posterior.result import Posterior
 
 
-_UNKNOWN = "not known"  # spread of a value that was set by a bound
+_UNKNOWN = "not known"  # standard deviation of a value that was set by a bound
 
 
 @on_scene
@@ -79,7 +79,7 @@ def fit(
     trials = knee.load()
     asked: dict[str, Any] = {"method": method, "objective": objective, **knee.asked(trials[0].scene), "loss": loss}
     asked |= {"seed": seed} | ({} if starts is None else {"starts": starts})
-    kept: dict[str, Any] = {"checkpoint": checkpoint, "resume": resume}
+    checkpointing: dict[str, Any] = {"checkpoint": checkpoint, "resume": resume}
     for path, trial in zip(knee.scene or [], trials, strict=False):
         if trial.scene.measured is None:
             raise InputError("nothing to compare with", where=path, expected="a table [measured] in the scene file")
@@ -91,7 +91,7 @@ def fit(
     if trained is not None:
         from fitting.trained import TrainedPosterior
 
-        refuse_settled(asked | kept, "--trained")
+        refuse_settled(asked | checkpointing, "--trained")
         with spinner("answering"):
             estimate = TrainedPosterior.load(trained, scenes).estimate(scenes, limits=limits)
     elif calibrated is not None:
@@ -99,11 +99,11 @@ def fit(
 
         refuse_settled(asked, "--calibrated")
         quick = QuickFit.load(calibrated)
-        estimate = _fitted(quick.method, checkpoint, partial(quick.estimate, scenes, limits=limits, **kept))
+        estimate = _fitted(quick.method, checkpoint, partial(quick.estimate, scenes, limits=limits, **checkpointing))
     else:
         from fitting.fit import fit_tendons
 
-        estimate = _fitted(method, checkpoint, partial(fit_tendons, scenes, limits=limits, **asked, **kept))
+        estimate = _fitted(method, checkpoint, partial(fit_tendons, scenes, limits=limits, **asked, **checkpointing))
     interrupted = estimate.reason.startswith("interrupted")
     with report_written_on_interrupt(output, checkpoint):
         draws = None if interrupted else posterior

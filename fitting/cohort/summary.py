@@ -79,8 +79,8 @@ def fit_dataset(estimate: Estimate) -> Dataset:
         "sentence": estimate.sentence(),
         "remarks": "; ".join(estimate.remarks()),
     }
-    plain = {k: float(v) if isinstance(v, np.floating) else v for k, v in attributes.items()}
-    return Dataset(data, coordinates, plain)
+    values = {k: float(v) if isinstance(v, np.floating) else v for k, v in attributes.items()}
+    return Dataset(data, coordinates, values)
 
 
 def read_store(path: Path) -> tuple[dict[str, Any], Dataset | None, Dataset | None]:

@@ -127,9 +127,9 @@ class Populations(Generations):
             state["dropped"] = int((~np.isfinite(value)).sum())
         else:
             for k, children, own in zip(living, state["children"], np.split(value, len(living)), strict=True):
-                kept = self.surviving(state["scores"][k], own)
-                state["members"][k] = np.concatenate([state["members"][k], children])[kept]
-                state["scores"][k] = np.concatenate([state["scores"][k], own])[kept]
+                survivors = self.surviving(state["scores"][k], own)
+                state["members"][k] = np.concatenate([state["members"][k], children])[survivors]
+                state["scores"][k] = np.concatenate([state["scores"][k], own])[survivors]
         state["children"] = None
         for k in living:
             state["bests"][k].append(float(state["scores"][k].min()))

@@ -92,8 +92,8 @@ class Problem:
             return ProblemAnswer(self.objective.value(self.evaluator.values(theta, request.substeps)) + prior)
         if request.want == "gradient":
             prediction = self.evaluator.values(theta, request.substeps)
-            seen = np.where(prediction.usable[:, None, None], prediction.values, 0.0)
-            gradient = self.evaluator.gradients(theta, request.substeps, self.objective.pull(seen))
+            values = np.where(prediction.usable[:, None, None], prediction.values, 0.0)
+            gradient = self.evaluator.gradients(theta, request.substeps, self.objective.pull(values))
             value = self.objective.value(prediction)
             known = np.isfinite(value) & np.isfinite(gradient).all(axis=1)
             return ProblemAnswer(np.where(known, value + prior, np.inf), np.where(known[:, None], gradient + pull, 0.0))
@@ -102,8 +102,8 @@ class Problem:
     def normal(self, theta: Floats, substeps: int | None = None) -> Normal:
         """Objective with priors, its gradient and Hessian; by default with fine steps."""
         prior, pull, precision = self.parameters.prior_terms(theta)
-        seen = self.evaluator.with_slopes(theta, self.evaluator.fine if substeps is None else substeps)
-        value, gradient, hessian = self.objective.normal(seen)
+        prediction = self.evaluator.with_slopes(theta, self.evaluator.fine if substeps is None else substeps)
+        value, gradient, hessian = self.objective.normal(prediction)
         return Normal(value + prior, gradient + pull, hessian + np.diag(precision))
 
     def ahead(self, theta: Floats, substeps: int) -> Floats:
@@ -249,7 +249,7 @@ FORMAT = "pftwin fit checkpoint 1"
 
 def save_checkpoint(path: Path, problem: str, state: dict[str, Any]) -> None:
     """Writes a state. Raises OutputError if it cannot be written."""
-    write_text(path, json.dumps({"format": FORMAT, "problem": problem, "state": state}, default=_plain))
+    write_text(path, json.dumps({"format": FORMAT, "problem": problem, "state": state}, default=_as_json))
 
 
 def load_checkpoint(path: Path, problem: str) -> dict[str, Any]:
@@ -273,7 +273,7 @@ def load_checkpoint(path: Path, problem: str) -> dict[str, Any]:
     return state
 
 
-def _plain(value: np.ndarray | np.generic) -> Any:
+def _as_json(value: np.ndarray | np.generic) -> Any:
     """Converts to plain JSON values; Python's decimal notation restores every float exactly."""
     if isinstance(value, np.generic):
         return value.item()

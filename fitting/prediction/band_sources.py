@@ -106,8 +106,8 @@ def band_sources(data: Dataset, outcomes: tuple[str, ...] = tuple(name for name,
 
 def _left(y: Floats, numbers: Floats) -> float:
     """Share of the variance of y (n,) that a linear function of numbers (n, q) leaves unexplained, without bias."""
-    spread = numbers.std(axis=0)
-    x = (numbers - numbers.mean(axis=0))[:, spread > 0] / spread[spread > 0]
+    deviations = numbers.std(axis=0)
+    x = (numbers - numbers.mean(axis=0))[:, deviations > 0] / deviations[deviations > 0]
     off = y - y.mean()
     n, q = x.shape
     if n < max(_FEWEST, _PER_NUMBER * q) or not off.any():

@@ -53,8 +53,8 @@ class Recipe(NamedTuple):
     def observed(self, scene: Scene, substeps: Array, start: Solution | None = None) -> tuple[CourseFrame, Array]:
         """The variant's observations (frames,) and their status; `start`: its equilibrium, by default solved for."""
         options: Any = {"substeps": substeps, "integrator": _INTEGRATOR, "start": start}
-        seen, status, _ = observe_on_the_way(scene, lambda frame: CourseFrame.of(scene, frame), **options)
-        return seen, status
+        frames, status, _ = observe_on_the_way(scene, lambda frame: CourseFrame.of(scene, frame), **options)
+        return frames, status
 
     def course(self, scene: Scene) -> Course:
         """The variant's motion, without an estimate of its error."""
@@ -89,18 +89,18 @@ def _member_start(recipe: Recipe, a: Array, theta: Array, start: Pose) -> _Settl
 def _member_outcomes(recipe: Recipe, a: Array, theta: Array, start: Solution) -> Any:
     """Outcomes of one variant; its motion is flagged if the estimated error of its steps is too large."""
     scene = recipe.made(a, theta)
-    (seen, status), error = run_with_error(
+    (frames, status), error = run_with_error(
         lambda n: recipe.observed(scene, n, start),
         lambda found: found[0].compared(),
         recipe.substeps,
         _INTEGRATOR.order,
     )
-    at = course_of(scene, seen, status | error.flags.astype(status.dtype), recipe.groove)
+    at = course_of(scene, frames, status | error.flags.astype(status.dtype), recipe.groove)
     flags = frames_with_flags(at.status)
     courses = {}
     if recipe.trajectories:
         courses = {
-            "sphere_center": seen.center.array(),
+            "sphere_center": frames.center.array(),
             "groove_offset": at.offset,
             "patella_tilt": at.tilt,
             "force_medial": at.force[0],
@@ -176,7 +176,7 @@ def run(
     starts = _starts(programs, amounts, thetas)
     found = programs.simulated(amounts, thetas, starts, progress)
 
-    def again(which: NDArray[np.bool_], smaller: int = 1) -> None:
+    def rerun(which: NDArray[np.bool_], smaller: int = 1) -> None:
         if which.any():
             chosen = None if starts is None else jax.tree.map(lambda a: a[which], starts)
             better = programs.simulated(amounts[which], thetas[which], chosen, smaller=smaller)
@@ -185,9 +185,9 @@ def run(
     if starts is not None:
         lost = _flagged(found, Status.START_NOT_IN_EQUILIBRIUM)
         starts = jax.tree.map(lambda a, own: np.where(lost, np.asarray(own), a), starts, programs.recipe.scene.start)
-        again(lost)
+        rerun(lost)
     if care:
-        again(_flagged(found, Status.INACCURATE), SMALLER)
+        rerun(_flagged(found, Status.INACCURATE), SMALLER)
     return found
 
 
@@ -200,8 +200,8 @@ def _starts(programs: MemberPrograms, amounts: Floats, thetas: Floats) -> Pose |
     if len(amounts) <= _NEAR:
         return None
     points = np.concatenate([amounts, thetas], axis=1)
-    spread = np.ptp(points, axis=0)
-    points = points[:, spread > 0] / spread[spread > 0]
+    ranges = np.ptp(points, axis=0)
+    points = points[:, ranges > 0] / ranges[ranges > 0]
     chosen, nearest = _spread_out(points, _NEAR)
     poses, start = programs.settled(amounts[chosen], thetas[chosen])
     if not start.converged.any():

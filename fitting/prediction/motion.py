@@ -100,8 +100,8 @@ def predict_motion(
     notes += [f"{lost} draws without a valid motion omitted"] if lost else []
     notes += synthetic_parts(estimate, scene.synthetic or (measured is not None and measured.synthetic))
     low, high = _band(paths[1:][good[1:]], paths[0], left)
-    seen, compared = _seen(measured, paths[0])
-    ends = (low, high, seen, compared, verdict, tuple(notes), estimate.objection)
+    observed, compared = _measured_path(measured, paths[0])
+    ends = (low, high, observed, compared, verdict, tuple(notes), estimate.objection)
     label = "measured" if measured is None else measured.label
     return PredictedMotion(scene.name, np.asarray(scene.motion.times), paths[0], *ends, label)
 
@@ -183,18 +183,18 @@ def _band(paths: Floats, path: Floats, left: Floats) -> tuple[Floats, Floats]:
     errors = ndtri((np.arange(_QUANTILES) + 0.5) / _QUANTILES)[:, None] * left
     ends = (0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL)
     of_frames = np.moveaxis(_beside(path, paths), 1, 0)
-    spread = [np.quantile((a[:, None] + errors).reshape(-1, len(left)), ends, axis=0) for a in of_frames]
-    low, high = np.moveaxis(np.array(spread), 1, 0)
+    quantiles = [np.quantile((a[:, None] + errors).reshape(-1, len(left)), ends, axis=0) for a in of_frames]
+    low, high = np.moveaxis(np.array(quantiles), 1, 0)
     return low, high
 
 
-def _seen(measured: Measured | None, path: Floats) -> tuple[Floats | None, NDArray[np.bool_]]:
+def _measured_path(measured: Measured | None, path: Floats) -> tuple[Floats | None, NDArray[np.bool_]]:
     """Measured coordinates (n, 6), and which frames are compared (n,)."""
     if measured is None:
         return None, np.zeros(len(path), bool)
     turns = np.full((len(path), 4), np.nan) if measured.quaternion is None else measured.quaternion
-    seen = _beside(path, _coordinates(measured.center, turns))
-    compared = np.asarray(np.isfinite(seen).any(axis=1))
+    observed = _beside(path, _coordinates(measured.center, turns))
+    compared = np.asarray(np.isfinite(observed).any(axis=1))
     if measured.weights is not None:
         compared &= measured.weights > 0
-    return seen, compared
+    return observed, compared

@@ -88,33 +88,33 @@ class CourseFrame(NamedTuple):
     total: Vec3  # contact force on the patella, femur frame [N]
 
     @staticmethod
-    def of(scene: Scene, seen: Observation) -> CourseFrame:
+    def of(scene: Scene, observation: Observation) -> CourseFrame:
         """The frame of one observation of a scene with contact."""
         contact = scene.contact
         assert contact is not None
-        report = seen.effects[contact.name]
+        report = observation.effects[contact.name]
         force, point = ((report[f"{what}_medial"], report[f"{what}_lateral"]) for what in ("force", "point"))
         total = Vec3(*(report[f"force_{axis}"] for axis in "xyz"))
-        return CourseFrame(seen.center, seen.patella.orientation, force, point, report["force"], total)
+        return CourseFrame(observation.center, observation.patella.orientation, force, point, report["force"], total)
 
     def compared(self) -> ComparedCourse:
         """The quantities that the estimate of the time steps' error compares, for all frames."""
         return ComparedCourse(self.center.array(), self.orientation.array(), self.total.array(), *self.force)
 
 
-def course_of(scene: Scene, seen: CourseFrame, status: Array, groove: Groove) -> Course:
+def course_of(scene: Scene, frames: CourseFrame, status: Array, groove: Groove) -> Course:
     """The course from observations and status (n,) of all frames. Pure."""
     motion, chart = scene.motion, groove_surface(scene).chart
-    u, v = chart.foot(chart.to_frame(seen.center))
+    u, v = chart.foot(chart.to_frame(frames.center))
     return Course(
         motion.frame_times(),
         knee_angles(scene).flexion,
         v - jnp.interp(u, groove.u, groove.v),
-        patellar_angles(seen.orientation).tilt,
-        seen.center.y,
-        seen.force,
-        seen.point,
-        seen.contact_force,
+        patellar_angles(frames.orientation).tilt,
+        frames.center.y,
+        frames.force,
+        frames.point,
+        frames.contact_force,
         status,
     )
 
@@ -196,15 +196,15 @@ def _dislocation(at: Course, threshold: float) -> dict[str, Scalar]:
     before = jnp.concatenate([jnp.zeros(1, bool), out[:-1]])
     began, ended = out & ~before, ~out & before
     ever, back = jnp.any(out), jnp.any(ended)
-    first, again = jnp.argmax(began), jnp.argmax(ended)
+    lost, regained = jnp.argmax(began), jnp.argmax(ended)
     return {
         "dislocations": jnp.sum(began).astype(float),
-        "dislocation_time": jnp.where(ever, at.time[first], jnp.nan),
-        "dislocation_flexion": jnp.where(ever, at.flexion[first], jnp.nan),
-        "dislocation_side": jnp.where(ever, jnp.where(at.offset[first] > 0, 1.0, -1.0), 0.0),
+        "dislocation_time": jnp.where(ever, at.time[lost], jnp.nan),
+        "dislocation_flexion": jnp.where(ever, at.flexion[lost], jnp.nan),
+        "dislocation_side": jnp.where(ever, jnp.where(at.offset[lost] > 0, 1.0, -1.0), 0.0),
         "dislocated_share": jnp.mean(out.astype(float)),
-        "re_engagement_time": jnp.where(back, at.time[again], jnp.nan),
-        "re_engagement_flexion": jnp.where(back, at.flexion[again], jnp.nan),
+        "re_engagement_time": jnp.where(back, at.time[regained], jnp.nan),
+        "re_engagement_flexion": jnp.where(back, at.flexion[regained], jnp.nan),
         "tracks_at_end": 1.0 - out[-1].astype(float),
     }
 

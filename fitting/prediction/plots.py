@@ -134,7 +134,7 @@ def _lines(data: Dataset, names: list[str]) -> list[tuple[str, NDArray[np.int64]
     """Label and rows of each line: variants that share the scene and all amounts but the first."""
     others = {n: in_shown_unit(data, n) for n in names[1:]}
     scenes = list(dict.fromkeys(data["scene"].values))
-    kept = []
+    lines = []
     for scene, *values in product(scenes, *(np.unique(data[n].values) for n in others)):
         same = data["scene"].values == scene
         for name, value in zip(others, values, strict=True):
@@ -142,10 +142,10 @@ def _lines(data: Dataset, names: list[str]) -> list[tuple[str, NDArray[np.int64]
         if same.any():
             said = [f"{n.rpartition('_')[2]} {shown[same][0]:g} {unit}" for n, (shown, unit) in others.items()]
             label = ", ".join([str(scene), *said] if len(scenes) > 1 else said) or str(scene)
-            kept.append((label, np.flatnonzero(same)))
-    if len(kept) > _MOST_LINES:  # a few, spread over the range
-        kept = [kept[i] for i in np.linspace(0, len(kept) - 1, _MOST_LINES).round().astype(int)]
-    return kept
+            lines.append((label, np.flatnonzero(same)))
+    if len(lines) > _MOST_LINES:  # a few, spread over the range
+        lines = [lines[i] for i in np.linspace(0, len(lines) - 1, _MOST_LINES).round().astype(int)]
+    return lines
 
 
 def _draw(

@@ -71,8 +71,8 @@ class PredictedMotion:
         """Share of the compared frames whose measurement lies within the band, by coordinate."""
         if self.measured is None:
             return {}
-        seen, low, high = (a[self.compared] for a in (self.measured, self.low, self.high))
-        inside, there = (seen >= low) & (seen <= high), np.isfinite(seen)
+        measured, low, high = (a[self.compared] for a in (self.measured, self.low, self.high))
+        inside, there = (measured >= low) & (measured <= high), np.isfinite(measured)
         return {n: float(inside[there[:, k], k].mean()) for k, n in enumerate(COORDINATES) if there[:, k].any()}
 
     @property
@@ -96,8 +96,8 @@ class PredictedMotion:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values, for JSON."""
-        told = {"scene": self.scene_name, "verdict": self.verdict, "level": LEVEL, "notes": list(self._caveats)}
-        return {**told, "errors": self.errors, "coverage": self.coverage, "sentence": self.sentence()}
+        facts = {"scene": self.scene_name, "verdict": self.verdict, "level": LEVEL, "notes": list(self._caveats)}
+        return {**facts, "errors": self.errors, "coverage": self.coverage, "sentence": self.sentence()}
 
     def rows(self) -> list[tuple[str, str, str, str]]:
         """Coordinate, unit, RMS error, share of frames whose measurement lies within the band."""

@@ -253,7 +253,7 @@ def dataset(
     coordinates = _coordinates(batches, order, len(places), bool(found[0].courses))
     words = np.array([said for m, frames, why in counted for said in _verdicts(m, frames, why, many)])
     coordinates["verdict"] = _named(("variant",), words[order], "verdict on the motion")
-    told = {}
+    more = {}
     if estimate is not None:
         coordinates["parameter"] = _named(("parameter",), list(estimate.names), "estimated parameter")
         coordinates["parameter_unit"] = _named(("parameter",), list(estimate.units), "its unit")
@@ -263,10 +263,10 @@ def dataset(
         used = thetas if sampled else thetas[0]
         variables["parameters"] = _named(along, used, "values that were used", "as parameter_unit")
         if sampled:
-            told = {"coverage": estimate.coverage.bands, "coverage_briefly": estimate.coverage.briefly}
+            more = {"coverage": estimate.coverage.bands, "coverage_briefly": estimate.coverage.briefly}
     if sampled:
         coordinates["sample"] = _named(("sample",), np.arange(many), "0: the estimate; then draws", "1")
-    return Dataset(variables, coordinates, {**_attributes(batches, estimate, settings), **told})
+    return Dataset(variables, coordinates, {**_attributes(batches, estimate, settings), **more})
 
 
 def _named(axes: tuple[str, ...], values: Any, long_name: str, unit: str = "", **more: Any) -> Any:

@@ -43,8 +43,8 @@ def untrusted_starts(programs: MemberPrograms, scene: Scene, thetas: Floats) -> 
     lost, settled = np.flatnonzero(~starts.converged), np.flatnonzero(starts.converged)
     if lost.size and settled.size:
         near = jax.tree.map(lambda a: np.repeat(a[settled[:1]], lost.size), poses)
-        again = programs.untreated(thetas[lost], near)[1]
-        jax.tree.map(lambda old, new: old.__setitem__(lost, new), starts, again)
+        retried = programs.untreated(thetas[lost], near)[1]
+        jax.tree.map(lambda old, new: old.__setitem__(lost, new), starts, retried)
     fitted, found = programs.recipe.fitted, []
     for theta, *start in zip(thetas, *starts, strict=True):
         own = scene if fitted is None else fitted(scene, theta)

@@ -179,8 +179,8 @@ def deepening_shape(surface: PolynomialPatch) -> NDArray[np.float64]:
     (u0, v0), (half_u, half_v) = (tuple(float(x) for x in pair) for pair in (surface.center, surface.half_size))
     a, b = (g.ravel() for g in np.meshgrid(*[np.linspace(-1, 1, _GRID)] * 2, indexing="ij"))
     bottom = (line.at(u0 + half_u * a) - v0) / half_v
-    reach = 1 - np.abs(bottom)
-    bump = np.maximum(1 - ((b - bottom) / reach) ** 2, 0.0) ** 2
+    half_width = 1 - np.abs(bottom)
+    bump = np.maximum(1 - ((b - bottom) / half_width) ** 2, 0.0) ** 2
     c, *_ = np.linalg.lstsq(_basis(surface.degree, a, b), -bump, rcond=None)
     on_line = _basis(surface.degree, (line.u - u0) / half_u, (line.v - v0) / half_v) @ c
     return -c / on_line.mean()
@@ -218,7 +218,7 @@ def trochleoplasty(scene: Scene, deepening: Amount = 0.0, *, shape: Array | None
     if shape is None:
         if any(isinstance(leaf, Tracer) for leaf in jax.tree.leaves(patch)):
             raise InputError(
-                "the groove of a traced surface cannot be looked for",
+                "the groove of a traced surface cannot be found",
                 where="trochleoplasty",
                 remedy="shape=deepening_shape(surface), found before tracing",
             )

@@ -89,10 +89,10 @@ def optimise_treatment(
     amounts = amounts[np.argsort(np.linalg.norm(amounts / scale, axis=1), kind="stable")]
     options: dict[str, Any] = {"dt": dt, "threshold": threshold, "chunk": CHUNK}
 
-    def told(what: str, before: int, whole: int, done: int, _: int) -> None:
+    def report(what: str, before: int, whole: int, done: int, _: int) -> None:
         progress(before + done, whole, what)
 
-    of_range = partial(told, "the whole range", 0, len(amounts))
+    of_range = partial(report, "the whole range", 0, len(amounts))
     coarse = predict(scene, search.treated(amounts), estimate, progress=of_range, **options)
     room = smallest_margin(coarse, wanted)
     fine = np.flatnonzero(room >= 0)
@@ -138,7 +138,7 @@ def optimise_treatment(
             if samples:
                 draws = 1 + samples
                 of_draws: dict[str, Any] = {"samples": samples, "seed": seed}
-                of_draws["progress"] = partial(told, "draws", i * draws, len(fine) * draws)
+                of_draws["progress"] = partial(report, "draws", i * draws, len(fine) * draws)
                 data = predict(scene, search.treated(amounts[part]), estimate, **options, **of_draws)
                 shares = (smallest_margin(data, wanted)[:, 1:] >= 0).mean(axis=1)
                 simulated += len(part) * (1 + samples)

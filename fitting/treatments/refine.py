@@ -54,8 +54,8 @@ def _outcomes_and_derivatives(
         return batched(one)(thetas)
 
     # All columns in one pass of the time loop.
-    push = jax.vmap(lambda t: jax.jvp(found, (amounts,), (t,)), out_axes=(None, 0))
-    return push(jnp.eye(len(places), dtype=amounts.dtype))
+    pushforward = jax.vmap(lambda t: jax.jvp(found, (amounts,), (t,)), out_axes=(None, 0))
+    return pushforward(jnp.eye(len(places), dtype=amounts.dtype))
 
 
 def places_of(treatment: Treatment, names: Collection[str]) -> tuple[int, ...]:

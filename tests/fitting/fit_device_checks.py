@@ -23,11 +23,11 @@ def main(cache: str) -> None:
 
     scene = small_scene(12)
     truth = pftwin.simulate(scene, dt=1 / 600, integrator=pftwin.LinearImplicit()).center
-    seen = Measured(scene.motion.times, truth * 1.001)
+    measured = Measured(scene.motion.times, truth * 1.001)
 
     def found(method: str, devices: int) -> dict:
         free, options = ("K1", "L2"), METHODS[method]
-        estimate = fitting.fit_tendons(scene, seen, method=method, free=free, devices=devices, **options)
+        estimate = fitting.fit_tendons(scene, measured, method=method, free=free, devices=devices, **options)
         return {"values": estimate.values.tolist(), "iterations": estimate.iterations}
 
     print(json.dumps({method: [found(method, count) for count in (1, 2)] for method in METHODS}))

@@ -43,8 +43,8 @@ def clean() -> Measured:
 
 
 def noisy(seed: int, height: float = FALLING) -> Measured:
-    seen = truth(height).center + np.random.default_rng(seed).normal(0.0, NOISE, (41, 3))
-    return Measured(truth(height).times, seen)
+    center = truth(height).center + np.random.default_rng(seed).normal(0.0, NOISE, (41, 3))
+    return Measured(truth(height).times, center)
 
 
 @cache

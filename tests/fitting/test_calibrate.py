@@ -124,12 +124,12 @@ def test_recordings_too_loud_are_not_counted():
     def drawn(knee: Knee, random: np.random.Generator) -> Plant:
         return Plant(knee.drawn(random))
 
-    told = []
+    reports = []
     found = fitting.calibrate(
         trained(), scene(HELD), plants=3, kinds={"mine": drawn}, laboratory=replace(LAB, marker_noise=30 * NOISE),
-        progress=lambda *now: told.append(now),
+        progress=lambda *now: reports.append(now),
     )  # fmt: skip
-    assert [now[:2] for now in told] == [("mine", 0), ("mine", 1), ("mine", 2)]
+    assert [now[:2] for now in reports] == [("mine", 0), ("mine", 1), ("mine", 2)]
     assert found.kinds["mine"].refused + found.kinds["mine"].doubted == 3
 
 

@@ -71,11 +71,11 @@ def predictions(width: float, count: int = 300) -> list[Operated]:
     return found
 
 
-def calibration(**told) -> Calibration:
+def calibration(**prediction) -> Calibration:
     right = np.random.default_rng(0)
     rows = [(m := np.array([150.0]), m + right.normal() + right.standard_normal((200, 1)), False) for _ in range(50)]
     answers = Answers.of(rows, dropped=0, refused=0, asked=1)
-    return Calibration(("K1",), {"twin": answers}, "a posterior", 0, 1.0, "a transfer", **told)
+    return Calibration(("K1",), {"twin": answers}, "a posterior", 0, 1.0, "a transfer", **prediction)
 
 
 def test_right_bands_hold_in_nine_of_ten_plants():
@@ -131,16 +131,16 @@ def test_without_any_plan_none_holds():
 @pytest.mark.slow
 def test_the_plant_itself_is_treated():
     """Truth is the plant's, of 190 N/m; draws are those of an estimate of 160, in the knee as it was recorded."""
-    seen = Operation(MOVED, samples=20).on(stiff(190.0), stiff(150.0), Estimated(np.array([160.0])))
+    operated = Operation(MOVED, samples=20).on(stiff(190.0), stiff(150.0), Estimated(np.array([160.0])))
     other = outcomes(simulate(MOVED(stiff(190.0)), dt=5e-4, integrator=BDF2()))
-    np.testing.assert_allclose(seen.truth, [other[name] for name in OUTCOMES], rtol=1e-6)
-    assert (seen.met, seen.safe, seen.draws.shape) == (None, None, (20, 6))
+    np.testing.assert_allclose(operated.truth, [other[name] for name in OUTCOMES], rtol=1e-6)
+    assert (operated.met, operated.safe, operated.draws.shape) == (None, None, (20, 6))
     force = OUTCOMES.index("mean_contact_force")
-    assert seen.draws[:, force].mean() < seen.truth[force]
+    assert operated.draws[:, force].mean() < operated.truth[force]
     right = Operation(MOVED, samples=20).on(stiff(160.0), stiff(150.0), Estimated(np.array([160.0])))
     assert 0.1 < np.mean(right.draws[:, force] < right.truth[force]) < 0.9
-    told = predict(stiff(150.0), MOVED, Estimated(np.array([160.0])), samples=20)
-    assert facts(told)["coverage"] == SIMULATIONS_WITH_NUISANCE.bands
+    prediction = predict(stiff(150.0), MOVED, Estimated(np.array([160.0])), samples=20)
+    assert facts(prediction)["coverage"] == SIMULATIONS_WITH_NUISANCE.bands
 
 
 @pytest.mark.slow
@@ -161,10 +161,10 @@ def test_a_plan_is_tried_on_the_plant():
 def test_a_knee_that_cannot_be_treated_has_no_plan_and_no_bands():
     bare = stiff(150.0).without("patellar_tendon")
     estimate = Estimated(np.array([160.0]))
-    seen = Operation(MOVED, samples=20).on(bare, stiff(150.0), estimate)
-    assert (seen.met, len(seen.draws)) == (None, 20)
-    assert np.isnan(seen.truth).all()
-    assert Answers.of_predictions([seen], OUTCOMES).dropped == 1
+    operated = Operation(MOVED, samples=20).on(bare, stiff(150.0), estimate)
+    assert (operated.met, len(operated.draws)) == (None, 20)
+    assert np.isnan(operated.truth).all()
+    assert Answers.of_predictions([operated], OUTCOMES).dropped == 1
     limit = Limit("peak_contact_force", at_most=1e6)
     plan = Operation(MOVED.with_values([0.0]), (limit,), {"medialisation": (0.0, 0.002)}, samples=20)
     assert Plans.of([plan.on(bare, stiff(150.0), estimate)], 0.9)[:3] == (0, 1, 1)  # planned, and not safe

@@ -8,7 +8,17 @@ import numpy as np
 import pytest
 from small_scene import small_scene
 
-from fitting.calibration.plants import Knee, Seen, check_truth, misplaced, reshaped, sliding, stiffening, truth_of, twin
+from fitting.calibration.plants import (
+    Knee,
+    PlantMotion,
+    check_truth,
+    misplaced,
+    reshaped,
+    sliding,
+    stiffening,
+    truth_of,
+    twin,
+)
 from fitting.nuisance import Nuisance
 from fitting.parameters import with_nuisance
 from pftwin.base.errors import InputError
@@ -98,22 +108,24 @@ def test_the_truth_of_a_stiffening_tendon_is_the_line_nearest_to_it():
         slope, offset = np.polyfit(lengths[name], k * s * (1 + more * s), 1)
         expected += [slope, -offset / slope]
         assert slope > k
-    seen = Seen(np.zeros((30, 3)), np.zeros((30, 4)), {name: {"length": x} for name, x in lengths.items()})
-    np.testing.assert_allclose(truth_of(plant, [seen], own.parameters), expected, rtol=1e-9)
+    motion = PlantMotion(np.zeros((30, 3)), np.zeros((30, 4)), {name: {"length": x} for name, x in lengths.items()})
+    np.testing.assert_allclose(truth_of(plant, [motion], own.parameters), expected, rtol=1e-9)
     straight = misplaced(own, random)
-    np.testing.assert_array_equal(truth_of(straight, [seen], own.parameters), own.parameters.vector(straight.scene)[:4])
+    np.testing.assert_array_equal(
+        truth_of(straight, [motion], own.parameters), own.parameters.vector(straight.scene)[:4]
+    )
 
 
 def test_a_curved_tendon_has_its_true_attachment_and_no_true_strain():
     random = np.random.default_rng(3)
-    for name, told in (("quadriceps.origin.x", True), ("L1.strain", False)):
+    for name, has_truth in (("quadriceps.origin.x", True), ("L1.strain", False)):
         own = Knee(*with_nuisance(small_scene(), (name,), {name: (-1.0, 1.0)}, None, Nuisance()))
         plant = stiffening(own, random)
-        if told:
+        if has_truth:
             check_truth(plant, own.parameters)
-            seen = Seen(np.zeros((2, 3)), np.zeros((2, 4)), {})
+            motion = PlantMotion(np.zeros((2, 3)), np.zeros((2, 4)), {})
             expected = float(plant.scene.effect("quadriceps").origin.x)
-            assert truth_of(plant, [seen], own.parameters) == pytest.approx(expected)
+            assert truth_of(plant, [motion], own.parameters) == pytest.approx(expected)
         else:
             with pytest.raises(InputError, match=r"L1\.strain has no true value"):
                 check_truth(plant, own.parameters)

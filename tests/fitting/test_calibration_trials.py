@@ -14,7 +14,7 @@ import fitting
 from fitting.calibration import quick_fit
 from fitting.calibration.calibrate import calibrate, plant_in_trials, with_differences
 from fitting.calibration.laboratory import Laboratory
-from fitting.calibration.plants import PLANTS, Knee, Plant, Seen, truth_of
+from fitting.calibration.plants import PLANTS, Knee, Plant, PlantMotion, truth_of
 from fitting.calibration.quick_fit import QuickFit
 from fitting.nuisance import Nuisance
 from fitting.set_up import SetUp
@@ -57,8 +57,8 @@ def test_the_line_is_nearest_over_all_trials():
     parts = [
         float(tendon.rest_length) + stretch for stretch in (np.linspace(0.01, 0.02, 40), np.linspace(0.03, 0.06, 70))
     ]
-    seen = [
-        Seen(
+    motions = [
+        PlantMotion(
             np.zeros((len(p), 3)),
             np.zeros((len(p), 4)),
             {name: {"length": p} for name in ("quadriceps", "patellar_tendon")},
@@ -67,8 +67,8 @@ def test_the_line_is_nearest_over_all_trials():
     ]
     own = free_in_trials([alike()[0]], ("K1",), 0.3, None, Nuisance())[1][0]
     k, more, s = float(tendon.law.stiffness), float(tendon.law.more), np.concatenate(parts) - float(tendon.rest_length)
-    assert truth_of(plant, seen, own)[0] == pytest.approx(np.polyfit(s, k * s * (1 + more * s), 1)[0])
-    assert truth_of(plant, seen[:1], own)[0] != pytest.approx(truth_of(plant, seen, own)[0], rel=1e-3)
+    assert truth_of(plant, motions, own)[0] == pytest.approx(np.polyfit(s, k * s * (1 + more * s), 1)[0])
+    assert truth_of(plant, motions[:1], own)[0] != pytest.approx(truth_of(plant, motions, own)[0], rel=1e-3)
 
 
 def test_differences_are_each_trials_own():
@@ -95,14 +95,14 @@ def test_the_line_is_that_of_the_mean_length():
     tendon: Any = plant.scene.effect("patellar_tendon")
     lengths = float(tendon.rest_length) + np.linspace(0.003, 0.011, 50)
 
-    def seen(by: float) -> Seen:
-        return Seen(np.zeros((50, 3)), np.zeros((50, 4)), {"patellar_tendon": {"length": lengths + by}})
+    def motion(by: float) -> PlantMotion:
+        return PlantMotion(np.zeros((50, 3)), np.zeros((50, 4)), {"patellar_tendon": {"length": lengths + by}})
 
     longer = Plant(plant.scene.with_effect(tendon.lengthened(4e-4)), plant.curved)
-    expected = truth_of(plant, [seen(0.0), seen(0.0)], own)
-    found = truth_of(plant, [seen(0.0), seen(4e-4)], own, [plant, longer])
+    expected = truth_of(plant, [motion(0.0), motion(0.0)], own)
+    found = truth_of(plant, [motion(0.0), motion(4e-4)], own, [plant, longer])
     np.testing.assert_allclose(found, expected, rtol=1e-4)
-    off = truth_of(plant, [seen(0.0), seen(4e-4)], own)  # as if it were the same tendon, stretched by more
+    off = truth_of(plant, [motion(0.0), motion(4e-4)], own)  # as if it were the same tendon, stretched by more
     assert abs(off[0] / expected[0] - 1) > 4e-4
 
 
@@ -112,10 +112,10 @@ def test_the_line_is_that_of_the_mean_stiffness():
     own = free_in_trials([alike()[0]], ("K2", "L2"), 0.3, None, Nuisance())[1][0]
     tendon: Any = plant.scene.effect("patellar_tendon")
     lengths = float(tendon.rest_length) + np.linspace(0.003, 0.011, 50)
-    seen = Seen(np.zeros((50, 3)), np.zeros((50, 4)), {"patellar_tendon": {"length": lengths}})
+    motion = PlantMotion(np.zeros((50, 3)), np.zeros((50, 4)), {"patellar_tendon": {"length": lengths}})
     stiffer = [Plant(plant.scene.set("K2", by * float(tendon.stiffness)), plant.curved) for by in (1.1, 1.2)]
-    found = truth_of(plant, [seen, seen], own, stiffer)
-    np.testing.assert_allclose(found, truth_of(plant, [seen], own), rtol=1e-9)
+    found = truth_of(plant, [motion, motion], own, stiffer)
+    np.testing.assert_allclose(found, truth_of(plant, [motion], own), rtol=1e-9)
 
 
 def test_trials_of_one_laboratory_share_what_stays_the_same():
@@ -123,12 +123,12 @@ def test_trials_of_one_laboratory_share_what_stays_the_same():
     scene, n = small_scene(41), 41
     ramp = np.linspace(5.0, 25.0, n)
     upright = np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))
-    seen = Seen(np.zeros((n, 3)), upright, {"contact": {"force": ramp}, "quadriceps": {"tension": ramp}})
+    motion = PlantMotion(np.zeros((n, 3)), upright, {"contact": {"force": ramp}, "quadriceps": {"tension": ramp}})
 
     def off(**errors: float) -> list[Measured]:
         lab = replace(QUIET, marker_noise=0.0, force_noise=0.0, **errors)
         return [
-            lab.recorded(scene, seen, {}, random, np.random.default_rng(8), first=k == 0)[1]
+            lab.recorded(scene, motion, {}, random, np.random.default_rng(8), first=k == 0)[1]
             for k, random in enumerate([np.random.default_rng(1), np.random.default_rng(2)])
         ]
 
@@ -143,50 +143,52 @@ def test_trials_of_one_laboratory_share_what_stays_the_same():
         assert np.abs(one.contact_force - other.contact_force).max() > 1e-3
 
 
-def told(scenes: Any) -> list[Measured]:
+def measured_in(scenes: Any) -> list[Measured]:
     return [Measured(s.motion.times, np.zeros((s.motion.times.size, 3))) for s in scenes]
 
 
 def test_what_cannot_be_calibrated_is_refused():
-    both = QuickFit.of(alike(), told(alike()), free=FREE, bounds=BOUNDS)
+    both = QuickFit.of(alike(), measured_in(alike()), free=FREE, bounds=BOUNDS)
     assert both.sentence() == "fits by least_squares of 41, 41 frames of low + high, by position"
     with pytest.raises(InputError, match="41 frames; expected: 41, 41, as it was set up for"):
         calibrate(both, alike()[0])
     with pytest.raises(InputError, match="learned from anew for each plant"):
-        QuickFit.of(alike(), told(alike()), method="simulations")
+        QuickFit.of(alike(), measured_in(alike()), method="simulations")
     with pytest.raises(InputError, match="method: 'best'; expected: one of: least_squares"):
-        QuickFit.of(alike(), told(alike()), method="best")
+        QuickFit.of(alike(), measured_in(alike()), method="best")
     with pytest.raises(InputError, match="cannot allow for placement"):
-        QuickFit.of(alike(), told(alike()), nuisance=Nuisance(placement=1e-3))
+        QuickFit.of(alike(), measured_in(alike()), nuisance=Nuisance(placement=1e-3))
     assert isinstance(both.set_up, SetUp)
 
 
 def test_a_search_uses_what_was_measured_in_each_trial_of_the_first_recording(monkeypatch):
     """The force in the second trial alone; plants have it in both."""
     ramp = np.linspace(5.0, 25.0, 41)
-    first = [told(alike())[0], replace(told(alike())[1], femoral_spring_force=ramp)]
+    first = [measured_in(alike())[0], replace(measured_in(alike())[1], femoral_spring_force=ramp)]
     fit = QuickFit.of(alike(), first, free=FREE, bounds=BOUNDS, use=("position", "quadriceps"))
     assert fit.measured == (("position",), ("position", "quadriceps"))
     everything = [replace(m, femoral_spring_force=ramp, tibial_spring_force=ramp, contact_force=ramp) for m in first]
-    seen = {}
-    monkeypatch.setattr(quick_fit, "fit_tendons", lambda scene, measured, **asked: seen.update(data=measured, **asked))
+    passed = {}
+    monkeypatch.setattr(
+        quick_fit, "fit_tendons", lambda scene, measured, **asked: passed.update(data=measured, **asked)
+    )
     fit.estimate(alike(), everything)
-    assert [m.femoral_spring_force is None for m in seen["data"]] == [True, False]
-    assert all(m.contact_force is None and m.tibial_spring_force is None for m in seen["data"])
-    assert seen["use"] == ("position", "quadriceps")
+    assert [m.femoral_spring_force is None for m in passed["data"]] == [True, False]
+    assert all(m.contact_force is None and m.tibial_spring_force is None for m in passed["data"])
+    assert passed["use"] == ("position", "quadriceps")
 
 
 def test_plants_of_an_exact_twin_are_misplaced_too():
     """By up to 1 mm times sqrt(3) times 0.6; the twin itself is not."""
-    seen = []
+    made = []
 
     def kind(knee: Knee, random: np.random.Generator) -> Plant:
-        seen.append([PLANTS[name](knee, random).scene for name in ("twin", "misplaced")])
+        made.append([PLANTS[name](knee, random).scene for name in ("twin", "misplaced")])
         raise InputError("enough")
 
     with pytest.raises(InputError, match="enough"):
-        calibrate(QuickFit.of(alike(), told(alike()), free=FREE, bounds=BOUNDS), alike(), kinds={"mine": kind})
-    by = [abs(float(s.get("quadriceps.origin.x")) - float(alike()[1].get("quadriceps.origin.x"))) for s in seen[0]]
+        calibrate(QuickFit.of(alike(), measured_in(alike()), free=FREE, bounds=BOUNDS), alike(), kinds={"mine": kind})
+    by = [abs(float(s.get("quadriceps.origin.x")) - float(alike()[1].get("quadriceps.origin.x"))) for s in made[0]]
     assert by[0] == 0
     assert 1e-5 < by[1] < 1e-3 * np.sqrt(3) * 0.6
 
@@ -195,7 +197,7 @@ def test_plants_of_an_exact_twin_are_misplaced_too():
 def test_a_mean_of_trials_that_differ_is_found_as_well_as_it_can_be():
     """By two trials, to the deviation between trials over the root of two; no interval is narrower."""
     given: Any = {"free": ("K1", "L2"), "bounds": 0.2, "varies": {"L2": 1e-3}}
-    fit = fitting.QuickFit.of(nominal(), told(nominal()), **given)
+    fit = fitting.QuickFit.of(nominal(), measured_in(nominal()), **given)
     loud = Laboratory(marker_noise=4e-4, cutoff=None)
     found = calibrate(fit, nominal(), plants=12, kinds={"twin": PLANTS["twin"]}, laboratory=loud, seed=2)
     answers = found.kinds["twin"]
@@ -208,7 +210,7 @@ def test_a_mean_of_trials_that_differ_is_found_as_well_as_it_can_be():
 @pytest.mark.slow
 def test_searches_find_plants_of_two_trials():
     """Where nothing is off but noise: as near to the truth as they say."""
-    fit = fitting.QuickFit.of(nominal(), told(nominal()), free=("K1", "L2"), bounds=0.2)
+    fit = fitting.QuickFit.of(nominal(), measured_in(nominal()), free=("K1", "L2"), bounds=0.2)
     loud = Laboratory(marker_noise=5e-4, cutoff=None)
     found = calibrate(fit, nominal(), plants=4, kinds={"twin": PLANTS["twin"]}, laboratory=loud, seed=2)
     answers = found.kinds["twin"]

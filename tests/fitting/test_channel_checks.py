@@ -136,33 +136,33 @@ def test_pounds_are_found_also_where_some_trials_press_hundreds_of_times_harder(
 def test_a_reading_between_the_limits_is_named_and_beyond_them_refused():
     halfway = POSITION * [1, -1, 1]
     times = read(("position",), halfway, POSITION, (3,))[0][2]
-    seen, trials = target(("position",), halfway, (3,)), POSITION[None]
-    [said] = misread(seen, trials, limits_of({"reading": (1.5, 2 * times)}))
+    objective, trials = target(("position",), halfway, (3,)), POSITION[None]
+    [said] = misread(objective, trials, limits_of({"reading": (1.5, 2 * times)}))
     assert said.startswith("measured positions look like (x, -y, z)")
-    assert misread(seen, trials, limits_of({"reading": (2 * times, 3 * times)})) == []
+    assert misread(objective, trials, limits_of({"reading": (2 * times, 3 * times)})) == []
     with pytest.raises(InputError, match=r"mirrored.*correct the file.*--limit reading=1\.5:"):
-        misread(seen, trials, LIMITS)
+        misread(objective, trials, LIMITS)
 
 
 def test_what_is_left_over_is_named_by_size_and_by_the_stated_noise():
-    seen = target(("position", "one"), np.concatenate([POSITION, FORCES[:, :1]], axis=1), (3, 1))
+    objective = target(("position", "one"), np.concatenate([POSITION, FORCES[:, :1]], axis=1), (3, 1))
     left = np.zeros((101, 4))
     left[:, 0], left[:, 3] = 0.012, 2.0
-    said = left_over(seen, left, LIMITS, None)
+    said = left_over(objective, left, LIMITS, None)
     size = np.sqrt(np.mean(FORCES[:, 0] ** 2))
     assert said == [
         "residual of position: 12 mm rms",
         f"residual of one: 2 N rms of {size:.3g} N measured",
     ]
-    noisy = left_over(seen, 0.1 * left, LIMITS, {"position": 1.2e-3 / np.sqrt(3) / 50, "one": 0.1})
+    noisy = left_over(objective, 0.1 * left, LIMITS, {"position": 1.2e-3 / np.sqrt(3) / 50, "one": 0.1})
     assert noisy == ["residual of position: 1.2 mm rms, 50 times the stated noise"]
     with pytest.raises(InputError, match="residual of one: 8 N rms"):
-        left_over(seen, 4 * left * [0, 0, 0, 1], LIMITS, None)
+        left_over(objective, 4 * left * [0, 0, 0, 1], LIMITS, None)
     doubt = "measured one looks 4.45 times too small: in pounds-force"
     with pytest.raises(
         InputError, match=f"residual of one: 8 N rms.*try: {doubt}; check unit, sign and channel of one"
     ):
-        left_over(seen, 4 * left * [0, 0, 0, 1], LIMITS, None, [doubt])
+        left_over(objective, 4 * left * [0, 0, 0, 1], LIMITS, None, [doubt])
 
 
 def test_steps_whose_error_is_large_or_not_known_are_named():
@@ -180,11 +180,11 @@ def test_steps_whose_error_is_large_or_not_known_are_named():
 
 def test_only_forces_or_readings_of_one_unit_are_named_together():
     """A marker in millimetres looks like positions in millimetres, which are told in words of their own."""
-    told = "1000 times too large: in millimetres"
+    words = "1000 times too large: in millimetres"
     found = [
-        Reading(("position",), told, 30.0),
-        Reading(("m1.x",), told, 20.0),
-        Reading(("m2.x",), told, 25.0),
+        Reading(("position",), words, 30.0),
+        Reading(("m1.x",), words, 20.0),
+        Reading(("m2.x",), words, 25.0),
         Reading(("quadriceps",), "negated", 4.0),
         Reading(("strain",), "negated", 3.0),
         Reading(("contact", "quadriceps"), "swapped", 2.5),

@@ -23,12 +23,12 @@ PUBLISHED = [156.0, 0.1432, 629.0, 0.0714]
 
 @pytest.mark.slow
 def test_a_natural_knee_before_and_after_a_transfer(tmp_path: Path):
-    output, told = tmp_path / "demo", tmp_path / "demo.json"
-    asked = ["demo", "--knee", "--out", str(output), "--json", str(told)]
+    output, json_file = tmp_path / "demo", tmp_path / "demo.json"
+    asked = ["demo", "--knee", "--out", str(output), "--json", str(json_file)]
     result = CliRunner().invoke(app, asked, env={"COLUMNS": "80"})
     assert result.exit_code == 0, result.output
     assert "SYNTHETIC" in result.output
-    said = json.loads(told.read_text())
+    said = json.loads(json_file.read_text())
     assert all(Path(p).stat().st_size > 10_000 for p in said["files"])
     assert said["flexion_deg"] == [30, 60, 90]
     data = load_dataset(output / "after.nc")
@@ -52,11 +52,11 @@ def test_the_natural_knee_is_not_the_rig(tmp_path: Path):
 
 @pytest.mark.slow
 def test_the_whole_demo(tmp_path: Path):
-    output, told = tmp_path / "demo", tmp_path / "demo.json"
-    result = CliRunner().invoke(app, ["demo", "--out", str(output), "--json", str(told)], env={"COLUMNS": "160"})
+    output, json_file = tmp_path / "demo", tmp_path / "demo.json"
+    result = CliRunner().invoke(app, ["demo", "--out", str(output), "--json", str(json_file)], env={"COLUMNS": "160"})
     assert result.exit_code == 0, result.output
     assert "SYNTHETIC" in result.output
-    said = json.loads(told.read_text())
+    said = json.loads(json_file.read_text())
     assert all(Path(p).stat().st_size > 10_000 for p in said["figures"])
     assert {Path(p).stem for p in said["figures"]} >= {"case1", "case4", "pathology_fitted", "treatment_predicted"}
     for contact, cases in said["per_case"].items():

@@ -68,9 +68,9 @@ def problem(trials: tuple[int, ...], varies: dict[str, float] | None) -> Problem
 def test_each_trial_has_its_own_length_and_what_is_told_is_their_mean():
     """Measurements fix both lengths; of the mean of all trials two tell as much as two normal numbers of theirs."""
     assert found().names == (*FREE, "L2 difference in low", "L2 difference in high")
-    told = found().in_trials["L2"]
-    assert list(told) == ["low", "high"]
-    np.testing.assert_allclose([value for value, _ in told.values()], LENGTHS, rtol=1e-5)
+    estimates = found().in_trials["L2"]
+    assert list(estimates) == ["low", "high"]
+    np.testing.assert_allclose([value for value, _ in estimates.values()], LENGTHS, rtol=1e-5)
     np.testing.assert_allclose(found().values[:3], [STIFFNESS, 0.5 * sum(LENGTHS), POINTS[0]], rtol=1e-4, atol=1e-6)
     assert found().standard_deviations[1] == pytest.approx(VARIES["L2"] / np.sqrt(2), rel=0.01)
     assert found().in_trials["L2"]["low"][1] < 0.05 * VARIES["L2"]
@@ -116,24 +116,24 @@ class PredictedTrial:
         return Prediction(np.sum(slope * u + curve * u**2, axis=-1), slopes, np.ones(len(theta), bool))
 
 
-def told_problem() -> tuple[Problem, list[PredictedTrial], list[Problem]]:
+def two_trials() -> tuple[Problem, list[PredictedTrial], list[Problem]]:
     """Of both trials, and what predicts each, and of each alone."""
     scenes, own = free_in_trials(nominal(), FREE, BOUNDS, None, EXACT, VARIES)
-    told = [PredictedTrial(p.shared, (s,), *n) for s, p, n in zip(scenes, own, ((6, 1), (5, 2)), strict=True)]
+    evaluators = [PredictedTrial(p.shared, (s,), *n) for s, p, n in zip(scenes, own, ((6, 1), (5, 2)), strict=True)]
     data = [Measured(s.motion.times, np.random.default_rng(k).normal(size=(41, 3))) for k, s in enumerate(scenes)]
-    both: Any = TrialsEvaluator(tuple(told), own[0].differences)
+    both: Any = TrialsEvaluator(tuple(evaluators), own[0].differences)
     shared = [p.shared for p in own]
     targets = [
         objective_of(scenes[k], data[k], "likelihood", ("position",), {"position": 0.1}, "linear", SPRINGS)
         for k in (slice(0, 2), slice(0, 1), slice(1, 2))
     ]
-    alone = [Problem(s, p, t, e) for s, p, t, e in zip(scenes, shared, targets[1:], told, strict=True)]
-    return Problem(scenes[0], own[0], targets[0], both), told, alone
+    alone = [Problem(s, p, t, e) for s, p, t, e in zip(scenes, shared, targets[1:], evaluators, strict=True)]
+    return Problem(scenes[0], own[0], targets[0], both), evaluators, alone
 
 
 def test_gradient_and_value_are_those_of_trials_with_their_own_lengths_and_steps():
     """Of predictions by formulas: differences of the value, which two sides give exactly where it is a parabola."""
-    both, told, alone = told_problem()
+    both, evaluators, alone = two_trials()
     theta = np.array([160.0, 0.0731, POINTS[0] + 0.001, -0.0004, 0.0006])
     steps = np.diag([1e-2, 1e-6, 1e-6, 1e-6, 1e-6])
     ahead, behind = (both.normal(theta + side * steps, 12).value for side in (1, -1))
@@ -143,7 +143,7 @@ def test_gradient_and_value_are_those_of_trials_with_their_own_lengths_and_steps
     parts = alone[0].normal(one, 12), alone[1].normal(other, 10)
     cost = 0.5 * (0.4**2 + 0.6**2)
     np.testing.assert_allclose(found.value, parts[0].value + parts[1].value + cost, rtol=1e-9)
-    assert [{*each.asked} for each in told] == [{12}, {10}]
+    assert [{*each.asked} for each in evaluators] == [{12}, {10}]
 
 
 @pytest.mark.slow
@@ -164,8 +164,8 @@ def test_a_plan_allows_for_what_differs():
     one, other = (fitting.plan_experiment(scene, **given).covariance + between for scene in nominal())
     size = np.array([156.0, 0.0714, 0.04])  # the coordinate's deviation is told relative to its bounds' span
     np.testing.assert_allclose(plan.covariance / np.outer(size, size), one / np.outer(size, size), rtol=1e-5, atol=1e-8)
-    told = [np.linalg.inv(c / np.outer(size, size)) for c in (one, other)]
-    np.testing.assert_allclose(plan.additions["trial high"], np.sqrt(np.diagonal(np.linalg.inv(sum(told)))), rtol=1e-5)
+    parts = [np.linalg.inv(c / np.outer(size, size)) for c in (one, other)]
+    np.testing.assert_allclose(plan.additions["trial high"], np.sqrt(np.diagonal(np.linalg.inv(sum(parts)))), rtol=1e-5)
 
 
 @pytest.mark.slow
@@ -287,10 +287,10 @@ def test_how_often_they_hold_was_not_measured():
     trials = {"low": {"position": 1e-4}, "high": {"position": 1e-4}}
     shared = made_estimate({"K1": (160.0, 4.0), "L2": (0.0715, 2e-4)}, trial_rmse=trials)
     for own in (shared, replace(shared, draws=np.tile(shared.values, (50, 1)))):
-        told = replace(own, varies=VARIES).coverage
-        assert told == VARYING
-        assert "not measured" in told.intervals
-        assert "%" not in "".join(told)
+        coverage = replace(own, varies=VARIES).coverage
+        assert coverage == VARYING
+        assert "not measured" in coverage.intervals
+        assert "%" not in "".join(coverage)
     assert shared.coverage == QUICK
     assert replace(shared, draws=np.tile(shared.values, (50, 1))).coverage == SEVERAL_TRIALS, VARYING
 
@@ -303,8 +303,8 @@ def test_a_trained_posterior_knows_them(tmp_path):
     trained = fitting.train_posterior(nominal(), data, simulations=4000, **given)
     again = fitting.TrainedPosterior.load(trained.save(tmp_path / "t.npz"), nominal())
     assert again.set_up.varies == VARIES
-    told = again.estimate(nominal(), data)
-    assert told.varies == VARIES
-    for length, (value, sd) in zip(LENGTHS, told.in_trials["L2"].values(), strict=True):
+    estimate = again.estimate(nominal(), data)
+    assert estimate.varies == VARIES
+    for length, (value, sd) in zip(LENGTHS, estimate.in_trials["L2"].values(), strict=True):
         assert abs(value - length) < 3 * sd
         assert sd < 0.5 * VARIES["L2"]

@@ -122,8 +122,8 @@ def flags_at(scene: Scene, velocity: Vec3) -> jax.Array:
     state = System.of(scene).at_rest(scene.center_of_mass_pose(), (None,) * len(scene.effects))
     state = eqx.tree_at(lambda s: s.velocity, state, velocity)
     nothing = {name: jnp.asarray(0.0) for name in ("force", "indentation_medial", "indentation_lateral")}
-    seen = {e.name: dict(nothing) for e in scene.effects}
-    return status_of_frame(scene, seen, state, jnp.asarray(1e-3), None)
+    reports = {e.name: dict(nothing) for e in scene.effects}
+    return status_of_frame(scene, reports, state, jnp.asarray(1e-3), None)
 
 
 @pytest.mark.parametrize(("speed", "too_long"), [(4.5, False), (5.1, True)])
@@ -136,11 +136,11 @@ def test_a_step_may_not_leap_over_a_mesh_button(speed: float, too_long: bool) ->
 def test_every_parameter_of_the_rig_says_its_unit() -> None:
     for contact in ("P5", "spline"):
         scene = pftwin.rig.case(1, contact=contact)
-        told = {f"{e.name}.{field}": q.unit for e in scene.effects for field, q in e.quantities().items()}
-        assert told["quadriceps.stiffness"] == told["patellar_tendon.stiffness"] == "N/m"
-        assert told["contact.surface.half_size.0"] == told["contact.radius"] == "m"
-        assert told["contact.law.restitution"] == ""
-        assert told["damping.rotational"] == "N m s/rad"
+        units = {f"{e.name}.{field}": q.unit for e in scene.effects for field, q in e.quantities().items()}
+        assert units["quadriceps.stiffness"] == units["patellar_tendon.stiffness"] == "N/m"
+        assert units["contact.surface.half_size.0"] == units["contact.radius"] == "m"
+        assert units["contact.law.restitution"] == ""
+        assert units["damping.rotational"] == "N m s/rad"
 
 
 def test_bounds_hold_for_members_of_nested_values() -> None:

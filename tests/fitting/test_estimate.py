@@ -156,16 +156,16 @@ def test_shares_in_words():
 
 def test_its_file_holds_its_numbers_and_what_follows_from_them(tmp_path):
     e = correlated(priors={"L1": (0.149, 0.002)}, noise={"position": 2e-4}, history=[{"best": 3.0}])
-    told = json.loads(e.save(tmp_path / "fit.json").read_text())
-    assert told["format"] == "pftwin estimate 1"
-    assert told["names"] == ["K1", "L1", "K2"]
-    assert told["values"] == [160.0, 0.15, 600.0]
-    np.testing.assert_allclose(told["nominal"], [160 / 1.04, 0.15 / 1.08, 600 / 1.12])
-    np.testing.assert_allclose(told["standard_deviations"], SD)
-    np.testing.assert_allclose(told["intervals_95"][0], [160 - 1.959964 * 4, 160 + 1.959964 * 4], rtol=1e-7)
-    np.testing.assert_allclose(told["correlation"], CORRELATION)
-    assert told["sentence"] == e.sentence()
-    assert told["remarks"] == ["the measurements are synthetic"]
+    content = json.loads(e.save(tmp_path / "fit.json").read_text())
+    assert content["format"] == "pftwin estimate 1"
+    assert content["names"] == ["K1", "L1", "K2"]
+    assert content["values"] == [160.0, 0.15, 600.0]
+    np.testing.assert_allclose(content["nominal"], [160 / 1.04, 0.15 / 1.08, 600 / 1.12])
+    np.testing.assert_allclose(content["standard_deviations"], SD)
+    np.testing.assert_allclose(content["intervals_95"][0], [160 - 1.959964 * 4, 160 + 1.959964 * 4], rtol=1e-7)
+    np.testing.assert_allclose(content["correlation"], CORRELATION)
+    assert content["sentence"] == e.sentence()
+    assert content["remarks"] == ["the measurements are synthetic"]
     again = Estimate.load(tmp_path / "fit.json")
     np.testing.assert_array_equal(again.covariance, e.covariance)
     assert (again.priors, again.noise, again.history) == ({"L1": (0.149, 0.002)}, {"position": 2e-4}, [{"best": 3.0}])
@@ -205,9 +205,9 @@ def test_coordinates_of_points_are_told_in_millimetres():
     names, values, sd = ("K1", "insertion.y", "insertion.x"), np.array([160.0, 1e-3, -0.02]), [4.0, 4e-4, 6e-4]
     said = in_words(names, np.array([90.0, 0.01, 0.01]), values, np.diag(sd) ** 2, ("position",), names[1:])
     assert said.startswith("positions fix K1 to 2.5 %, insertion.y to 0.4 mm and insertion.x to 0.6 mm")
-    told = in_words(names, np.ones(3), values, np.diag(sd) ** 2, ("contact",), names[1:], units=("N/m", "m", "m"))
+    content = in_words(names, np.ones(3), values, np.diag(sd) ** 2, ("contact",), names[1:], units=("N/m", "m", "m"))
     numbers = "K1 = 160.0 +- 4.0 N/m, insertion.y = 1.00 +- 0.40 mm and insertion.x = -20.00 +- 0.60 mm (SD)"
-    assert told.startswith(f"contact gives {numbers}")
+    assert content.startswith(f"contact gives {numbers}")
     both = np.array([0.07, 9.0]), np.diag([1.4, 0.9]) ** 2
     lost = in_words(("L2", "K1"), np.ones(2), *both, ("contact",), units=("m", "N/m"))
     assert lost.startswith("contact gives L2 with no useful accuracy and K1 = 9.00 +- 0.90 N/m (SD)")

@@ -74,13 +74,13 @@ def test_an_estimate_is_saved_and_read_again(tmp_path):
 
 def test_a_file_may_lack_what_has_a_default_and_nothing_else(tmp_path):
     path = made_estimate({"K1": (157.0, 2.0), "L2": (0.0713, 2e-4)}, **of_trial(scene())).save(tmp_path / "fit.json")
-    told = json.loads(path.read_text())
+    content = json.loads(path.read_text())
     own = {f.name for f in fields(fitting.Estimate) if f.default is MISSING and f.default_factory is MISSING}
-    path.write_text(json.dumps({k: v for k, v in told.items() if k in own or k == "format"}))
+    path.write_text(json.dumps({k: v for k, v in content.items() if k in own or k == "format"}))
     found = fitting.Estimate.load(path)
     assert (found.doubts, found.time_shifts, found.substeps, found.draws) == ([], {}, 0, None)
-    assert found.values.tolist() == told["values"]
-    path.write_text(json.dumps({k: v for k, v in told.items() if k != "covariance"}))
+    assert found.values.tolist() == content["values"]
+    path.write_text(json.dumps({k: v for k, v in content.items() if k != "covariance"}))
     with pytest.raises(InputError, match="no estimate: it lacks 'covariance'"):
         fitting.Estimate.load(path)
 

@@ -29,47 +29,47 @@ from pftwin.results.verdict import ALLOWED
 
 @pytest.mark.parametrize("objective", ["likelihood", "paper"])
 def test_known_parameters_are_recovered(objective):
-    told = found() if objective == "likelihood" else fitting.fit_tendons(scene(), clean(), objective=objective, **FEW)
-    assert told.objective == objective
-    np.testing.assert_allclose(told.values, TRUTH, rtol=1e-5)
-    assert told.reason == "converged"
-    assert told.values_compared == 3 * len(clean().times)
-    assert told.rmse["position"] < 1e-8
-    assert told.verdict == "valid"
+    fit = found() if objective == "likelihood" else fitting.fit_tendons(scene(), clean(), objective=objective, **FEW)
+    assert fit.objective == objective
+    np.testing.assert_allclose(fit.values, TRUTH, rtol=1e-5)
+    assert fit.reason == "converged"
+    assert fit.values_compared == 3 * len(clean().times)
+    assert fit.rmse["position"] < 1e-8
+    assert fit.verdict == "valid"
 
 
 def test_a_fit_whose_motion_may_not_be_spoken_of_says_so_first(monkeypatch):
     """The patella is off its groove in some frames; here that is one too many."""
-    told = replace(found())
-    assert "touches nothing" not in told.sentence()
+    estimate = replace(found())
+    assert "touches nothing" not in estimate.sentence()
     monkeypatch.setitem(ALLOWED, Status.NO_CONTACT, 0.0)
-    judge(told)  # the last that a fit does; that it does is seen where one is valid
-    assert told.sentence().startswith("INVALID: the button touches nothing (")
-    assert told.summary().startswith("INVALID: ")
+    judge(estimate)  # the last that a fit does; that it does is seen where one is valid
+    assert estimate.sentence().startswith("INVALID: the button touches nothing (")
+    assert estimate.summary().startswith("INVALID: ")
 
 
 def test_a_fitted_scene_beyond_the_limits_makes_the_estimate_invalid():
     """As an attachment within an obstacle would: the fit's result is not lost, and its other figures are drawn."""
-    told = found()
-    trials = tuple(t._replace(nominal=replace(t.nominal, limits=Limits())) for t in told.trials)
-    told = replace(told, values=told.values * np.array([1.0, 0.01, 1.0, 1.0]), trials=trials)
-    judge(told)
-    assert told.sentence().startswith("INVALID: ")
-    assert "least_slack_share" in told.verdict
-    assert told.plot.fit().get_suptitle().endswith("(INVALID: no fitted motion)")
+    estimate = found()
+    trials = tuple(t._replace(nominal=replace(t.nominal, limits=Limits())) for t in estimate.trials)
+    estimate = replace(estimate, values=estimate.values * np.array([1.0, 0.01, 1.0, 1.0]), trials=trials)
+    judge(estimate)
+    assert estimate.sentence().startswith("INVALID: ")
+    assert "least_slack_share" in estimate.verdict
+    assert estimate.plot.fit().get_suptitle().endswith("(INVALID: no fitted motion)")
 
 
 def test_an_unknown_noise_is_estimated():
-    told = fitting.fit_tendons(scene(), noisy(0), **FEW)
-    assert told.noise["position"] == pytest.approx(NOISE, rel=0.2)
-    assert not told.noise_known
+    estimate = fitting.fit_tendons(scene(), noisy(0), **FEW)
+    assert estimate.noise["position"] == pytest.approx(NOISE, rel=0.2)
+    assert not estimate.noise_known
 
 
 def test_missing_frames_are_left_out():
     center = truth().center.copy()
     center[5:9] = np.nan
-    told = fitting.fit_tendons(scene(), Measured(truth().times, center), noise={"position": 1e-8}, **FEW)
-    np.testing.assert_allclose(told.values, TRUTH, rtol=1e-5)
+    estimate = fitting.fit_tendons(scene(), Measured(truth().times, center), noise={"position": 1e-8}, **FEW)
+    np.testing.assert_allclose(estimate.values, TRUTH, rtol=1e-5)
 
 
 @pytest.mark.slow
@@ -83,9 +83,9 @@ def test_a_robust_loss_minds_an_outlier_less():
 
 def test_a_prior_pulls():
     prior = (0.95 * estimate().values[0], 1e-3)
-    told = fitting.fit_tendons(scene(), noisy(0), noise={"position": NOISE}, priors={"K1": prior}, **FEW)
-    assert told.values[0] == pytest.approx(prior[0], rel=1e-3)
-    assert told.standard_deviations[0] < 1.1e-3
+    fit = fitting.fit_tendons(scene(), noisy(0), noise={"position": NOISE}, priors={"K1": prior}, **FEW)
+    assert fit.values[0] == pytest.approx(prior[0], rel=1e-3)
+    assert fit.standard_deviations[0] < 1.1e-3
 
 
 def test_the_same_seed_gives_the_same_result():
@@ -138,27 +138,27 @@ def test_the_error_of_the_steps_is_what_far_shorter_steps_show():
     evaluator = Evaluator(scene(), fitting.free_parameters(scene(), SPRINGS), ("position", "quadriceps"))
     evaluator.prepare(None)
     nominal = evaluator.parameters.nominal
-    told = evaluator.step_errors(nominal, 6)
+    errors = evaluator.step_errors(nominal, 6)
     off = (evaluator.with_slopes(nominal[None], 6).values - evaluator.with_slopes(nominal[None], 192).values)[0]
     rms = np.sqrt(np.mean(np.sum(off[:, :3] ** 2, axis=1))), np.sqrt(np.mean(off[:, 3] ** 2))
-    np.testing.assert_allclose([told[c].rms for c in ("position", "quadriceps")], rms, rtol=0.2)
-    assert told["position"].large
-    assert not told["quadriceps"].large  # 0.07 N of some 20
+    np.testing.assert_allclose([errors[c].rms for c in ("position", "quadriceps")], rms, rtol=0.2)
+    assert errors["position"].large
+    assert not errors["quadriceps"].large  # 0.07 N of some 20
 
 
 def test_a_fit_whose_steps_are_too_long_says_so_first(monkeypatch):
     """Without more than six steps a frame, which are half a millimetre off here, beyond the noise of 0.1 mm."""
     monkeypatch.setattr("fitting.evaluation.HALVINGS", 0)
     monkeypatch.setattr("fitting.finish._MOST", 1)
-    told = fitting.fit_tendons(scene(), noisy(0), noise={"position": NOISE}, **FEW)
+    estimate = fitting.fit_tendons(scene(), noisy(0), noise={"position": NOISE}, **FEW)
     long, short = (
-        pftwin.simulate(told.scene, dt=1e-2 / n, integrator=pftwin.LinearImplicit()).center for n in (6, 192)
+        pftwin.simulate(estimate.scene, dt=1e-2 / n, integrator=pftwin.LinearImplicit()).center for n in (6, 192)
     )
     rms = np.sqrt(np.mean(np.sum((long - short) ** 2, axis=1)))
-    assert told.step_error["position"] == pytest.approx(rms, rel=0.2)
-    said = f"the fit's time steps cause an error of {1e3 * told.step_error['position']:.2g} mm rms of position"
-    assert said in "; ".join(told.doubts)
-    assert told.sentence().startswith("INVALID: ")
+    assert estimate.step_error["position"] == pytest.approx(rms, rel=0.2)
+    said = f"the fit's time steps cause an error of {1e3 * estimate.step_error['position']:.2g} mm rms of position"
+    assert said in "; ".join(estimate.doubts)
+    assert estimate.sentence().startswith("INVALID: ")
 
 
 def test_a_checkpoint_of_another_problem_is_refused(tmp_path):

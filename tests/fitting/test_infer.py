@@ -192,8 +192,8 @@ def test_where_the_means_do_not_run_the_nearest_draw_stands(runs):
     apart = np.linalg.norm((draws - mean) / draws.std(axis=0), axis=1)
     np.testing.assert_allclose(outcome.theta, mean if runs else draws[np.argmin(apart)])
     assert [doubt[:36] for doubt in outcome.doubts] == ([] if runs else ["the posterior's means give no finite"])
-    assert outcome.seen.slopes is not None
-    np.testing.assert_allclose(outcome.seen.slopes, slopes()[None], atol=1e-8 * np.abs(slopes()).max())
+    assert outcome.prediction.slopes is not None
+    np.testing.assert_allclose(outcome.prediction.slopes, slopes()[None], atol=1e-8 * np.abs(slopes()).max())
     assert (outcome.facts["evaluations"], outcome.facts["dropped"]) == (500, 3)
     assert outcome.noise == {"position": pytest.approx(SIGMA[0]), "contact": pytest.approx(SIGMA[3])}
 

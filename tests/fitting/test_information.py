@@ -72,9 +72,9 @@ def test_the_bound_is_the_inverse_of_all_channels_information(plan):
 
 
 def test_a_plan_tells_which_trial_it_is_at(plan):
-    told = []
-    plan(further=[small_scene()], progress=lambda *counts: told.append(counts))
-    assert told == [(0, 2, "linearising small knee"), (1, 2, "linearising small knee (2)")]
+    reports = []
+    plan(further=[small_scene()], progress=lambda *counts: reports.append(counts))
+    assert reports == [(0, 2, "linearising small knee"), (1, 2, "linearising small knee (2)")]
 
 
 def test_twice_the_noise_is_twice_the_deviation(plan):

@@ -70,8 +70,8 @@ def test_distinct_tensions_at_knots_are_found():
     true = scene()
     for name, value in zip(KNOTS, TRUTH, strict=True):
         true = true.set(name, value)
-    seen = pftwin.simulate(true, dt=1e-2 / 48, integrator=pftwin.LinearImplicit())
-    measured = Measured(seen.times, seen.center, contact_force=np.asarray(seen.effects["contact"]["force"]))
+    result = pftwin.simulate(true, dt=1e-2 / 48, integrator=pftwin.LinearImplicit())
+    measured = Measured(result.times, result.center, contact_force=np.asarray(result.effects["contact"]["force"]))
     found = fitting.fit_tendons(
         scene(),
         measured,
@@ -100,8 +100,8 @@ def test_an_estimate_of_knots_holds_in_another_recording(tmp_path: Path):
     command = ["predict", file, "--estimate", file.with_name("fit.json"), "--motion", tmp_path / "other.csv"]
     for given in ("5", "4:8"):
         options = ["--set", f"{KNOTS[1]}={given}", "--samples", 4, "-o", tmp_path / f"{given[0]}.nc", "--no-figure"]
-        told = CliRunner().invoke(app, [str(a) for a in (*command, *options)], env={"NO_COLOR": "1"})
-        assert told.exit_code == 0, told.output
+        result = CliRunner().invoke(app, [str(a) for a in (*command, *options)], env={"NO_COLOR": "1"})
+        assert result.exit_code == 0, result.output
     from xarray import open_dataset
 
     with open_dataset(tmp_path / "5.nc") as one, open_dataset(tmp_path / "4.nc") as ranged:

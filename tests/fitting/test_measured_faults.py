@@ -47,14 +47,14 @@ def truth(late: float = 0.0) -> Measured:
     r = pftwin.simulate(twin, dt=1 / 600)
     random = np.random.default_rng(0)
 
-    def seen(values: np.ndarray, noise: float) -> np.ndarray:
+    def with_noise(values: np.ndarray, noise: float) -> np.ndarray:
         columns = np.reshape(values, (len(r.times), -1))
         then = np.stack([np.interp(r.times - late, r.times, c) for c in columns.T], axis=1)
         return np.reshape(then, np.shape(values)) + random.normal(0.0, noise, np.shape(values))
 
     force = {"contact": "force", "quadriceps": "tension", "patellar_tendon": "tension"}
-    seen_forces = [seen(np.asarray(r.effects[name][what]), 0.02) for name, what in force.items()]
-    return Measured(r.times, seen(r.center, 1e-4), None, seen_forces[0], seen_forces[2], seen_forces[1], source="cells")
+    forces = [with_noise(np.asarray(r.effects[name][what]), 0.02) for name, what in force.items()]
+    return Measured(r.times, with_noise(r.center, 1e-4), None, forces[0], forces[2], forces[1], source="cells")
 
 
 def forces(change) -> Measured:
@@ -124,9 +124,9 @@ def test_a_shift_in_time_is_estimated_and_named_before_any_number(channel, tmp_p
     assert first == found.sentence()
     assert first.startswith(f"INVALID: measured {channel} is {1e3 * shift:.0f} ms")
     assert "fix" not in first
-    told = json.loads(found.save(tmp_path / "fit.json").read_text())
-    assert list(told)[:3] == ["format", "sentence", "doubts"]
-    assert told["doubts"] == found.doubts
+    content = json.loads(found.save(tmp_path / "fit.json").read_text())
+    assert list(content)[:3] == ["format", "sentence", "doubts"]
+    assert content["doubts"] == found.doubts
     assert ((found.intervals[:, 0] < TRUTH) & (found.intervals[:, 1] > TRUTH)).all()
     assert Estimate.load(tmp_path / "fit.json").to_dict() == found.to_dict()
 
@@ -171,8 +171,8 @@ def test_the_rigs_own_measurements_raise_no_doubt_and_faulty_ones_do(n):
     assert m.tibial_spring_force is not None
     faulty = replace(m, femoral_spring_force=m.tibial_spring_force, tibial_spring_force=m.femoral_spring_force)
     for data, limit in ((m, 1.05), (faulty, LIMITS["reading"][1])):
-        seen = [r.times for r in readings(Objective.of(case, data, use="all"), trials.values[trials.usable])]
-        assert (max(seen, default=1.0) > limit) == (data is faulty)
+        with_noise = [r.times for r in readings(Objective.of(case, data, use="all"), trials.values[trials.usable])]
+        assert (max(with_noise, default=1.0) > limit) == (data is faulty)
     late = replace(m, center=m.center[np.maximum(np.arange(len(m.times)) - 3, 0)])
     assert "measured position is" in fitting.fit_tendons(case, late, computed=computed).sentence()
 

@@ -72,12 +72,12 @@ def test_they_keep_their_proportions_and_coordinates_their_distances():
 
 
 def test_what_is_told_is_the_mean_with_its_unit():
-    told = free_parameters(scene(), (SLACK, TENSION, PLACE), {PLACE: 0.5, SLACK: 0.1})
-    assert told.names == (SLACK, TENSION, PLACE)
-    assert [p.unit for p in told.items] == ["m", "N", "m"]
-    assert told.coordinates == (PLACE,)
-    np.testing.assert_allclose(told.nominal, [LENGTHS.mean(), (10.5 + 5.5) / 2, -0.001 / 3], rtol=1e-12)
-    assert told.lower[0] == pytest.approx(0.9 * LENGTHS.mean())
+    parameters = free_parameters(scene(), (SLACK, TENSION, PLACE), {PLACE: 0.5, SLACK: 0.1})
+    assert parameters.names == (SLACK, TENSION, PLACE)
+    assert [p.unit for p in parameters.items] == ["m", "N", "m"]
+    assert parameters.coordinates == (PLACE,)
+    np.testing.assert_allclose(parameters.nominal, [LENGTHS.mean(), (10.5 + 5.5) / 2, -0.001 / 3], rtol=1e-12)
+    assert parameters.lower[0] == pytest.approx(0.9 * LENGTHS.mean())
 
 
 def test_a_derivative_is_that_of_all_of_them():
@@ -157,8 +157,8 @@ def test_a_ligaments_length_and_a_muscles_strength_are_found():
     nominal = scene()
     truth = [1.02 * LENGTHS.mean(), 0.9 * 8.0]
     true = nominal.set(SLACK, truth[0]).set(TENSION, truth[1])
-    seen = pftwin.simulate(true, dt=1e-2 / 6, integrator=pftwin.LinearImplicit())
-    measured = Measured(seen.times, seen.center, contact_force=np.asarray(seen.effects["contact"]["force"]))
+    result = pftwin.simulate(true, dt=1e-2 / 6, integrator=pftwin.LinearImplicit())
+    measured = Measured(result.times, result.center, contact_force=np.asarray(result.effects["contact"]["force"]))
     found = fitting.fit_tendons(
         nominal,
         measured,

@@ -60,11 +60,11 @@ def test_a_small_knee_gets_the_least_that_meets_its_limit(swept):
 
 def test_a_small_knee_is_told_what_it_cannot_have():
     limits = [Limit("peak_contact_force", at_most=0.5), Limit("dislocation_margin", at_least=0.001)]
-    told = []
+    reports = []
     plan = optimise_treatment(
-        small_scene(5), limits, {"medialisation": (0.0, 0.02)}, dt=DT, progress=lambda *now: told.append(now)
+        small_scene(5), limits, {"medialisation": (0.0, 0.02)}, dt=DT, progress=lambda *now: reports.append(now)
     )
-    assert told[-1] == (41, 41, "the whole range")
+    assert reports[-1] == (41, 41, "the whole range")
     assert not plan.met
     assert "no amount within the range meets the limits" in plan.describe()
     assert "peak contact force at most 0.5 N" in plan.describe()
@@ -264,8 +264,8 @@ def test_limits_that_are_none(text, message):
 def test_interrupted_after_the_draws_it_is_the_smallest_amount_that_enough_of_them_meet(monkeypatch):
     """And says that no separate simulation confirmed it. The estimate's coverage is the plan's."""
     knee, reach, grid_step = small_scene(5), {"medialisation": (0.0, 0.02)}, 0.02 / 40
-    told = predict(knee, grid(TRANSFER, medialisation=grid_step * np.arange(41)), UNCERTAIN, samples=11, dt=DT)
-    tilt = np.radians(told["mean_tilt"].values)
+    reports = predict(knee, grid(TRANSFER, medialisation=grid_step * np.arange(41)), UNCERTAIN, samples=11, dt=DT)
+    tilt = np.radians(reports["mean_tilt"].values)
     limit = Limit("mean_tilt", at_least=float(tilt[14, 0]))
     enough = (tilt[:, 1:] >= limit.at_least).mean(axis=1) >= 0.9
     expected = grid_step * np.flatnonzero(enough & (tilt[:, 0] >= limit.at_least))[0]

@@ -20,8 +20,8 @@ FREE = ("K1", "L1", "K2", "L2")
 def problem(free: tuple[str, ...], nuisance: Nuisance) -> Problem:
     knee = small_scene()
     scenes, parameters = free_in_trials([knee], free, 0.3, None, nuisance)
-    seen = Measured(knee.motion.times, np.zeros((knee.motion.times.size, 3)))
-    target = objective_of(scenes, [seen], "likelihood", "position", None, "linear", {})
+    measured = Measured(knee.motion.times, np.zeros((knee.motion.times.size, 3)))
+    target = objective_of(scenes, [measured], "likelihood", "position", None, "linear", {})
     return Problem.of(scenes, parameters, target)
 
 
@@ -32,16 +32,16 @@ def test_draws_are_told_by_lines_through_what_the_knee_pulls():
     one = problem(FREE, nuisance)
     theta = one.parameters.nominal * np.array([1.2, 0.75, 0.9, 0.95, 1.0, 1.2])
     draws = theta + np.array([[1.0], [0.0], [-1.0]]) * np.array([2.0, 1e-3, 5.0, 2e-4, 0.0, 0.0])
-    own, told = at_own_lengths(one, nuisance, draws)
+    own, converted = at_own_lengths(one, nuisance, draws)
     other = problem(FREE, own)
     before, after = (
         pftwin.simulate(p.parameters.apply(p.scene, row).set("quadriceps.damping", 0.0), dt=1e-3)
-        for p, row in ((one, draws[1]), (other, told[1]))
+        for p, row in ((one, draws[1]), (other, converted[1]))
     )
     np.testing.assert_allclose(after.tensions["quadriceps"], before.tensions["quadriceps"], rtol=1e-9)
     slope, offset = np.polyfit(after.lengths["quadriceps"], after.tensions["quadriceps"], 1)
-    assert told[1, 0] == pytest.approx(slope, rel=3e-3)
-    assert told[1, 1] == pytest.approx(-offset / slope, rel=3e-3)
+    assert converted[1, 0] == pytest.approx(slope, rel=3e-3)
+    assert converted[1, 1] == pytest.approx(-offset / slope, rel=3e-3)
     assert draws[1, 0] > 1.05 * slope
 
 
@@ -49,9 +49,9 @@ def test_what_is_not_free_is_left_as_it_is():
     nuisance = Nuisance(stiffening=0.2).at_work([small_scene()])
     one = problem(("K1", "L2"), nuisance)
     draws = np.tile(one.parameters.nominal, (3, 1))
-    own, told = at_own_lengths(one, nuisance, draws)
+    own, converted = at_own_lengths(one, nuisance, draws)
     assert own is nuisance
-    np.testing.assert_array_equal(told, draws)
+    np.testing.assert_array_equal(converted, draws)
 
 
 @pytest.mark.slow
@@ -61,7 +61,7 @@ def test_tendons_that_would_hang_slack_are_left_as_they_are():
     one = problem(FREE, nuisance)
     draws = np.tile(one.parameters.nominal, (3, 1))
     draws[2, 1] = 0.3
-    own, told = at_own_lengths(one, nuisance, draws)
-    np.testing.assert_array_equal(told[:, :2], draws[:, :2])
+    own, converted = at_own_lengths(one, nuisance, draws)
+    np.testing.assert_array_equal(converted[:, :2], draws[:, :2])
     assert dict(own.working)["quadriceps"] == dict(nuisance.working)["quadriceps"]
     assert dict(own.working)["patellar_tendon"] != dict(nuisance.working)["patellar_tendon"]

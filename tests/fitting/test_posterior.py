@@ -38,8 +38,8 @@ def truth(scene):
 def fitted(scene, truth, noise, use=("position", "quadriceps")):
     """With one spring's force measured as well: positions alone leave the common scale of both stiffnesses open."""
     random = np.random.default_rng(9)
-    told = {name: truth.effects[name][what] for name, what in FORCES.items()}
-    force = {name: values + FORCE_NOISE * random.normal(size=values.shape) for name, values in told.items()}
+    exact = {name: truth.effects[name][what] for name, what in FORCES.items()}
+    force = {name: values + FORCE_NOISE * random.normal(size=values.shape) for name, values in exact.items()}
     measured = Measured(
         truth.times,
         truth.center + noise,
@@ -73,20 +73,20 @@ def design(scene):
     differences of plain simulations, which share nothing with a fit's derivatives."""
     p = fitting.free_parameters(scene, SPRINGS)
 
-    def seen(theta):
+    def simulated(theta):
         result = pftwin.simulate(p.apply(scene, theta), dt=1 / 600, integrator=pftwin.LinearImplicit())
         return np.column_stack([result.center, result.effects["quadriceps"]["tension"]])
 
     steps = np.diag(1e-4 * TRUTH)
-    columns = [(seen(TRUTH + step) - seen(TRUTH - step)) / (2 * step.sum()) for step in steps]
+    columns = [(simulated(TRUTH + step) - simulated(TRUTH - step)) / (2 * step.sum()) for step in steps]
     return np.stack(columns, axis=-1) / np.array([NOISE, NOISE, NOISE, FORCE_NOISE])[:, None]
 
 
 @pytest.fixture(scope="module")
 def posterior(estimate):
-    seen = []
-    found = fitting.sample_posterior(estimate, draws=250, progress=lambda *now: seen.append(now))
-    assert seen[-1] == (1100, 1100)
+    simulated = []
+    found = fitting.sample_posterior(estimate, draws=250, progress=lambda *now: simulated.append(now))
+    assert simulated[-1] == (1100, 1100)
     return found
 
 

@@ -70,15 +70,15 @@ def test_bands_are_written_and_told(folder, tmp_path):
     command = ("predict", folder / "scene.toml", "--estimate", folder / "fit.json", "-o", out, *options, "--json", "-")
     result = pftwin(*command)
     assert result.exit_code == 0, result.output
-    told = json.loads(result.stdout)
-    assert [Path(f).name for f in told["files"]] == ["other.nc", "other.png", "other.svg"]
+    facts = json.loads(result.stdout)
+    assert [Path(f).name for f in facts["files"]] == ["other.nc", "other.png", "other.svg"]
     with open_dataset(out) as data:
         assert data.sizes == {"time": 21, "coordinate": 6}
         assert (data["high"] > data["low"]).all()
         kept = data["compared"].values.astype(bool)
         off = (data["value"] - data["measured"]).sel(coordinate="y").values[kept]
     assert kept.sum() == 13
-    assert told["errors"]["y"] == pytest.approx(float(np.sqrt(np.mean(off**2))))
+    assert facts["errors"]["y"] == pytest.approx(float(np.sqrt(np.mean(off**2))))
 
 
 @pytest.mark.parametrize("doubted", ["motion", "estimate"])

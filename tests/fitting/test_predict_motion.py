@@ -83,10 +83,10 @@ def test_errors_and_shares_are_of_the_frames_compared(knee, truth, predicted):
     moved = truth.center.copy()
     moved[:20, 2] += 0.2
     half = replace(truth, center=moved).during([(truth.times[10], truth.times[39])])
-    seen = predict_motion(knee, fitted(), half, samples=4, dt=2e-3)
-    assert seen.compared.sum() == 30
-    assert seen.coverage["z"] == pytest.approx(20 / 30)
-    assert (seen.coverage["x"], seen.coverage["tilt"]) == (1.0, 1.0)
+    found = predict_motion(knee, fitted(), half, samples=4, dt=2e-3)
+    assert found.compared.sum() == 30
+    assert found.coverage["z"] == pytest.approx(20 / 30)
+    assert (found.coverage["x"], found.coverage["tilt"]) == (1.0, 1.0)
 
 
 def test_a_knee_that_starts_invalid_is_predicted_invalid(knee):
@@ -127,8 +127,8 @@ def test_synthetic_data_and_doubts_are_told(knee, truth):
     doubted = fitted(doubts=["two springs swapped"], verdict="INVALID: no contact")
     found = predict_motion(knee, doubted, replace(truth, synthetic=True), samples=2, dt=2e-3)
     assert found.objection.startswith("INVALID: no contact (the fitted motion); two springs swapped")
-    for told in (found.to_dict()["notes"][0], found.dataset().attrs["note"]):
-        assert told.startswith(found.objection)
+    for note in (found.to_dict()["notes"][0], found.dataset().attrs["note"]):
+        assert note.startswith(found.objection)
     assert "the parameters were estimated from synthetic measurements" in found.notes
     assert any("synthetic" in str(line.get_label()) for ax in found.figure().axes for line in ax.get_lines())
 
@@ -195,6 +195,6 @@ def test_figure_and_files_name_what_they_hold(predicted):
 def test_a_coordinate_that_is_other_here_is_what_was_said_in_this_knee(knee):
     """Coordinates are fitted as offsets: in another knee the number itself is set, not the offset from the fit's."""
     other = knee.set(PLACE, 0.020)
-    told = predict_motion(other, fitted(), samples=1, dt=2e-3, values={PLACE: 0.016})
+    found = predict_motion(other, fitted(), samples=1, dt=2e-3, values={PLACE: 0.016})
     own = simulate(other.set("K1", 160.0).set("L2", 0.0715).set(PLACE, 0.016), dt=2e-3)
-    np.testing.assert_allclose(told.value[:, :3], 1e3 * own.center, atol=1e-6)
+    np.testing.assert_allclose(found.value[:, :3], 1e3 * own.center, atol=1e-6)

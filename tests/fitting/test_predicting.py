@@ -203,15 +203,15 @@ def test_a_prediction_is_synthetic_where_its_motion_or_its_estimates_measurement
 
     monkeypatch.setattr(predicting, "run", run)
     monkeypatch.setattr(predicting, "untrusted_starts", lambda programs, scene, thetas: [()] * len(thetas))
-    told = {
+    made = {
         (motion, learned): predict(
             dataclasses.replace(knee, synthetic=motion), VARIANTS[1], Estimated(synthetic=learned), dt=DT, devices=1
         ).attrs
         for motion in (False, True)
         for learned in (False, True)
     }
-    assert {of: attributes["synthetic"] for of, attributes in told.items()} == {of: int(any(of)) for of in told}
-    assert {of: "note" in attributes for of, attributes in told.items()} == {of: any(of) for of in told}
+    assert {of: attributes["synthetic"] for of, attributes in made.items()} == {of: int(any(of)) for of in made}
+    assert {of: "note" in attributes for of, attributes in made.items()} == {of: any(of) for of in made}
 
 
 @pytest.mark.slow

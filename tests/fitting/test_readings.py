@@ -13,7 +13,7 @@ from small_scene import hanging_scene, small_scene, vec
 import fitting
 import pftwin
 from fitting.calibration.laboratory import Laboratory
-from fitting.calibration.plants import Knee, Plant, Seen
+from fitting.calibration.plants import Knee, Plant, PlantMotion
 from fitting.fit import likelihood_of
 from pftwin.base.errors import InputError
 from pftwin.base.leaves import number
@@ -54,11 +54,11 @@ def scene() -> Scene:
     return with_sensors(hanging_scene(21))
 
 
-def with_sensors(plain: Scene) -> Scene:
+def with_sensors(scene: Scene) -> Scene:
     for name, point in POINTS.items():
-        plain = plain.with_effect(Marker(vec(*point), name=name))
-    tendon: Any = plain.effect("patellar_tendon")
-    return plain.with_effect(Gauge(number(0.07), tendon.insertion, tendon.origin, name="gauge"))
+        scene = scene.with_effect(Marker(vec(*point), name=name))
+    tendon: Any = scene.effect("patellar_tendon")
+    return scene.with_effect(Gauge(number(0.07), tendon.insertion, tendon.origin, name="gauge"))
 
 
 def true(knee: Scene) -> Scene:
@@ -75,12 +75,12 @@ def result() -> pftwin.Result:
 @cache
 def measured() -> Measured:
     """Markers and gauge without noise; nothing is known of the pose."""
-    seen = result()
-    read = {f"{name}.{axis}": seen.effects[name][axis] for name in POINTS for axis in "xyz"}
+    simulated = result()
+    read = {f"{name}.{axis}": simulated.effects[name][axis] for name in POINTS for axis in "xyz"}
     return Measured(
-        seen.times,
-        np.full(seen.center.shape, np.nan),
-        readings={**read, GAUGE: seen.effects["gauge"]["strain"]},
+        simulated.times,
+        np.full(simulated.center.shape, np.nan),
+        readings={**read, GAUGE: simulated.effects["gauge"]["strain"]},
         source="cameras",
     )
 
@@ -214,22 +214,22 @@ def test_what_was_not_measured_is_refused(use: Any, said: str) -> None:
 
 
 def test_a_reading_of_nothing_is_refused() -> None:
-    seen = result()
-    data = Measured(seen.times, seen.center, readings={"gauge.stress": np.zeros(21)})
+    simulated = result()
+    data = Measured(simulated.times, simulated.center, readings={"gauge.stress": np.zeros(21)})
     with pytest.raises(InputError, match=r"(?s)no observable 'gauge.stress'.*one of: gauge.strain"):
         fitting.fit_tendons(scene(), data)
 
 
 def test_a_laboratory_records_readings_with_their_noise() -> None:
-    knee, told = scene(), result()
-    reported = {name: {key: np.asarray(v) for key, v in each.items()} for name, each in told.effects.items()}
-    seen = Seen(np.asarray(told.position), np.asarray(told.quaternion), reported)
+    knee, simulated = scene(), result()
+    reported = {name: {key: np.asarray(v) for key, v in each.items()} for name, each in simulated.effects.items()}
+    motion = PlantMotion(np.asarray(simulated.position), np.asarray(simulated.quaternion), reported)
     lab = Laboratory(readings={"m1.x": 5e-4, GAUGE: 1e-3}, cutoff=None)
     random = np.random.default_rng(3)
-    both = [lab.recorded(knee, seen, {"femoral": "quadriceps"}, random)[1] for _ in range(12)]
+    both = [lab.recorded(knee, motion, {"femoral": "quadriceps"}, random)[1] for _ in range(12)]
     for name, deviation in lab.readings.items():
         owner, _, key = name.rpartition(".")
-        off = np.stack([data.readings[name] for data in both]) - seen.reported[owner][key]
+        off = np.stack([data.readings[name] for data in both]) - motion.reported[owner][key]
         assert off.std() == pytest.approx(deviation, rel=0.15)
 
 

@@ -62,17 +62,17 @@ def test_a_turn_is_of_the_frame_in_which_points_and_orientations_are_told():
     values = np.broadcast_to(np.concatenate([points, quaternions], axis=1), (N, FRAMES, 7))
     channels, columns = ("position", "orientation"), np.array([0, 0, 0, 1, 1, 1])
     target = objective(values[0], channels=channels, groups=channels, group_of=columns, noise=None)
-    told = sensed(values, Nuisance(turn=0.02), replace(case(), objective=target), np.random.default_rng(2))
-    turns = Rotation.from_quat(told[:, 0, 3:], scalar_first=True) * poses[0].inv()
+    misread = sensed(values, Nuisance(turn=0.02), replace(case(), objective=target), np.random.default_rng(2))
+    turns = Rotation.from_quat(misread[:, 0, 3:], scalar_first=True) * poses[0].inv()
     np.testing.assert_allclose(turns.as_rotvec().std(axis=0), 0.02, rtol=0.05)
     for i in (0, 17):
-        np.testing.assert_allclose(told[i, :, :3], turns[i].apply(points), atol=1e-12)
-        found = Rotation.from_quat(told[i, :, 3:], scalar_first=True)
+        np.testing.assert_allclose(misread[i, :, :3], turns[i].apply(points), atol=1e-12)
+        found = Rotation.from_quat(misread[i, :, 3:], scalar_first=True)
         assert (found * (turns[i] * poses).inv()).magnitude().max() < 1e-7
     noise = {"position": 1e-9, "orientation": 1e-9}
     beside = noise_beside(noise, Nuisance(turn=0.02), replace(target, present=np.ones((FRAMES, 6), bool)))
     assert beside["orientation"] == pytest.approx(0.02)
-    assert beside["position"] == pytest.approx((told[..., :3] - values[..., :3]).std(), rel=0.03)
+    assert beside["position"] == pytest.approx((misread[..., :3] - values[..., :3]).std(), rel=0.03)
 
 
 def test_a_scale_is_of_the_sensor_and_a_bias_of_each_trial():

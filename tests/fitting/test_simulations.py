@@ -76,17 +76,17 @@ def test_draws_are_in_the_file(tmp_path):
 )
 def test_what_simulations_do_not_know_is_refused(more, said):
     times = scene(HELD).motion.times
-    seen = Measured(times, np.zeros((times.size, 3)))
+    measured = Measured(times, np.zeros((times.size, 3)))
     with pytest.raises(InputError, match=said):
-        fitting.fit_tendons(scene(HELD), seen, method="simulations", **more)
+        fitting.fit_tendons(scene(HELD), measured, method="simulations", **more)
 
 
 @pytest.mark.slow
 def test_the_posterior_is_that_of_least_squares_where_the_model_is_right():
     """White noise of known size on the twin's own motion: the covariance of least squares is the posterior's."""
-    told = []
+    reports = []
     found = fitting.fit_tendons(
-        scene(HELD), noisy(0, HELD), noise={"position": NOISE}, method="simulations", progress=told.append
+        scene(HELD), noisy(0, HELD), noise={"position": NOISE}, method="simulations", progress=reports.append
     )
     other = estimate()
     assert (np.abs(found.values - other.values) < 0.4 * other.standard_deviations).all()
@@ -95,21 +95,25 @@ def test_the_posterior_is_that_of_least_squares_where_the_model_is_right():
     assert found.method == "simulations"
     assert found.rmse["position"] < 1.3 * np.sqrt(3) * NOISE
     assert not found.invalid
-    assert [p.iteration for p in told] == list(range(1, len(told) + 1))
-    assert told[-1].spread < 0.1
+    assert [p.iteration for p in reports] == list(range(1, len(reports) + 1))
+    assert reports[-1].spread < 0.1
 
 
 @pytest.mark.slow
 def test_measurements_of_another_knee_are_not_believed():
     """Positions 40 mm off along each axis, and millimetres for metres."""
-    seen = noisy(0, HELD)
+    measured = noisy(0, HELD)
     with pytest.raises(InputError, match="millimetres"):
         fitting.fit_tendons(
-            scene(HELD), replace(seen, center=1e3 * seen.center), method="simulations", simulations=1000
+            scene(HELD), replace(measured, center=1e3 * measured.center), method="simulations", simulations=1000
         )
     with pytest.raises(InputError, match=r"residual of position: 6\d\.\d mm rms"):
         fitting.fit_tendons(
-            scene(HELD), replace(seen, center=seen.center + 0.04), method="simulations", simulations=1000, rounds=1
+            scene(HELD),
+            replace(measured, center=measured.center + 0.04),
+            method="simulations",
+            simulations=1000,
+            rounds=1,
         )
 
 

@@ -73,12 +73,12 @@ def test_a_spring_told_at_other_lengths_is_the_same_spring(reach, share, longer,
     lengths = 0.15 + reach * (1 + 0.1 * random.uniform(size=40) ** 2)
     there = 0.15 + longer * reach * (1 + 0.08 * random.uniform(size=40) ** 3)
     old, new = Working.of(lengths), Working.of(there)
-    told = old.converted_to(new, *(jnp.asarray(x) for x in (173.0, 0.15, share)))
-    (law, own), (again, own_again) = old.bent(*(jnp.asarray(x) for x in (173.0, 0.15, share))), new.bent(*told)
-    np.testing.assert_allclose([*again, own_again], [*law, own], rtol=1e-9, atol=1e-12)
+    converted = old.converted_to(new, *(jnp.asarray(x) for x in (173.0, 0.15, share)))
+    (law, own), (same_law, same_own) = old.bent(*(jnp.asarray(x) for x in (173.0, 0.15, share))), new.bent(*converted)
+    np.testing.assert_allclose([*same_law, same_own], [*law, own], rtol=1e-9, atol=1e-12)
     stretch = there - float(own)
     slope, offset = np.polyfit(there, float(law.stiffness) * stretch * (1 + float(law.more) * stretch), 1)
-    np.testing.assert_allclose([float(x) for x in told[:2]], [slope, -offset / slope], rtol=1e-6)
+    np.testing.assert_allclose([float(x) for x in converted[:2]], [slope, -offset / slope], rtol=1e-6)
 
 
 def test_a_tendon_that_hangs_slack_at_times_stays_straight():
@@ -100,16 +100,16 @@ def bent_knee(share: float = 0.08):
 def test_tensions_in_the_motion_lie_about_the_line_that_is_told():
     """Lines through what tendons pull in the motion have the stiffness and slack length that the scene tells."""
     _, bent = bent_knee()
-    seen = pftwin.simulate(bent.set("quadriceps.damping", 0.0).set("patellar_tendon.damping", 0.0), dt=2e-3)
+    result = pftwin.simulate(bent.set("quadriceps.damping", 0.0).set("patellar_tendon.damping", 0.0), dt=2e-3)
     assert stiffening_tendons(bent) == ("quadriceps", "patellar_tendon")
     for name, other in (("quadriceps", 0.01), ("patellar_tendon", 0.02)):
-        tendon, lengths = bent.effect(name), seen.lengths[name]
-        slope, offset = np.polyfit(lengths, seen.tensions[name], 1)
+        tendon, lengths = bent.effect(name), result.lengths[name]
+        slope, offset = np.polyfit(lengths, result.tensions[name], 1)
         assert slope == pytest.approx(float(tendon.stiffness), rel=0.03)
         assert -offset / slope == pytest.approx(float(tendon.slack_length), rel=other)
         k, m = float(tendon.law.stiffness), float(tendon.law.more)
         stretch = lengths - float(tendon.rest_length)
-        np.testing.assert_allclose(seen.tensions[name], k * stretch * (1 + m * stretch), rtol=1e-9)
+        np.testing.assert_allclose(result.tensions[name], k * stretch * (1 + m * stretch), rtol=1e-9)
         assert k < 0.97 * slope
 
 
@@ -158,9 +158,9 @@ def test_a_treated_knee_is_given_the_same_springs():
     apply = Applied(free.names, theta, (), nuisance)
     there = jax.jit(lambda s, x: apply(s, x).effect("quadriceps").held_tension(jnp.asarray(0.2)))(knee, theta)
     assert float(there) == pytest.approx(float(free.apply(scene, theta).effect("quadriceps").held_tension(0.2)))
-    again = Nuisance(**json.loads(json.dumps(asdict(nuisance))))
-    assert again == nuisance
-    assert hash(again) == hash(nuisance)
+    converted_law = Nuisance(**json.loads(json.dumps(asdict(nuisance))))
+    assert converted_law == nuisance
+    assert hash(converted_law) == hash(nuisance)
 
 
 def test_without_lengths_at_work_tendons_stay_straight():

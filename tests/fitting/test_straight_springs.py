@@ -80,9 +80,9 @@ def test_both_lines_of_the_rigs_springs_are_steeper_and_start_later(pulls):
 def test_misplaced_attachments_shift_the_recorded_slack_length_alone(pulls):
     """By up to a millimetre, more than they change the stiffness: the lines are parallel within some percent."""
     for name in (QUADRICEPS, PATELLAR_TENDON):
-        law, seen = nearest_line(pulls[name]), straight_line(pulls[name].lengths, pulls[name].forces)
-        assert 5e-5 < abs(seen.slack_length - law.slack_length) < 1e-3
-        assert seen.stiffness == pytest.approx(law.stiffness, rel=0.02)
+        law, sampled = nearest_line(pulls[name]), straight_line(pulls[name].lengths, pulls[name].forces)
+        assert 5e-5 < abs(sampled.slack_length - law.slack_length) < 1e-3
+        assert sampled.stiffness == pytest.approx(law.stiffness, rel=0.02)
 
 
 def test_what_is_no_spring_is_refused():

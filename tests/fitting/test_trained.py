@@ -37,8 +37,8 @@ def trained() -> TrainedPosterior:
 def moved(knee: Scene, springs: np.ndarray, seed: int, noise: float = NOISE) -> Measured:
     """A recording of a knee with other springs."""
     own = fitting.free_parameters(knee, SPRINGS).apply(knee, springs)
-    seen = pftwin.simulate(own, dt=1 / 2400, integrator=pftwin.LinearImplicit())
-    return Measured(seen.times, seen.center + np.random.default_rng(seed).normal(0.0, noise, seen.center.shape))
+    result = pftwin.simulate(own, dt=1 / 2400, integrator=pftwin.LinearImplicit())
+    return Measured(result.times, result.center + np.random.default_rng(seed).normal(0.0, noise, result.center.shape))
 
 
 @cache
@@ -64,24 +64,24 @@ def test_one_training_answers_for_several_knees_as_least_squares_does(number):
 @pytest.mark.slow
 def test_it_is_the_same_from_a_file(tmp_path):
     again = TrainedPosterior.load(trained().save(tmp_path / "knee.npz"), scene(HELD))
-    seen = answered(1).measured
-    assert seen is not None
-    found = again.estimate(scene(HELD), seen)
+    measured = answered(1).measured
+    assert measured is not None
+    found = again.estimate(scene(HELD), measured)
     np.testing.assert_allclose(found.draws, answered(1).draws, rtol=1e-6)
     assert again.facts() == trained().facts()
 
 
 @pytest.mark.slow
 def test_short_gaps_are_bridged_and_long_ones_refused():
-    seen = answered(0).measured
-    assert seen is not None
-    center = seen.center.copy()
+    measured = answered(0).measured
+    assert measured is not None
+    center = measured.center.copy()
     center[[7, 20, 21]] = np.nan
-    found = trained().estimate(scene(HELD), replace(seen, center=center))
+    found = trained().estimate(scene(HELD), replace(measured, center=center))
     assert (np.abs(found.values - answered(0).values) < 0.5 * found.standard_deviations).all()
     center[5:12] = np.nan
     with pytest.raises(InputError, match="22% of a channel's frames are missing"):
-        trained().estimate(scene(HELD), replace(seen, center=center))
+        trained().estimate(scene(HELD), replace(measured, center=center))
 
 
 @pytest.mark.slow
@@ -115,13 +115,13 @@ def test_noise_beyond_what_was_trained_for_is_named_and_refused():
 @pytest.mark.slow
 def test_a_recording_unlike_all_that_was_simulated_is_named_and_refused():
     """A slack length at half of its nominal value, where bounds end at 0.7."""
-    seen = moved(scene(HELD), np.array([156.0, 0.1432, 629.0, 0.0714]) * [1.0, 0.5, 1.0, 1.0], 5)
-    found = trained().estimate(scene(HELD), seen)
+    measured = moved(scene(HELD), np.array([156.0, 0.1432, 629.0, 0.0714]) * [1.0, 0.5, 1.0, 1.0], 5)
+    found = trained().estimate(scene(HELD), measured)
     assert found.invalid
     assert "the measurements lie outside of what was simulated" in found.sentence()
     assert "L1" in found.at_bounds
     with pytest.raises(InputError, match="the measurements lie outside of what was simulated"):
-        trained().estimate(scene(HELD), seen, limits={"simulated": (2.0, 6.0)})
+        trained().estimate(scene(HELD), measured, limits={"simulated": (2.0, 6.0)})
 
 
 @pytest.mark.slow

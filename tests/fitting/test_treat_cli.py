@@ -127,8 +127,8 @@ def test_ranges_may_have_units(text):
 
 
 def test_options_keep_their_former_names_and_show_those_of_surgeons(monkeypatch):
-    seen = []
-    monkeypatch.setattr("fitting.prediction.variants.combinations", lambda numbers: seen.append(numbers) or 1 / 0)
+    combined = []
+    monkeypatch.setattr("fitting.prediction.variants.combinations", lambda numbers: combined.append(numbers) or 1 / 0)
     pairs = {a.former: a.flag for a in AMOUNTS if a.former}
     assert pairs["--medialise"] == "--tto-medial"
     assert pairs["--distalise"] == "--tto-distal"
@@ -138,9 +138,9 @@ def test_options_keep_their_former_names_and_show_those_of_surgeons(monkeypatch)
         for name in (former, flag):
             outcome = RUNNER.invoke(app, ["treat", "--case", "2", name, "0:2", "-o", "v.nc"])
             assert isinstance(outcome.exception, ZeroDivisionError), outcome.output
-        assert seen[-1] == seen[-2]
+        assert combined[-1] == combined[-2]
         assert all(flag in words and former not in words for words in shown)
-    assert seen[1] == {"tibial_tuberosity_transfer": {"medialisation": [0.0, 1.0, 2.0]}}
+    assert combined[1] == {"tibial_tuberosity_transfer": {"medialisation": [0.0, 1.0, 2.0]}}
     both = ["treat", "--case", "2", "--medialise", "1", "--tto-medial", "2", "-o", "v.nc"]
     outcome = RUNNER.invoke(app, both)
     assert outcome.exit_code == 2

@@ -38,29 +38,29 @@ def true(scene: Scene) -> Scene:
 
 
 def measured() -> tuple[Measured, Measured]:
-    return seen_of(nominal)
+    return measured_in(nominal)
 
 
-def seen_alike() -> tuple[Measured, Measured]:
-    return seen_of(alike)
+def measured_alike() -> tuple[Measured, Measured]:
+    return measured_in(alike)
 
 
 @cache
-def seen_of(trials: Callable[[], tuple[Scene, Scene]]) -> tuple[Measured, Measured]:
+def measured_in(trials: Callable[[], tuple[Scene, Scene]]) -> tuple[Measured, Measured]:
     """Positions of both, without noise; the quadriceps' force of the second alone, without some frames."""
-    seen = []
+    recorded = []
     for scene, steps in zip(trials(), STEPS if trials is nominal else 2 * STEPS[:1], strict=True):
         step = scene.motion.frame_interval / steps
         result = pftwin.simulate(true(scene), dt=step, integrator=pftwin.LinearImplicit())
-        seen.append((result.times, result.center, np.array(result.tensions["quadriceps"])))
-    (times, center, _), (later, elsewhere, force) = seen
+        recorded.append((result.times, result.center, np.array(result.tensions["quadriceps"])))
+    (times, center, _), (later, elsewhere, force) = recorded
     force[7:11] = np.nan
     return Measured(times, center), Measured(later, elsewhere, femoral_spring_force=force, source="the laboratory")
 
 
 @cache
 def together() -> Estimate:
-    return fitted(alike(), seen_alike())
+    return fitted(alike(), measured_alike())
 
 
 def fitted(scenes: Any, data: Any, **more: Any) -> Estimate:
@@ -118,8 +118,8 @@ def test_a_plan_tells_what_a_further_trial_brings():
     plan = fitting.plan_experiment(one, candidates=["quadriceps"], further=[other], **given)
     alone, elsewhere = (fitting.plan_experiment(scene, candidates=[], **given).covariance for scene in nominal())
     size = np.array([156.0, 0.0714, 0.04])  # the coordinate's deviation is told relative to its bounds' span
-    told = [np.linalg.inv(c / np.outer(size, size)) for c in (alone, elsewhere)]
-    np.testing.assert_allclose(plan.additions["trial high"], np.sqrt(np.diagonal(np.linalg.inv(sum(told)))), rtol=1e-6)
+    parts = [np.linalg.inv(c / np.outer(size, size)) for c in (alone, elsewhere)]
+    np.testing.assert_allclose(plan.additions["trial high"], np.sqrt(np.diagonal(np.linalg.inv(sum(parts)))), rtol=1e-6)
     assert plan.trials == ("trial high",)
     assert plan.additions.keys() == {"trial high", "quadriceps"}
 
@@ -182,10 +182,10 @@ def test_channels_that_a_trial_lacks_are_missing_there():
     np.testing.assert_array_equal(whole.present, expected)
     assert (whole.synthetic, whole.source) == (True, "trial 1; trial 2")
     assert whole.noise == {"quadriceps": 0.1, "position": 0.2, "contact": 0.2}
-    seen = np.random.default_rng(3).normal(size=(1, 9, 5))
-    parts = [trial.residuals(seen[:, rows]) for trial, rows in zip(whole.trials, whole.frames, strict=True)]
-    np.testing.assert_array_equal(parts[1][0, :, [0, 1, 2, 4]].T, seen[0, 6:, [0, 1, 2, 4]].T - other.measured)
-    assert (whole.residuals(seen)[0, 5] == 0).all()
+    values = np.random.default_rng(3).normal(size=(1, 9, 5))
+    parts = [trial.residuals(values[:, rows]) for trial, rows in zip(whole.trials, whole.frames, strict=True)]
+    np.testing.assert_array_equal(parts[1][0, :, [0, 1, 2, 4]].T, values[0, 6:, [0, 1, 2, 4]].T - other.measured)
+    assert (whole.residuals(values)[0, 5] == 0).all()
 
 
 def test_priors_and_bounds_are_the_firsts_and_move_with_coordinates():
@@ -224,14 +224,14 @@ def test_a_trial_without_a_channel_of_another_is_refused():
     one, other = alike()
     renamed = replace(other.effects[other.index("contact")], name="inlay")
     scene = other.without("contact").with_effect(renamed)
-    data = [replace(seen_alike()[0], contact_force=np.ones(41)), seen_alike()[1]]
+    data = [replace(measured_alike()[0], contact_force=np.ones(41)), measured_alike()[1]]
     with pytest.raises(InputError, match="high has no 'contact', which another trial has"):
         fitted([one, scene], data, use=("position", "contact"), noise=None)
 
 
 def test_an_estimate_from_a_file_gets_all_its_scenes(tmp_path):
     path = together().save(tmp_path / "fit.json")
-    scenes = [replace(s, measured=m) for s, m in zip(alike(), seen_alike(), strict=True)]
+    scenes = [replace(s, measured=m) for s, m in zip(alike(), measured_alike(), strict=True)]
     again = Estimate.load(path, scenes)
     assert likelihood_of(again, None).objective.present.sum() == 41 * 3 + 41 * 3 + 37
     with pytest.raises(InputError, match="fitted to 2 trials, and 1 of their scenes given"):
@@ -274,7 +274,7 @@ def test_trials_of_one_name_are_told_apart():
     ],
 )
 def test_trials_that_share_nothing_are_refused(scenes, data, more, said):
-    given = None if data is None else [seen_alike()[i] for i in data]
+    given = None if data is None else [measured_alike()[i] for i in data]
     with pytest.raises(InputError, match=said):
         fitted([alike()[i] for i in scenes], given, **more)
 
@@ -284,17 +284,17 @@ def test_a_shared_number_that_scenes_have_at_other_values_is_refused():
     one, other = alike()
     longer = other.set("L2", 0.075)
     with pytest.raises(InputError, match=r"L2 is 0\.0714 in trial 1 and 0\.075 in trial 2; .*varies=\{'L2': \.\.\.\}"):
-        fitted([one, longer], seen_alike())
+        fitted([one, longer], measured_alike())
     varied = free_in_trials([one, longer], FREE, BOUNDS, None, EXACT, {"L2": 0.002})[1]
     assert varied[1].nominal[1] == varied[0].nominal[1]
 
 
 def test_measurements_in_the_place_of_a_scene_are_told():
     with pytest.raises(InputError, match="scene: found Measured"):
-        fitted(seen_alike()[0], None)
+        fitted(measured_alike()[0], None)
 
 
 def test_a_trial_with_other_tendons_is_refused():
     one, other = alike()
     with pytest.raises(InputError, match=r"only one of trials 1 and 2 has .*damping"):
-        fitted([one, other.set("quadriceps.damping", 0.0)], seen_alike(), nuisance="damping=0.5")
+        fitted([one, other.set("quadriceps.damping", 0.0)], measured_alike(), nuisance="damping=0.5")

@@ -146,8 +146,8 @@ def test_what_measurements_do_not_tell_is_counted_and_named():
     against = np.array([0.6, 0.0, -0.8, 0.0])
     covariance = np.diag([1e-4, 0.04, 1e-4, 1.0]) + 0.95**2 * np.outer(against, against)
     assert Undetermined.of(names, known, covariance * np.outer(known, known)) == (2, ("mu", "K2", "K1"))
-    told = np.diag([1e-4, 0.04, 1e-4, 0.64]) + 0.8**2 * np.outer(against, against)
-    assert Undetermined.of(names, known, told * np.outer(known, known)) == (0, ())
+    posterior = np.diag([1e-4, 0.04, 1e-4, 0.64]) + 0.8**2 * np.outer(against, against)
+    assert Undetermined.of(names, known, posterior * np.outer(known, known)) == (0, ())
     infinite = np.diag([0.01, np.inf, 0.01, 0.9]) * np.outer(known, known)
     assert Undetermined.of(names, known, infinite) == (2, ("L1", "mu"))
 

@@ -78,9 +78,9 @@ def test_an_invalid_fit_says_so_first_and_older_files_are_read(tmp_path):
 def test_the_live_page_says_so_first_and_nothing_of_dislocation():
     pytest.importorskip("k3d")
     result = in_the_air()
-    told = words.outcome(ShownMotion.of(result, "after", result.geometry(), lambda points: None, ()))
-    assert WHY in told
-    assert "islocat" not in told
+    text = words.outcome(ShownMotion.of(result, "after", result.geometry(), lambda points: None, ()))
+    assert WHY in text
+    assert "islocat" not in text
 
 
 def outcomes(angles, dislocations, failed=None):

@@ -43,7 +43,7 @@ def pieces(motion: ShownMotion, *, against_flexion: bool) -> list[Piece]:
     return found
 
 
-def no_strokes(motion: ShownMotion) -> str:
+def why_not_against_flexion(motion: ShownMotion) -> str:
     """The reason why a motion cannot be drawn against flexion; empty if it can."""
     try:
         pieces(motion, against_flexion=True)

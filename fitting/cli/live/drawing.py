@@ -45,7 +45,7 @@ class Bones:
         mesh(scene, "/femur", shaft.shape, shaft.colour, shaft.opacity)
         self._tibia = scene.add_frame("/tibia", show_axes=False)
         mesh(scene, "/tibia/shaft", shin.shape, shin.colour, shin.opacity)
-        self._beyond: Any = None
+        self._extrapolated: Any = None
         self._component: Any = None  # vertices of the drawn component
         for words, y in (("lateral", SIDE), ("medial", -SIDE)):
             scene.add_label(f"/{words}", words, position=(0.0, y, 25.0), anchor="center-center")
@@ -59,12 +59,12 @@ class Bones:
         for part in bones.femoral_component(recorded)[:1]:
             mesh(self._scene, "/component", part.shape, METAL)
 
-    def set_beyond(self, beyond: Shape | None) -> None:
+    def set_extrapolated(self, shape: Shape | None) -> None:
         """Draws the extrapolated part of the fitted surface; hides it if None."""
-        if beyond is not None:
-            self._beyond = mesh(self._scene, "/beyond", beyond, paler(METAL, 0.5), 0.6)
-        elif self._beyond is not None:
-            self._beyond.visible = False
+        if shape is not None:
+            self._extrapolated = mesh(self._scene, "/beyond", shape, paler(METAL, 0.5), 0.6)
+        elif self._extrapolated is not None:
+            self._extrapolated.visible = False
 
     def frame(self, shown: Shown, k: int) -> None:
         """Moves the tibia to its pose at a frame."""

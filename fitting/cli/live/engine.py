@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from pftwin.results.result import Result
 
 DRAWS = 24  # draws from an estimate, for bands
-FAR = 0.045  # reach of the extrapolated surface beyond the edges of the fitted one [m]
+FAR = 0.045  # width of the extrapolated surface around the fitted one [m]
 HEIGHT = 0.02  # height over the chart of the corners that limit the extrapolation [m]
 MOST_ANGLE = 2.8  # largest angle on a cylinder's chart, which closes at pi [rad]
 
@@ -152,7 +152,7 @@ class Still:
 
     def __init__(self, scene: Scene) -> None:
         self._contact, self._bodies = scene.contact, geometry(scene)
-        self._beyond = _beyond(scene)
+        self._extrapolated = _extrapolated(scene)
 
     def of(self, scene: Scene) -> Still:
         """Returns this object if the scene has the same contact, else a new one for the scene."""
@@ -170,9 +170,9 @@ class Still:
 
         Missing points are NaN, so that the array's size, and with it the compiled program, stays the same.
         """
-        if self._beyond is None or not len(points):
+        if self._extrapolated is None or not len(points):
             return None
-        chart, edges, shape, middles = self._beyond
+        chart, edges, shape, middles = self._extrapolated
         at = _along(chart, points)
         ends = [(np.nanmin(c), np.nanmax(c)) if np.isfinite(c).any() else (0.0, 0.0) for c in at]
         if all(low >= edge[0] and high <= edge[1] for (low, high), edge in zip(ends, edges, strict=True)):
@@ -188,7 +188,7 @@ def _along(chart: Any, points: Floats) -> tuple[Floats, Floats]:
     return np.asarray(at.x, dtype=np.float64), np.asarray(at.y, dtype=np.float64)
 
 
-def _beyond(scene: Scene) -> tuple[Any, list[tuple[float, float]], Shape, tuple[Floats, Floats]] | None:
+def _extrapolated(scene: Scene) -> tuple[Any, list[tuple[float, float]], Shape, tuple[Floats, Floats]] | None:
     """The extrapolation of a fitted surface: its chart, the edges of the fitted rectangle [m], its shape at the largest
     extent, and chart coordinates of its triangles' centroids, (m,) each [m]; None without a smooth surface."""
     surface, contact = scene.surface, scene.contact

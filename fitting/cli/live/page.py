@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fitting.cli.live import words
-from fitting.cli.live.curves import AGAINST, Curves, no_strokes
+from fitting.cli.live.curves import AGAINST, Curves, why_not_against_flexion
 from fitting.cli.live.drawing import Bones, DrawnKnee
 from fitting.cli.live.engine import Engine, LiveModel
 from fitting.cli.live.knobs import GROUPS, KNOBS
@@ -55,7 +55,7 @@ class Page:
             self._playing(model)
             self._numbers = self._gui.add_html("")
             self._whole = self._gui.add_html("")
-            why = no_strokes(model.before)
+            why = why_not_against_flexion(model.before)
             self._over = self._gui.add_checkbox("against knee flexion", False, disabled=bool(why), hint=why or AGAINST)
             self._on_input(self._over, self._session.redraw)
             self._said = self._gui.add_html("")
@@ -85,9 +85,9 @@ class Page:
         self._shown = shown
         self._treated.set(shown)
         self._bones.set_component(shown.recorded)
-        beyond = self._after.continued(shown.touched)
-        self._bones.set_beyond(beyond)
-        if self._continued != (beyond is not None):
+        extrapolated = self._after.continued(shown.touched)
+        self._bones.set_extrapolated(extrapolated)
+        if self._continued != (extrapolated is not None):
             self._continued = not self._continued
             self._legend.content = self._legend_text()
 

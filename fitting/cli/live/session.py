@@ -48,7 +48,7 @@ class Session:
         with self._lock, client.atomic():
             self._page = Page(client, engine, model, self)
             self._player = Player(self._played, self._now, float(model.before.times[-1]))
-            self._told(model, self._after)
+            self._show_motions(model, self._after)
             self._drawn(model, Shown(model.before.recorded, self._page.newtons))
         self._ask_band(self._contact, dict(self._values))
 
@@ -168,7 +168,7 @@ class Session:
             if self._closed:
                 return
             with self._client.atomic():
-                self._told(model, after)
+                self._show_motions(model, after)
             self._client.flush()
             shown = Shown(after.recorded, self._page.newtons)
             with self._client.atomic():
@@ -200,7 +200,7 @@ class Session:
                     self._page.tell_band(band)
                     self._frame(self._now, numbers=True)
 
-    def _told(self, model: LiveModel, after: ShownMotion) -> None:
+    def _show_motions(self, model: LiveModel, after: ShownMotion) -> None:
         self._contact, self._after = model.contact, after
         self._page.tell(model, after)
         self._page.state.content = words.outcome(after)

@@ -88,5 +88,5 @@ class Player:
     def _run(self, first: float, stop: threading.Event) -> None:
         began, length = time.perf_counter(), max(self._end - self._begin, 1e-3)
         while not stop.wait(1 / RATE):
-            gone = first - self._begin + time.perf_counter() - began
-            self._show(self._begin + gone % length)
+            elapsed = first - self._begin + time.perf_counter() - began
+            self._show(self._begin + elapsed % length)

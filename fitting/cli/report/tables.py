@@ -127,7 +127,7 @@ def measurements(measured: Measured) -> Sheet:
             rows.append((words, "not measured", "–", "–"))
             continue
         absent = ~np.isfinite(values.reshape(len(values), -1)).all(axis=1)
-        gaps = "".join("x" if gone else " " for gone in absent).split()
+        gaps = "".join("x" if missing else " " for missing in absent).split()
         rows.append((words, str(len(values)), str(int(absent.sum())), str(max(map(len, gaps), default=0))))
     headings = ("channel", "frames", "missing", "longest gap, frames")
     return Sheet(f"Measurements: {measured.source}", headings, tuple(rows))
@@ -152,8 +152,8 @@ def checks(run: ReportedRun) -> Sheet:
         for words, key, factor, digits, unit in _CHECKS
         if key in run.about
     ]
-    kept = {words: run.data[name].values for name, words in _ENERGIES.items() if name in run.data}
-    rows += [(words, number(1e3 * np.nanmax(np.abs(values)), 3), "mJ") for words, values in kept.items()]
+    energies = {words: run.data[name].values for name, words in _ENERGIES.items() if name in run.data}
+    rows += [(words, number(1e3 * np.nanmax(np.abs(values)), 3), "mJ") for words, values in energies.items()]
     return Sheet(f"Simulation: {run.name}", ("check", "value", "unit"), tuple(rows))
 
 
@@ -164,11 +164,11 @@ def fitted(e: Estimate, scene: Scene | None) -> Sheet:
         scale, unit = as_read(e.units[i])
         value, sd, nominal = (scale * float(a[i]) for a in (e.values, e.standard_deviations, e.nominal))
         low, high = scale * e.intervals[i]
-        spread = f"{number(low)} to {number(high)}", number(sd, 3)
+        uncertainty = f"{number(low)} to {number(high)}", number(sd, 3)
         if name in e.set_by_bounds:
-            spread = "not known", "not known"
+            uncertainty = "not known", "not known"
         found = ", ".join(words for words in (number(value), e.bound_mark(name)) if words)
-        rows.append((name, meaning(scene, name), found, *spread, number(nominal), unit))
+        rows.append((name, meaning(scene, name), found, *uncertainty, number(nominal), unit))
     for name, trials in e.in_trials.items():
         scale, unit = as_read(e.units[e.names.index(name)])
         for trial, (value, sd) in trials.items():

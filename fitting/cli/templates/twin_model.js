@@ -24,7 +24,7 @@ function makeTwin(module, facts) {
         exports[name]();
         return all(outputs);
     };
-    const course = (m) => [m.center, m.quaternion, m.push, m.medial, m.lateral];
+    const course = (m) => [m.center, m.quaternion, m.contact_force, m.medial, m.lateral];
 
     function settled(values) {
         const first = run('settle', [values, ...facts.start]);

@@ -115,13 +115,13 @@ class Arrays:
     def reduced(self, code: Code, write: Callable[..., Operand], axes: Any, x: Value, out: Any) -> Value:
         """Reduces an array along axes by the binary operation that `write` writes, for example a sum."""
         if not isinstance(x, Table) and x.size <= SMALL:
-            kept = [k for k in range(x.ndim) if k not in axes]
-            rows = x.transpose(*kept, *axes).reshape(int(np.prod(out.shape)), -1)
+            remaining = [k for k in range(x.ndim) if k not in axes]
+            rows = x.transpose(*remaining, *axes).reshape(int(np.prod(out.shape)), -1)
             return array([self._folded(code, write, [operand(a) for a in row]) for row in rows], out.shape)
         source, made = self.table(code, x), self.reserve(out)
         places = np.arange(np.prod(source.shape)).reshape(source.shape)
-        kept = [k for k in range(places.ndim) if k not in axes]
-        order = places.transpose(*axes, *kept).reshape(-1, int(np.prod(out.shape)))
+        remaining = [k for k in range(places.ndim) if k not in axes]
+        order = places.transpose(*axes, *remaining).reshape(-1, int(np.prod(out.shape)))
         ahead = [stride(order, k) * SLOT for k in (0, 1)]
         total = code.new(kind_of_table(source))
         with code.loop(order.shape[1]) as i:
@@ -153,7 +153,7 @@ class Arrays:
             total = write(code, {}, total, a)
         return total
 
-    def kept(self, code: Code, value: Value) -> Value:
+    def stored(self, code: Code, value: Value) -> Value:
         """The value in a form that another function can read: constant, or in memory."""
         return value if known(value) else self.table(code, value)
 

@@ -101,7 +101,7 @@ class Emitter(Arrays):
     def _while(self, code: Code, params: Any, args: list[Value]) -> list[Value]:
         split = params["cond_nconsts"], params["cond_nconsts"] + params["body_nconsts"]
         parts = args[: split[0]], args[split[0] : split[1]], args[split[1] :]
-        held = [[self.kept(code, a) for a in part] for part in parts[:2]]
+        held = [[self.stored(code, a) for a in part] for part in parts[:2]]
         carry = [self.reserve(v.aval) for v in params["body_jaxpr"].jaxpr.outvars]
         answer = self.reserve(jax.ShapeDtypeStruct((), bool))
         self.store_all(code, carry, parts[2])
@@ -118,7 +118,7 @@ class Emitter(Arrays):
 
     def _scan(self, code: Code, params: Any, args: list[Value]) -> list[Value]:
         n, m, closed = params["num_consts"], params["num_consts"] + params["num_carry"], params["jaxpr"]
-        consts = [self.kept(code, a) for a in args[:n]]
+        consts = [self.stored(code, a) for a in args[:n]]
         carry = [self.reserve(v.aval) for v in closed.jaxpr.outvars[: m - n]]
         self.store_all(code, carry, args[n:m])
         rows = [self.table(code, a) for a in args[m:]]
@@ -171,12 +171,12 @@ def _folded(name: str, params: Any, args: list[Any]) -> Any:
 
 def _used(jaxpr: Any) -> list[Any]:
     """The equations that the results depend on."""
-    wanted, kept = {v for v in jaxpr.outvars if not isinstance(v, Literal)}, []
+    wanted, needed = {v for v in jaxpr.outvars if not isinstance(v, Literal)}, []
     for eqn in reversed(jaxpr.eqns):
         if wanted.intersection(eqn.outvars):
-            kept.append(eqn)
+            needed.append(eqn)
             wanted |= {v for v in eqn.invars if not isinstance(v, Literal)}
-    return kept[::-1]
+    return needed[::-1]
 
 
 def _place(table: Table) -> list[Any]:

@@ -89,16 +89,16 @@ def programs(knobs: Knobs) -> Programs:
     def motion(values: Array, leaves: list[Array], substeps: Array) -> dict[str, Array]:
         treated, found = changed(values), jax.tree.unflatten(jax.tree.structure(start), leaves)
 
-        def kept(seen: Observation) -> dict[str, Array]:
-            report: Mapping[str, Array] = {} if name is None else seen.effects[name]
+        def frame_record(observation: Observation) -> dict[str, Array]:
+            report: Mapping[str, Array] = {} if name is None else observation.effects[name]
             none = jnp.zeros(())
-            along = (none, none) if surface is None else surface.chart.foot(surface.chart.to_frame(seen.center))
-            turn, angles = seen.patella.orientation, patellar_angles(seen.patella.orientation)
+            along = (none, none) if surface is None else surface.chart.foot(surface.chart.to_frame(observation.center))
+            turn, angles = observation.patella.orientation, patellar_angles(observation.patella.orientation)
             return {
-                "center": seen.center.array(),
-                "position": seen.patella.position.array(),
+                "center": observation.center.array(),
+                "position": observation.patella.position.array(),
                 "quaternion": turn.array(),
-                "push": jnp.stack([report.get(f"force_{axis}", none) for axis in "xyz"]),
+                "contact_force": jnp.stack([report.get(f"force_{axis}", none) for axis in "xyz"]),
                 "medial": report.get("force_medial", none),
                 "lateral": report.get("force_lateral", none),
                 "force": report.get("force", none),
@@ -108,8 +108,8 @@ def programs(knobs: Knobs) -> Programs:
             }
 
         options: Any = {"integrator": _INTEGRATOR, "substeps": substeps, "start": found, "ledger": True}
-        seen, status, _ = observe_on_the_way(treated, kept, **options)
-        return {**seen, "status": status}
+        frames, status, _ = observe_on_the_way(treated, frame_record, **options)
+        return {**frames, "status": status}
 
     def estimate(here: Course, coarse: Course, before: list[Array], factor: Array, sound: Array) -> dict[str, Any]:
         pair = error_of(here, coarse, _INTEGRATOR.order, 2.0, jnp)

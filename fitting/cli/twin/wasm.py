@@ -68,7 +68,7 @@ class Code:
         """`counted`: the function has one parameter, the int32 index of the repetition."""
         self.count = Local(I32, 0)
         self.counted, self._types, self._body = counted, [I32] if counted else [], bytearray()
-        self._seen: dict[bytes, Local] = {}
+        self._results: dict[bytes, Local] = {}
 
     def new(self, kind: int) -> Local:
         """Adds a local variable of a type."""
@@ -82,9 +82,9 @@ class Code:
     def op(self, code: bytes, kind: int, *operands: Operand) -> Local:
         """Adds an instruction without side effects; returns its result."""
         text = b"".join(map(_pushed, operands)) + code
-        if text not in self._seen:
-            self._seen[text] = self._result(text, kind)
-        return self._seen[text]
+        if text not in self._results:
+            self._results[text] = self._result(text, kind)
+        return self._results[text]
 
     def load(self, kind: int, address: int, at: Operand = 0) -> Local:
         """Loads a number from memory, `at` bytes beyond an address."""
@@ -102,13 +102,13 @@ class Code:
     @contextmanager
     def loop(self, times: int) -> Iterator[Local]:
         """Context whose instructions are repeated; yields the counter, from 0."""
-        counter, known = self.new(I32), dict(self._seen)
+        counter, known = self.new(I32), dict(self._results)
         self.set(counter, 0)
         self._body += _LOOP + bytes([_EMPTY])
         yield counter
         self._body += _pushed(counter) + _pushed(1) + _ADD + _SET + unsigned(counter.index)
         self._body += _pushed(counter) + _pushed(times) + _LESS + _BRANCH_IF + b"\x00" + _END
-        self._seen = known  # results from inside the loop are not valid after it
+        self._results = known  # results from inside the loop are not valid after it
 
     def repeat_while(self, condition: int, address: int, body: int) -> None:
         """Calls `condition`, which stores a boolean at an address, and `body` as long as that is true."""

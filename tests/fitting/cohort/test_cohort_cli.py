@@ -148,8 +148,8 @@ tibial_tuberosity_transfer = { medialisation_mm = [0, 5] }
 def record(folder: Path, stiffness: float) -> None:
     """Writes the motion of the folder's knee with another quadriceps [N/m] as its measured one."""
     scene = load_scene(folder / "scene.toml")
-    seen = simulate(scene.set("quadriceps.stiffness", stiffness), integrator=LinearImplicit(), dt=1 / 2400)
-    patella = PoseSeries(seen.times, seen.position, seen.quaternion)
+    result = simulate(scene.set("quadriceps.stiffness", stiffness), integrator=LinearImplicit(), dt=1 / 2400)
+    patella = PoseSeries(result.times, result.position, result.quaternion)
     write_poses(folder / "poses.csv", {"tibia": tibia_poses(), "patella": patella})
 
 

@@ -248,7 +248,7 @@ def test_ctrl_c_keeps_the_units_that_are_done(tmp_path):
 
 
 def test_progress_and_time_left(tmp_path, monkeypatch):
-    seen, clock = [], [0.0]
+    reports, clock = [], [0.0]
     monkeypatch.setattr("fitting.cohort.report.time", SimpleNamespace(perf_counter=lambda: clock[0]))
 
     def began(patient: str, _: str) -> None:
@@ -256,15 +256,15 @@ def test_progress_and_time_left(tmp_path, monkeypatch):
 
     cohort = cheap(tmp_path, 3)
     work = CheapWork(began=began, broken={("B", "fit"): InputError("no")})
-    run_cohort(cohort, work=work, progress=seen.append)
-    ended = [p for p in seen if p.ended]
+    run_cohort(cohort, work=work, progress=reports.append)
+    ended = [p for p in reports if p.ended]
     assert [(p.unit.patient, p.unit.kind) for p in ended] == [*units("A"), ("B", "fit"), *units("C")]
     assert [(p.number, p.of) for p in ended] == [(1, 6), (2, 6), (3, 5), (4, 5), (5, 5)]
     # A's fit 10 s, its prediction 10 s; two fits and predictions are to come. A failure's time does not count.
     assert [p.left for p in ended] == [50.0, 40.0, 20.0, 10.0, 0.0]
     assert ended[2].failure is not None
-    assert seen[0].left is None
-    assert [p.left for p in seen if p.share == 0.5] == [None, 10.0]  # a unit of 10 s that has run for 10 s
+    assert reports[0].left is None
+    assert [p.left for p in reports if p.share == 0.5] == [None, 10.0]  # a unit of 10 s that has run for 10 s
 
 
 def test_a_chosen_folder(tmp_path):

@@ -66,14 +66,14 @@ def test_duckdb_reads_it(summary):
 
 
 def test_who_is_pending_while_the_run_goes_on(tmp_path):
-    cohort, seen = cheap(tmp_path, 2), []
+    cohort, statuses = cheap(tmp_path, 2), []
 
     def began(patient: str, kind: str) -> None:
         if (patient, kind) == ("B", "prediction"):
-            seen.extend(parquet.read_table(cohort.output / "summary.parquet")["status"].to_pylist())
+            statuses.extend(parquet.read_table(cohort.output / "summary.parquet")["status"].to_pylist())
 
     run_cohort(cohort, work=CheapWork(began=began))
-    assert seen == ["done", "done", "pending"]
+    assert statuses == ["done", "done", "pending"]
 
 
 def test_without_a_fit_or_treatments(tmp_path):

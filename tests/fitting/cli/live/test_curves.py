@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from live_engine import live_engine
 
-from fitting.cli.live.curves import DASHED, DOTTED, SOLID, no_strokes, pieces
+from fitting.cli.live.curves import DASHED, DOTTED, SOLID, pieces, why_not_against_flexion
 
 
 @pytest.fixture(scope="module")
@@ -43,5 +43,5 @@ def test_no_line_goes_across_a_dislocation(motion):
 
 
 def test_a_knee_that_hardly_bends_has_no_strokes(motion):
-    assert no_strokes(dataclasses.replace(motion, flexion=np.full(41, 30.0))) == "the knee bends by 0 deg"
-    assert no_strokes(cycle(motion)) == ""
+    assert why_not_against_flexion(dataclasses.replace(motion, flexion=np.full(41, 30.0))) == "the knee bends by 0 deg"
+    assert why_not_against_flexion(cycle(motion)) == ""

@@ -131,8 +131,8 @@ def test_dragging_the_tuberosity_medially_cures_case_2_on_this_page_alone(browse
         says(page, "Dislocation: no")
         page.wait_for_function("words => !document.body.innerText.includes(words)", arg=PALE, timeout=60_000)
         show_times(page)
-        told = r"slider to new motion: \d+ ms \(of the last \d+: median \d+, worst \d+ ms\)"
-        page.wait_for_function("told => new RegExp(told).test(document.body.innerText)", arg=told, timeout=180_000)
+        timing = r"slider to new motion: \d+ ms \(of the last \d+: median \d+, worst \d+ ms\)"
+        page.wait_for_function("told => new RegExp(told).test(document.body.innerText)", arg=timing, timeout=180_000)
         value = float(page.locator(SLIDER.format("medialisation [mm]")).locator("input").last.input_value())
         assert 13 < value < 19
         page.wait_for_timeout(500)

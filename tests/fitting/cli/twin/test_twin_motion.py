@@ -22,8 +22,8 @@ def check_twin(folder, scene, changes) -> list[dict]:
     rest = {k.name: k.neutral for k in sliders(knobs)}
     assert all(change.keys() <= rest.keys() for change in changes)
     values = [rest | change for change in changes]
-    told = {**made.facts, **facts(scene, sliders(knobs), missing(knobs))}
-    motions = simulated(folder, made, told, [list(v.values()) for v in values])
+    page_facts = {**made.facts, **facts(scene, sliders(knobs), missing(knobs))}
+    motions = simulated(folder, made, page_facts, [list(v.values()) for v in values])
     for v, motion in zip(values, motions, strict=True):
         result = pftwin.simulate(knobs.scene_with(neutral() | v))
         outcome = result.dislocations()
@@ -51,9 +51,9 @@ def test_a_small_knee(tmp_path):
 
 def test_a_knee_that_starts_invalid_is_invalid_on_the_page():
     scene = small_scene().with_limits(least_upward_lines=2)
-    told = facts(scene, (), {})["reasons"]
-    assert tuple(told) == pftwin.simulate(scene).verdict.reasons
-    assert len(told) == 2
+    page_facts = facts(scene, (), {})["reasons"]
+    assert tuple(page_facts) == pftwin.simulate(scene).verdict.reasons
+    assert len(page_facts) == 2
 
 
 def test_a_patella_that_falls_out_of_the_groove(tmp_path):

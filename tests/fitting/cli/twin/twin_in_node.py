@@ -55,9 +55,9 @@ def in_node(code: str, *arguments: Any) -> Any:
 def computed(folder: Path, function: Any, *arguments: Any) -> list[np.ndarray]:
     """The results of a function of arrays, emitted and run in Node, flat."""
     emitter = Emitter()
-    told = emitter.program("run", lambda *a: jax.tree.leaves(function(*a)), *arguments)
+    description = emitter.program("run", lambda *a: jax.tree.leaves(function(*a)), *arguments)
     (folder / "one.wasm").write_bytes(emitter.module.binary())
-    (folder / "one.json").write_text(json.dumps(told))
+    (folder / "one.json").write_text(json.dumps(description))
     given = [[None if x != x else x for x in np.asarray(a).reshape(-1).tolist()] for a in arguments]
     (folder / "inputs.json").write_text(json.dumps(given))
     found = in_node(_ONE, folder / "one.wasm", folder / "one.json", folder / "inputs.json")

@@ -80,17 +80,17 @@ def limits_of(given: Mapping[str, tuple[float, float]] | None) -> dict[str, tupl
     return LIMITS | dict(given or {})
 
 
-def raised(name: str, limits: Limits, value: float) -> str:
+def limit_remedy(name: str, limits: Limits, value: float) -> str:
     """How to raise a limit above a value, for messages: in Python and on the command line."""
     named, refused = limits[name][0], float(f"{2 * value:.2g}")
     return f"limits={{{name!r}: ({named:g}, {refused:g})}} (--limit {name}={named:g}:{refused:g})"
 
 
-def misread(objective: Objective, trials: Floats, limits: Limits) -> list[str]:
+def misread_channels(objective: Objective, trials: Floats, limits: Limits) -> list[str]:
     """Doubts: what channels look like, in words, if another reading lies closer to one of the trial motions (N, n, c).
     Raises InputError if another reading is closer by more than the limit allows."""
     found, (named, refused) = [], limits["reading"]
-    for r in alike((r for r in readings(objective, trials) if r.times >= named), objective.readings):
+    for r in merged_readings((r for r in readings(objective, trials) if r.times >= named), objective.readings):
         said = f"{_listed(r.channels)} {r.words}"
         if r.times >= refused:
             raise InputError(
@@ -98,13 +98,13 @@ def misread(objective: Objective, trials: Floats, limits: Limits) -> list[str]:
                 where=objective.source,
                 expected=_expected(r.channels, objective.readings),
                 remedy=f"correct the file, or the scene's {_PRESUMED}; if all are right, "
-                + raised("reading", limits, r.times),
+                + limit_remedy("reading", limits, r.times),
             )
         found.append(f"{said} ({r.times:.2g} times closer to the twin; if the scene's {_PRESUMED} are right)")
     return found
 
 
-def alike(found: Iterable[Reading], units: Mapping[str, str]) -> list[Reading]:
+def merged_readings(found: Iterable[Reading], units: Mapping[str, str]) -> list[Reading]:
     """Merges readings that say the same of several channels of one unit, the most striking first, so that one message
     names all channels to correct."""
     together: dict[tuple[str, ...], Reading] = {}
@@ -154,7 +154,7 @@ def readings(objective: Objective, trials: Floats) -> Iterator[Reading]:
             yield Reading((one, other), "swapped", straight / swapped)
 
 
-def left_over(
+def unexplained(
     objective: Objective,
     residuals: Floats,
     limits: Limits,
@@ -168,17 +168,17 @@ def left_over(
         there = objective.present[:, rows.start]
         if not there.any():
             continue
-        left = float(_rms(residuals[there, rows]))
+        rms = float(_rms(residuals[there, rows]))
         kind = channel if channel in _FLOOR else "force"
         size, unit = float(_rms(objective.measured[there, columns])), unit_of(channel, objective.readings)
-        said, cases = f"residual of {channel}: {shown(left, unit, 3)} rms", []
+        said, cases = f"residual of {channel}: {shown(rms, unit, 3)} rms", []
         if kind != "force":
-            cases.append((kind, left, said))
+            cases.append((kind, rms, said))
         elif size > 0 or channel not in objective.readings:  # a reading that should be zero has no share
             said += f" of {shown(size, unit, 3)} measured"
-            cases.append((kind, left / max(size, 1e-300), said))
+            cases.append((kind, rms / max(size, 1e-300), said))
         if stated is not None:
-            times = left / (stated[channel] * np.sqrt(rows.stop - rows.start))
+            times = rms / (stated[channel] * np.sqrt(rows.stop - rows.start))
             cases.append(("noise", times, f"{said}, {times:.0f} times the stated noise"))
         why = ": within the bounds the twin does not move or pull like this"
         for limit, value, said in cases:
@@ -195,19 +195,19 @@ def bounded(
     named, refused = limits[limit]
     if value >= refused:
         expected = f"less than {refused:g} by the limit {limit!r}{why}"
-        raise InputError(said, where=source, expected=expected, remedy=remedy + raised(limit, limits, value))
+        raise InputError(said, where=source, expected=expected, remedy=remedy + limit_remedy(limit, limits, value))
     return [said] if value >= named else []
 
 
-def unresolved(errors: Mapping[str, StepError], left: Mapping[str, float], readings: Mapping[str, str]) -> list[str]:
+def step_doubts(errors: Mapping[str, StepError], rmse: Mapping[str, float], readings: Mapping[str, str]) -> list[str]:
     """Channels in which the time steps' error is too large and at least half of the fit's residual (rms), in words;
     without `errors` the run with half the step failed. `readings`: units of channels neither poses nor forces."""
     if not errors:
         return ["with half the time step the simulation fails, so the error of the fit's time steps is not known"]
     found = []
     for channel, error in errors.items():
-        if error.large and error.rms > 0.5 * left[channel]:
-            off, rest = (shown(x, unit_of(channel, readings), 2) for x in (error.rms, left[channel]))
+        if error.large and error.rms > 0.5 * rmse[channel]:
+            off, rest = (shown(x, unit_of(channel, readings), 2) for x in (error.rms, rmse[channel]))
             found.append(f"the fit's time steps cause an error of {off} rms of {channel}, beside a residual of {rest}")
     return found
 

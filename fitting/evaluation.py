@@ -39,7 +39,7 @@ _ACCELERATED_COLUMNS = 256  # the same on an accelerator, where the time of a ca
 _ROUGH = 5e-4  # largest rms error of positions and lengths with the long steps of a search [m]
 _ROUGH_SHARE = 0.1  # largest error of other channels, as a share of their range
 _REMEMBERED = 4  # batches with derivatives that are cached
-_CLOUD = 96  # equilibria from which searches for equilibrium start
+_STARTS = 96  # equilibria from which searches for equilibrium start
 _COARSE_STEP, _FINE_STEP = 5e-3, 1e-2 / 6  # steps of searches and answers [s]: errors of 0.03 mm and 0.01 mm on the rig
 HALVINGS = 2  # most halvings of the answer's step for the nominal motion; `fitting.finish` may halve it further
 _EXACT = 1e-4  # largest rms error of positions and lengths by the answer's time steps [m]
@@ -188,7 +188,7 @@ class Evaluator:
         """Predictions and their derivatives for (N, p) parameters; the last few batches are cached."""
         theta = np.atleast_2d(np.asarray(theta, dtype=np.float64))
         for before, steps, prediction in self._recent:
-            if steps == substeps and len(rows := _rows_of(theta, before)) == len(theta):
+            if steps == substeps and len(rows := _matching_rows(theta, before)) == len(theta):
                 assert prediction.slopes is not None
                 return Prediction(prediction.values[rows], prediction.slopes[rows], prediction.usable[rows])
         prediction = self._in_chunks(theta, substeps, self.slope_chunk, slopes=True)
@@ -228,7 +228,7 @@ class Evaluator:
 
     def _in_chunks(self, theta: Floats, substeps: int, chunk: int, *, slopes: bool) -> Prediction:
         theta = np.atleast_2d(np.asarray(theta, dtype=np.float64))
-        self._cloud  # noqa: B018 (computed before the threads need it)
+        self._start_equilibria  # noqa: B018 (computed before the threads need it)
         width = self._call_width(chunk)
 
         def one(part: Floats) -> list[Any]:
@@ -260,17 +260,17 @@ class Evaluator:
 
     def guesses(self, theta: Floats) -> Pose:
         """Poses (N,) from which searches for equilibrium start: the nearest of the precomputed equilibria."""
-        where, poses = self._cloud
+        where, poses = self._start_equilibria
         distance = np.sum((self.parameters.share(theta)[:, None] - where[None]) ** 2, axis=-1)
         return _selected(poses, np.argmin(distance, axis=1))
 
     @cached_property
-    def _cloud(self) -> tuple[Floats, Pose]:
+    def _start_equilibria(self) -> tuple[Floats, Pose]:
         """Equilibria throughout the bounds: parameters as shares of their range (m, p), poses (m,); nominal first."""
         slopes = not self._without_slopes
         width = self._call_width(self.slope_chunk if slopes else self.chunk)
         start = jax.tree.map(lambda a: np.asarray(a)[None], self.scene.start)
-        members = self.parameters.scattered(_CLOUD, np.random.default_rng(_SEED))
+        members = self.parameters.scattered(_STARTS, np.random.default_rng(_SEED))
         members = np.concatenate([self.parameters.nominal[None], members])
         parts = [_filled(members[i : i + width], width) for i in range(0, len(members), width)]
 
@@ -306,7 +306,7 @@ def _selected(poses: Pose, which: NDArray[np.intp]) -> Pose:
     return jax.tree.map(lambda a: jnp.asarray(a[which], dtype=float), poses)
 
 
-def _rows_of(theta: Floats, among: Floats) -> list[int]:
+def _matching_rows(theta: Floats, among: Floats) -> list[int]:
     """Indices of the rows of `theta` among cached parameters; shorter than `theta` if some are missing."""
     at = {row.tobytes(): i for i, row in enumerate(among)}
     return [at[row.tobytes()] for row in theta if row.tobytes() in at]

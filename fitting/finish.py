@@ -48,22 +48,22 @@ def finished(search: Method, state: State, run: Callable[[Method], State]) -> tu
         return search, state
     theta = np.asarray(state["best_theta"])
     try:
-        problem = _weighed(problem, theta)
-        left = settle(problem.evaluator, lambda n: estimate_at(problem, theta, n)) if search.rough else 0.0
-        problem = _weighed(problem, theta)
-        resumed = run(LeastSquares(started_at(problem, theta), search.seed, near=True))
+        problem = _with_share(problem, theta)
+        remaining = shorten_steps(problem.evaluator, lambda n: estimate_at(problem, theta, n)) if search.rough else 0.0
+        problem = _with_share(problem, theta)
+        resumed = run(LeastSquares(with_nominal(problem, theta), search.seed, near=True))
     except KeyboardInterrupt:  # before there is an answer
         return search, {**state, "interrupted": True}
     if resumed["best_theta"] is None:
         return search, {**state, "stopped": "with shorter steps or reweighted measurements the simulation failed"}
     search.problem = replace(search.problem, objective=problem.objective)
-    state = _joined(state, resumed)
-    if left > _SETTLED:
+    state = _continued(state, resumed)
+    if remaining > _SETTLED:
         state["notes"] = [_UNSETTLED]
     return search, state
 
 
-def settle(
+def shorten_steps(
     evaluator: Evaluator | TrialsEvaluator,
     estimate: Callable[[int], NormalEstimate | None],
     tolerance: float = _SETTLED,
@@ -73,15 +73,16 @@ def settle(
 
     Returns the remaining change [nats], after the last halving extrapolated: the error of steps is of first order.
     """
-    left, halvings = change(estimate, evaluator.fine), int(np.log2(_MOST * evaluator.first / evaluator.fine))
-    while left > tolerance and halvings > 0:
+    halvings = int(np.log2(_MOST * evaluator.first / evaluator.fine))
+    remaining = halving_change(estimate, evaluator.fine)
+    while remaining > tolerance and halvings > 0:
         evaluator.fine *= 2
         halvings -= 1
-        left = change(estimate, evaluator.fine) if halvings else left / 4
-    return left
+        remaining = halving_change(estimate, evaluator.fine) if halvings else remaining / 4
+    return remaining
 
 
-def change(estimate: Callable[[int], NormalEstimate | None], substeps: int) -> float:
+def halving_change(estimate: Callable[[int], NormalEstimate | None], substeps: int) -> float:
     """Change of the estimate when steps are halved [nats]; 0 if a simulation fails, infinite if one of the two is not
     finite."""
     ours, theirs = (estimate(n) for n in (substeps, 2 * substeps))
@@ -91,7 +92,7 @@ def change(estimate: Callable[[int], NormalEstimate | None], substeps: int) -> f
     return ours.divergence(theirs) if finite else np.inf
 
 
-def _weighed(problem: Problem, theta: Floats) -> Problem:
+def _with_share(problem: Problem, theta: Floats) -> Problem:
     """The problem with the share of the likelihood that counts beside priors, if there are any."""
     if not problem.weighs_priors:
         return problem
@@ -167,13 +168,13 @@ def estimate_at(problem: Problem, theta: Floats, substeps: int) -> NormalEstimat
     return NormalEstimate.of(mean[asked], inverse_information(covariance))
 
 
-def started_at(problem: Problem, theta: Floats) -> Problem:
+def with_nominal(problem: Problem, theta: Floats) -> Problem:
     """The problem whose nominal parameters are these (p,)."""
     there = tuple(replace(p, nominal=float(t)) for p, t in zip(problem.parameters.items, theta, strict=True))
     return replace(problem, parameters=Parameters(there))
 
 
-def _joined(state: State, resumed: State) -> State:
+def _continued(state: State, resumed: State) -> State:
     """The state of a search, continued by another one."""
     before = {key: state[key] for key in ("iteration", "evaluations")}
     later = [{**entry, **{key: entry[key] + count for key, count in before.items()}} for entry in resumed["history"]]

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from fitting.channel_checks import Limits, misread
+from fitting.channel_checks import Limits, misread_channels
 from fitting.evaluation import Prediction
 from fitting.methods.problem import Problem, Request
 from fitting.programs import POSITION
-from fitting.trials import said_of_trials
+from fitting.trials import per_trial
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 
@@ -62,7 +62,7 @@ def _misread(problem: Problem, trials: Prediction, limits: Limits) -> list[str]:
     if not trials.usable.any():
         return []
     values, scenes = trials.values[trials.usable], problem.evaluator.scenes
-    return said_of_trials(scenes, problem.objective, lambda own, at: misread(own, values[:, at], limits))
+    return per_trial(scenes, problem.objective, lambda own, at: misread_channels(own, values[:, at], limits))
 
 
 def _judged(problem: Problem, trials: Prediction, nominal: Floats, effect: Floats, limits: Limits) -> list[str]:

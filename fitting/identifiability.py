@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from fitting.estimate import Estimate
 from fitting.evaluation import Evaluator
-from fitting.finish import NormalEstimate, settle
+from fitting.finish import NormalEstimate, shorten_steps
 from fitting.fit import SPRING_PARAMETERS, likelihood_of
 from fitting.methods.problem import Problem, refuse_moved_point
 from fitting.nuisance import Nuisance
@@ -141,8 +141,8 @@ def plan_experiment(
 
     def known(*trials: Any) -> Floats:
         """Information on the requested parameters from trials that each have their own differences."""
-        whole = sum((_of_the_mean(each, parameters, between) for each in trials), prior)
-        return _of_the_first(whole, asked)
+        whole = sum((_information_on_mean(each, parameters, between) for each in trials), prior)
+        return _marginal_information(whole, asked)
 
     bound = known(here)
     covariance = inverse_information(bound)
@@ -201,7 +201,7 @@ def _noise(channels: Sequence[str], units: Mapping[str, str], stated: Mapping[st
     return sigma
 
 
-def _of_the_mean(information: Floats, parameters: Parameters, varies: Mapping[str, float]) -> Floats:
+def _information_on_mean(information: Floats, parameters: Parameters, varies: Mapping[str, float]) -> Floats:
     """Information from one trial on the mean over trials (p, p), its own difference being estimated too."""
     at = [i for i, name in enumerate(parameters.names) if name in varies]
     if not at:
@@ -210,7 +210,7 @@ def _of_the_mean(information: Floats, parameters: Parameters, varies: Mapping[st
     return information - information[:, at] @ np.linalg.solve(own, information[at])
 
 
-def _of_the_first(information: Floats, asked: int) -> Floats:
+def _marginal_information(information: Floats, asked: int) -> Floats:
     """Information on the first parameters (asked, asked), the others being estimated too: Schur's complement."""
     a, b, d = information[:asked, :asked], information[:asked, asked:], information[asked:, asked:]
     return a - b @ inverse_information(d) @ b.T if len(d) else a
@@ -235,9 +235,9 @@ def _information(
         if not (found := _information_at(evaluator, parameters, noise, substeps)):
             return None
         scaled = (sum(found[c] for c in use) + prior) * np.outer(span, span)
-        return NormalEstimate.of(np.zeros(parameters.asked), _of_the_first(scaled, parameters.asked))
+        return NormalEstimate.of(np.zeros(parameters.asked), _marginal_information(scaled, parameters.asked))
 
-    settle(evaluator, estimate, _SETTLED)
+    shorten_steps(evaluator, estimate, _SETTLED)
     if not (found := _information_at(evaluator, parameters, noise, evaluator.fine)):
         raise InputError("the scene's motion cannot be simulated", where=scene.name, remedy="pftwin simulate")
     felt = np.sqrt(sum(np.diagonal(found[c]) for c in use)) * span

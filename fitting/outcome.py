@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from fitting.channel_checks import Limits, left_over, unresolved
+from fitting.channel_checks import Limits, step_doubts, unexplained
 from fitting.estimate import Estimate, FittedTrial
 from fitting.evaluation import Prediction, StepError
 from fitting.methods.problem import Method, Problem, State
@@ -17,7 +17,7 @@ from fitting.objective import Objective
 from fitting.programs import ORIENTATION, POSITION, TURNS
 from fitting.sensors import noise_beside
 from fitting.time_shift import TimeShift, late_channels, time_shifts
-from fitting.trials import said_of_trials, trial_names
+from fitting.trials import per_trial, trial_names
 from fitting.uncertainty import relative, sizes, uncertainty
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError, PftwinError
@@ -170,8 +170,8 @@ def estimate_of(
         late += late_channels(named, own.source, limits)
         shifts |= named
     noise = None if target.noise is None else noise_beside(target.noise, nuisance, target)
-    left = said_of_trials(scenes, target, lambda own, rows: left_over(own, r[rows], limits, noise, doubts))
-    moved = [s.change for s in shifts.values() if s.beyond(limits["shift"][0])]
+    left = per_trial(scenes, target, lambda own, rows: unexplained(own, r[rows], limits, noise, doubts))
+    moved = [s.change for s in shifts.values() if s.exceeds(limits["shift"][0])]
     draws = found.draws
     if draws is not None:
         random = np.random.default_rng(found.facts["seed"])
@@ -209,7 +209,7 @@ def estimate_of(
         kinds=tuple(p.kind for p in parameters.items),
         varies=parameters.varies,
         differences=parameters.differences,
-        doubts=[*doubts, *late, *left, *found.doubts, *unresolved(found.steps, rmse, target.readings)],
+        doubts=[*doubts, *late, *left, *found.doubts, *step_doubts(found.steps, rmse, target.readings)],
         time_shifts={channel: (s.seconds, s.deviation) for channel, s in shifts.items() if not s.at_least},
         coordinates=parameters.coordinates,
         substeps=found.substeps,

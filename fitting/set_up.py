@@ -59,7 +59,7 @@ class SetUp(NamedTuple):
         return {**self._asdict(), "nuisance": asdict(self.nuisance)}
 
     @staticmethod
-    def restored(facts: Mapping[str, Any]) -> SetUp:
+    def from_dict(facts: Mapping[str, Any]) -> SetUp:
         """The set-up from plain values. Raises KeyError, TypeError or IndexError if they are none."""
         held: dict[str, Any] = {key: facts[key] for key in SetUp._fields if key != "varies"}
         held |= {key: tuple(facts[key]) for key in ("free", "channels", "frames")}
@@ -74,8 +74,8 @@ class SetUp(NamedTuple):
     def check_frames(self, scenes: Sequence[Scene], where: str) -> None:
         """Raises InputError for another number of trials or frames."""
         if (found := tuple(scene.motion.times.size for scene in scenes)) != self.frames:
-            expected = f"{listed(self.frames)}, as it was set up for"
-            raise InputError(f"{listed(found)} frames", where=where, expected=expected)
+            expected = f"{comma_list(self.frames)}, as it was set up for"
+            raise InputError(f"{comma_list(found)} frames", where=where, expected=expected)
 
     def objective(self, scenes: Sequence[Scene], measured: Sequence[Measured]) -> Objective:
         """The measurements of such scenes. Raises InputError for another number of frames, a channel that was not
@@ -101,7 +101,7 @@ def from_nominal(problem: Problem, substeps: int, others: Floats) -> tuple[Objec
     return held, Prediction(prediction.values[1:], None, prediction.usable[1:])
 
 
-def bridged(problem: Problem, held: Objective, wanted: NDArray[np.bool_]) -> Rows:
+def relative_measurements(problem: Problem, held: Objective, wanted: NDArray[np.bool_]) -> Rows:
     """Measurements (n, m) relative to the nominal knee's motion, interpolated over gaps; zero where not `wanted`.
     Raises InputError if too much is missing."""
     target = problem.objective
@@ -134,6 +134,6 @@ def widened_in_words(free: Sequence[str], factors: Sequence[float]) -> str:
     return f"; widened by a calibration: {more} times" if more else ""
 
 
-def listed(numbers: Sequence[int]) -> str:
+def comma_list(numbers: Sequence[int]) -> str:
     """The numbers, separated by commas."""
     return ", ".join(str(n) for n in numbers)

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from fitting.channel_checks import Limits, raised
+from fitting.channel_checks import Limits, limit_remedy
 from fitting.objective import Objective
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
@@ -43,7 +43,7 @@ class TimeShift(NamedTuple):
     change: Floats  # (p,) change of the parameters if the shift were removed
     at_least: bool = False  # whether it is the largest shift searched: then it may be larger, without a deviation
 
-    def beyond(self, limit: float) -> bool:
+    def exceeds(self, limit: float) -> bool:
         """Whether the shift surely exceeds a limit [s], is known well, and explains enough of the residuals."""
         sure = abs(self.seconds) - 2 * self.deviation > limit and self.deviation < 0.25 * limit
         return sure and self.explained >= self.enough
@@ -72,7 +72,7 @@ def late_channels(shifts: Mapping[str, TimeShift], source: str, limits: Limits) 
     the measurements cannot be of this motion."""
     said = []
     for channel, s in shifts.items():
-        if not s.beyond(limits["shift"][0]):
+        if not s.exceeds(limits["shift"][0]):
             continue
         size = f"{1e3 * abs(s.seconds):.0f} ms"
         size = f"at least {size}" if s.at_least else f"{size} (+- {2e3 * s.deviation:.1f})"
@@ -82,12 +82,13 @@ def late_channels(shifts: Mapping[str, TimeShift], source: str, limits: Limits) 
             words += ", or a model error looks like it"
         elif s.seconds > 0:
             words += ", of which friction in the joint can be a part"
-        if not s.at_least and s.beyond(limits["shift"][1]):
+        if not s.at_least and s.exceeds(limits["shift"][1]):
             raise InputError(
                 words,
                 where=source,
                 expected=f"less than {1e3 * limits['shift'][1]:g} ms, by the limit 'shift'",
-                remedy=f"move its times by {-1e3 * s.seconds:+.0f} ms; or {raised('shift', limits, abs(s.seconds))}",
+                remedy=f"move its times by {-1e3 * s.seconds:+.0f} ms; or "
+                + limit_remedy("shift", limits, abs(s.seconds)),
             )
         said.append(words)
     return said
@@ -139,7 +140,7 @@ class _Whitened(NamedTuple):
         """Change of the parameters (p,) that minimises whitened residuals."""
         return np.asarray(-np.linalg.lstsq(self.root, self.q.T @ z, rcond=None)[0], dtype=np.float64)
 
-    def left(self, z: Floats) -> Floats:
+    def unexplained(self, z: Floats) -> Floats:
         """What a change of the parameters cannot explain (n - 1, m)."""
         return (z - self.q @ (self.q.T @ z)).reshape(self.pairs.shape)
 
@@ -155,7 +156,7 @@ def _shift(fit: _Fitted, columns: slice, rows: slice, largest: float) -> TimeShi
     if freedom <= 0 or not model.pairs[:, rows].any():
         return None
     for _ in range(_ROUNDS):
-        squares = np.array([np.sum(model.left(model.residuals(fit.residuals(columns, s))) ** 2) for s in grid])
+        squares = np.array([np.sum(model.unexplained(model.residuals(fit.residuals(columns, s))) ** 2) for s in grid])
         best = int(np.argmin(squares))
         used, r = model, fit.residuals(columns, grid[best])
         at_end = best in (0, len(grid) - 1)
@@ -171,7 +172,7 @@ def _shift(fit: _Fitted, columns: slice, rows: slice, largest: float) -> TimeShi
         seconds += float(0.5 * (below - above) / (h * curvature))
         deviation = float(np.sqrt(2 * least / freedom / curvature))
     one, other = used.residuals(unshifted), used.residuals(r)
-    before, after = (float(np.sum(used.left(z)[:, rows] ** 2)) for z in (one, other))
+    before, after = (float(np.sum(used.unexplained(z)[:, rows] ** 2)) for z in (one, other))
     late = EXPLAINED[rows.stop - rows.start == 1]
     explained, enough = 1 - after / max(before, 1e-300), late if at_end or seconds > 0 else EARLY
     if at_end and (largest < _SHORT or explained < enough):

@@ -28,7 +28,7 @@ from fitting.methods.problem import Problem
 from fitting.nuisance import Nuisance
 from fitting.objective import Objective
 from fitting.outcome import Outcome, estimate_of, judge
-from fitting.set_up import SetUp, bridged, from_nominal, listed, refuse_weights, widened_in_words
+from fitting.set_up import SetUp, comma_list, from_nominal, refuse_weights, relative_measurements, widened_in_words
 from fitting.trials import Recordings, Scenes, trials_of
 from pftwin.base.arrays import Floats, Rows
 from pftwin.base.errors import InputError
@@ -144,7 +144,7 @@ class TrainedPosterior:
         off = self._set_up_error(held, prediction)
         said = f"in this motion and set-up the error of the trained posterior is {off.max():.2g} standard deviations"
         doubts = bounded("set_up", float(off.max()), said, source, limits)
-        recording = bridged(problem, held, self.present)
+        recording = relative_measurements(problem, held, self.present)
         wider = np.hypot(1.0, off) * (self.widened or 1.0)
         answer = self.learned.answer(recording, DRAWS, np.random.default_rng(self.seed), wider)
         said = f"the part of them that no simulation explains is {answer.level:.2g} times the training noise"
@@ -178,8 +178,8 @@ class TrainedPosterior:
         """Which recordings it answers, and from what it was learned."""
         s = self.set_up
         return (
-            f"answers recordings of {listed(s.frames)} frames of {s.scene_name}, by {', '.join(s.channels)}; learned "
-            f"from {self.simulations - self.dropped:,} simulations in {self.seconds:.0f} s"
+            f"answers recordings of {comma_list(s.frames)} frames of {s.scene_name}, by {', '.join(s.channels)}; "
+            f"learned from {self.simulations - self.dropped:,} simulations in {self.seconds:.0f} s"
             + widened_in_words(s.free, self.widened)
             + "".join(f"; INVALID: {doubt}" for doubt in self.doubts)
         )
@@ -224,7 +224,7 @@ class TrainedPosterior:
             facts = json.loads(str(held["facts"]))
             if facts["format"] != FORMAT:
                 raise ValueError(f"its format is {facts['format']!r}")
-            set_up = SetUp.restored(facts)
+            set_up = SetUp.from_dict(facts)
             noise = Noise(held["deviations"], held["correlations"], facts["span"])
             summaries = Summaries(*(held[f"summaries_{key}"] for key in Summaries._fields))
             probes = Probes(*(held[f"probes_{key}"] for key in Probes._fields))

@@ -25,7 +25,7 @@ from fitting.objective import SPRINGS, Objective
 from fitting.parameters import Bounds
 from fitting.programs import POSITION
 from fitting.sensors import sensed
-from fitting.set_up import SetUp, bridged, from_nominal, refuse_weights
+from fitting.set_up import SetUp, from_nominal, refuse_weights, relative_measurements
 from fitting.trained import Probes, TrainedPosterior
 from fitting.trials import free_in_trials, objective_of, trials_of
 from pftwin.base.arrays import Floats, Rows
@@ -88,7 +88,7 @@ def train_posterior(
     held, prediction = from_nominal(problem, substeps, probed)
     probes = Probes(probed[prediction.usable], held.residuals(prediction.values[prediction.usable]).astype(np.float32))
     check_enough(len(probes.theta), _PROBES, problem)
-    first = bridged(problem, held, held.present)
+    first = relative_measurements(problem, held, held.present)
     drawn = region.drawn(simulations, random)
     theta, recordings = _simulated(problem, held, extra, drawn, substeps, random, progress)
     check_enough(len(theta), simulations, problem)

@@ -72,13 +72,13 @@ def trial_names(scenes: Sequence[Scene]) -> list[str]:
     return found
 
 
-def said_of_trials(
-    scenes: Sequence[Scene], objective: Objective, say: Callable[[Objective, slice], list[str]]
+def per_trial(
+    scenes: Sequence[Scene], objective: Objective, check_trial: Callable[[Objective, slice], list[str]]
 ) -> list[str]:
-    """Statements of a check `say(objective, frames)` about each trial, with its name if there are several."""
+    """Statements of `check_trial(objective, frames)` about each trial, with its name if there are several."""
     names, found = trial_names(scenes), []
     for name, own, rows in zip(names, objective.trials, objective.frames, strict=True):
-        found += [said if len(names) == 1 else f"{said} (in {name})" for said in say(own, rows)]
+        found += [said if len(names) == 1 else f"{said} (in {name})" for said in check_trial(own, rows)]
     return found
 
 
@@ -122,7 +122,7 @@ def check_channels(scenes: Sequence[Scene], channels: Sequence[str]) -> None:
             raise InputError(found, where="trials", expected=f"effects of the same names; here {', '.join(known)}")
 
 
-def frames_of(lengths: Sequence[int]) -> tuple[slice, ...]:
+def rows_of_trials(lengths: Sequence[int]) -> tuple[slice, ...]:
     """Rows of each trial in the joined recording."""
     starts = np.cumsum([0, *(n + 1 for n in lengths[:-1])]).tolist()
     return tuple(slice(start, start + n) for start, n in zip(starts, lengths, strict=True))
@@ -145,7 +145,7 @@ def free_in_trials(
         prepared, there = with_nuisance(scene, names, dict.fromkeys(names, _ANY), None, nuisance)
         found.append(prepared)
         _check_ties(own, first, prepared)
-        free.append(_shared(own, there, len(found), varies or {}))
+        free.append(_with_values_of_first(own, there, len(found), varies or {}))
     free[0] = with_differences(first, own, varies or {}, trial_names(scenes))
     return found, free
 
@@ -159,7 +159,7 @@ def _check_ties(own: Parameters, first: Scene, scene: Scene) -> None:
             raise InputError(found, where="trials", expected="numbers that trials share")
 
 
-def _shared(first: Parameters, own: Parameters, number: int, varies: Mapping[str, float]) -> Parameters:
+def _with_values_of_first(first: Parameters, own: Parameters, number: int, varies: Mapping[str, float]) -> Parameters:
     """Free parameters of trial `number`, with the first's values, bounds and priors; coordinates are shifted."""
     here, there = ({p.place.name: p for p in both.items} for both in (first, own))
     if here.keys() != there.keys():
@@ -232,7 +232,7 @@ def joined_objective(trials: Sequence[Objective]) -> Objective:
     pose = [c for c in (POSITION, ORIENTATION) if any(c in t.channels for t in trials)]
     channels = tuple(dict.fromkeys([*pose, *(c for t in trials for c in t.channels)]))
     lengths, sources = [len(t.measured) for t in trials], tuple(t.source for t in trials)
-    frames, column_channel = frames_of(lengths), channel_of_columns(channels)
+    frames, column_channel = rows_of_trials(lengths), channel_of_columns(channels)
     measured = np.full((frames[-1].stop, sum(channel_widths(channels))), np.nan)
     present = np.zeros((frames[-1].stop, len(channels)), bool)
     for trial, rows in zip(trials, frames, strict=True):

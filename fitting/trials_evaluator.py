@@ -10,7 +10,7 @@ import numpy as np
 
 from fitting.evaluation import Evaluator, Prediction, StepError
 from fitting.parameters import weights_in
-from fitting.trials import frames_of
+from fitting.trials import rows_of_trials
 from pftwin.base.arrays import Floats
 from pftwin.model.scene import Scene
 
@@ -84,7 +84,7 @@ class TrialsEvaluator:
     def gradients(self, theta: Floats, substeps: int, pulls: Floats) -> Floats:
         """As `Evaluator.gradients`."""
         lengths = [len(scene.motion.times) for scene in self.scenes]
-        parts = zip(self._each(theta, substeps), frames_of(lengths), self._weights, strict=True)
+        parts = zip(self._each(theta, substeps), rows_of_trials(lengths), self._weights, strict=True)
         return np.sum([e.gradients(at, steps, pulls[:, rows]) @ w for (e, at, steps), rows, w in parts], axis=0)
 
     def step_errors(self, theta: Floats, substeps: int, *, slopes: bool = True) -> dict[str, StepError]:

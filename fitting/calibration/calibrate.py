@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from fitting.calibration.laboratory import Laboratory
-from fitting.calibration.operations import OUTCOMES, Operated, Operation
-from fitting.calibration.plants import PLANTS, Knee, Maker, Plant, PlantMotion, check_truth, run, truth_of
+from fitting.calibration.operations import OUTCOMES, Operation, OperationOutcome
+from fitting.calibration.plants import PLANTS, Knee, Maker, Plant, PlantMotion, check_truth, simulate_plants, truth_of
 from fitting.calibration.quick_fit import interval_draws
 from fitting.calibration.result import Answers, Calibration, Plans
 from fitting.channel_checks import limits_of
@@ -94,11 +94,11 @@ def calibrate(
     for index, (kind, make) in enumerate(made.items()):
         random = np.random.default_rng([seed, index, _OWN_STREAM])
         members = [plant_in_trials(make, knees, random) for _ in range(plants)]
-        found[kind], operated = calibrator.answers(members, random, partial(progress, kind) if progress else None)
+        found[kind], operations = calibrator.answers(members, random, partial(progress, kind) if progress else None)
         if operation is not None:
-            optional["predictions"][kind] = Answers.of_predictions(operated, OUTCOMES)
+            optional["predictions"][kind] = Answers.of_predictions(operations, OUTCOMES)
         if operation is not None and operation.limits:
-            optional["plans"][kind] = Plans.of(operated, operation.confidence)
+            optional["plans"][kind] = Plans.of(operations, operation.confidence)
     asked = parameters[0]
     words = operation.describe() if operation is not None else ""
     seconds = time.perf_counter() - began
@@ -134,14 +134,14 @@ class _Calibrator(NamedTuple):
 
     def answers(
         self, plants: list[list[Plant]], random: np.random.Generator, progress: Callable[[int, int], None] | None
-    ) -> tuple[Answers, list[Operated]]:
+    ) -> tuple[Answers, list[OperationOutcome]]:
         """Answers for plants of one kind, in every trial, and predictions for those answered without a doubt."""
         parameters = self.knees[0].parameters
         check_truth(plants[0][0], parameters)
         rows: list[tuple[Floats, Floats, bool]] = []
-        dropped, refused, operated = 0, 0, []
+        dropped, refused, operations = 0, 0, []
         differing = [with_differences(plant, self.items, random) for plant in plants]
-        simulated = zip(*(run(in_one) for in_one in zip(*differing, strict=True)), strict=True)
+        simulated = zip(*(simulate_plants(in_one) for in_one in zip(*differing, strict=True)), strict=True)
         for i, (plant, own, each) in enumerate(zip(plants, differing, simulated, strict=True)):
             if progress is not None:
                 progress(i, len(plants))
@@ -159,8 +159,8 @@ class _Calibrator(NamedTuple):
             rows.append((truth, draws, bool(doubts)))
             if self.operation is not None and estimate is not None and not doubts:
                 (further,) = with_differences(plant[:1], self.items, random)  # predictions are of a further trial
-                operated.append(self.operation.on(further.scene, recorded[0], estimate))
-        return Answers.of(rows, dropped, refused, parameters.asked), operated
+                operations.append(self.operation.on(further.scene, recorded[0], estimate))
+        return Answers.of(rows, dropped, refused, parameters.asked), operations
 
     def _recorded(
         self, plant: list[Plant], motions: list[PlantMotion], random: np.random.Generator

@@ -80,7 +80,7 @@ class Operation:
         places_of(self.treatment, self.ranges or ())
         self.treatment(scene)
 
-    def on(self, plant: Scene, recorded: Scene, estimate: Fitted) -> Operated:
+    def on(self, plant: Scene, recorded: Scene, estimate: Fitted) -> OperationOutcome:
         """Predicts the treatment for the knee as recorded, and simulates it in the plant.
 
         If this knee cannot have it, there is no plan and no prediction; a plant that cannot be treated as planned is
@@ -99,19 +99,19 @@ class Operation:
                 treatment, met = plan.treatment, plan.met
             predicted = predict(recorded, treatment, estimate, samples=self.samples)
         except PftwinError:
-            return Operated(_UNKNOWN, np.zeros((0, len(OUTCOMES))), False if self.limits else None, None, 0.0)
+            return OperationOutcome(_UNKNOWN, np.zeros((0, len(OUTCOMES))), False if self.limits else None, None, 0.0)
         draws = np.stack([in_si(predicted[name])[0, 1:] for name in OUTCOMES], axis=1)
         run = np.isfinite(draws).all(axis=1)
         try:
             treated = predict(plant, treatment)
         except PftwinError:
-            return Operated(_UNKNOWN, draws[run], met, met and False, float(run.mean()))
+            return OperationOutcome(_UNKNOWN, draws[run], met, met and False, float(run.mean()))
         truth = np.array([in_si(treated[name])[0] for name in OUTCOMES])
         safe = met and bool(smallest_margin(treated, self.limits)[0] >= 0)
-        return Operated(truth, draws[run], met, safe, float(run.mean()))
+        return OperationOutcome(truth, draws[run], met, safe, float(run.mean()))
 
 
-class Operated(NamedTuple):
+class OperationOutcome(NamedTuple):
     """Outcomes of one plant's treatment, true and predicted."""
 
     truth: Floats  # (outcomes,)

@@ -172,7 +172,7 @@ class PlantMotion(NamedTuple):
         return {name: force for name, force in found.items() if force is not None}
 
 
-def run(plants: Sequence[Plant]) -> list[PlantMotion | None]:
+def simulate_plants(plants: Sequence[Plant]) -> list[PlantMotion | None]:
     """Motion of each plant; None if it could not be simulated. Raises InputError for scenes that fail `check`."""
     found = simulate_batch(
         [plant.scene for plant in plants],

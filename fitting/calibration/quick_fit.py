@@ -20,7 +20,7 @@ from fitting.nuisance import Nuisance
 from fitting.objective import SPRINGS
 from fitting.parameters import Bounds
 from fitting.programs import POSITION
-from fitting.set_up import SetUp, listed, refuse_weights, widened_in_words
+from fitting.set_up import SetUp, comma_list, refuse_weights, widened_in_words
 from fitting.trials import free_in_trials, objective_of, trials_of
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
@@ -137,7 +137,7 @@ class QuickFit:
     def sentence(self) -> str:
         """What is fitted, and by which method."""
         s = self.set_up
-        said = f"fits by {self.method} of {listed(s.frames)} frames of {s.scene_name}, by {', '.join(s.channels)}"
+        said = f"fits by {self.method} of {comma_list(s.frames)} frames of {s.scene_name}, by {', '.join(s.channels)}"
         return said + widened_in_words(s.free, self.widened)
 
     def save(self, path: str | os.PathLike[str]) -> Path:
@@ -162,7 +162,7 @@ class QuickFit:
         try:
             if facts.get("format") != FORMAT:
                 raise ValueError(f"its format is {facts.get('format')!r}")
-            set_up, method = SetUp.restored(facts["set_up"]), str(facts["method"])
+            set_up, method = SetUp.from_dict(facts["set_up"]), str(facts["method"])
             measured = tuple(tuple(map(str, channels)) for channels in facts["measured"])
             nominal, widened = (tuple(map(float, facts[key])) for key in ("nominal", "widened"))
             plants = {kind: int(count) for kind, count in facts["plants"].items()}

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import binomtest
 
-from fitting.calibration.operations import OUTCOMES, Operated
+from fitting.calibration.operations import OUTCOMES, OperationOutcome
 from fitting.prediction.outcomes import MEASURES
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
@@ -59,7 +59,7 @@ class Answers(NamedTuple):
         )
 
     @staticmethod
-    def of_predictions(rows: Sequence[Operated], names: Sequence[str]) -> Answers:
+    def of_predictions(rows: Sequence[OperationOutcome], names: Sequence[str]) -> Answers:
         """For outcomes after a treatment, where one was found. Plants without outcomes count as dropped, and those of
         which most draws cannot be simulated as doubted."""
         treated = [row for row in rows if row.met is not False]
@@ -163,7 +163,7 @@ class Plans(NamedTuple):
     confidence: float
 
     @staticmethod
-    def of(rows: Sequence[Operated], confidence: float) -> Plans:
+    def of(rows: Sequence[OperationOutcome], confidence: float) -> Plans:
         """Counts the plans of all plants."""
         found = [row.safe for row in rows if row.met]
         return Plans(sum(bool(s) for s in found), len(found), len(rows), confidence)

@@ -147,7 +147,7 @@ def optimise(
     terminal.check_outputs(output, json)
     terminal.start_computing(batches=True)
     treatment, ranges = treatment_within(amounts)
-    from fitting.prediction.predicting import reservations
+    from fitting.prediction.predicting import caveats
     from fitting.treatments.limits import Limit, in_units
     from fitting.treatments.optimise import optimise_treatment
 
@@ -168,7 +168,7 @@ def optimise(
             progress=terminal.told_by(shown),
         )
 
-    notes = reservations(found, chosen.scene.synthetic)
+    notes = caveats(found, chosen.scene.synthetic)
     facts = {"scene": chosen.scene.name, **plan.to_dict(), "notes": notes}
     files = [] if output is None else [output]
     for path in files:

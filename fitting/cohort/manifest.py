@@ -123,7 +123,7 @@ class Failure:
 
 
 @dataclass(frozen=True)
-class Announced:
+class SummaryChecksums:
     """Checksums of the summary, which is written after the manifest: at any moment its file matches one of them."""
 
     sha256: str
@@ -145,7 +145,7 @@ class Manifest:
     cohort: str
     files: dict[Annotated[str, AfterValidator(_checked_name)], Entry]  # by name in the cohort's folder
     failures: dict[str, Failure]  # by patient
-    summary: Announced | None
+    summary: SummaryChecksums | None
 
     def record(self, unit: Unit, folder: Path, seconds: float) -> None:
         """Records a unit whose file has been written. Raises OSError if it cannot be read."""

@@ -66,7 +66,7 @@ class Pace:
 
 
 @dataclass
-class Outcome:
+class PatientOutcome:
     """Outcome of one patient."""
 
     patient: str
@@ -82,12 +82,12 @@ class CohortReport:
     """Outcomes of all patients."""
 
     folder: Path
-    outcomes: list[Outcome]
+    outcomes: list[PatientOutcome]
     unwritten: dict[str, str] = field(default_factory=dict)  # why the manifest or summary could not be written
     seconds: float = 0.0
 
     @property
-    def failed(self) -> list[Outcome]:
+    def failed(self) -> list[PatientOutcome]:
         """Patients without all of their results."""
         return [o for o in self.outcomes if o.failure is not None]
 

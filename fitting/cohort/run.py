@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from fitting.cohort.description import Cohort, Patient
 from fitting.cohort.folder import check_room, opened
 from fitting.cohort.manifest import PATIENTS, Failure, Manifest, Unit, units_of
-from fitting.cohort.report import CohortProgress, CohortReport, Outcome, Pace
+from fitting.cohort.report import CohortProgress, CohortReport, Pace, PatientOutcome
 from fitting.cohort.summary import SummaryFile, require_pyarrow, write_store
 from pftwin.base.errors import InputError, PftwinError
 
@@ -33,7 +33,7 @@ class Work:
         self.cohort = cohort
         self._last: tuple[Patient, Scene] | None = None  # a patient's units follow each other
 
-    def about(self, patient: Patient) -> dict[str, Any]:
+    def scene_facts(self, patient: Patient) -> dict[str, Any]:
         """The scene's name (`scene`), and whether its motion or measurements are synthetic (`synthetic`, 0 or 1)."""
         scene = self._scene(patient)
         measured = scene.measured is not None and scene.measured.synthetic
@@ -67,7 +67,7 @@ class Work:
         variants = [combinations(amounts) for amounts in self.cohort.treatments]
         scene = self._scene(patient)
         data = predict(scene, variants, estimate, progress=lambda done, of: tell(done / max(of, 1)), **settings)
-        if bool(data["failed"].all()):
+        if bool(data["failed"].run()):
             raise InputError(main_finding(data), where=patient.name, remedy="pftwin simulate, which says more")
         return data
 
@@ -118,7 +118,7 @@ def run_cohort(
     require_pyarrow()
     place = Path(cohort.output if folder is None else folder)
     with opened(place, cohort.name, resume=resume) as manifest:
-        return _CohortRun(cohort, place, manifest, work or Work(cohort), progress or (lambda _: None)).all()
+        return _CohortRun(cohort, place, manifest, work or Work(cohort), progress or (lambda _: None)).run()
 
 
 class _CohortRun:
@@ -128,22 +128,22 @@ class _CohortRun:
         self, cohort: Cohort, folder: Path, manifest: Manifest, work: Work, tell: Callable[[CohortProgress], None]
     ) -> None:
         self.cohort, self.folder, self.manifest, self.work, self.tell = cohort, folder, manifest, work, tell
-        self.outcomes = {p.name: Outcome(p.name) for p in cohort.patients}
+        self.outcomes = {p.name: PatientOutcome(p.name) for p in cohort.patients}
         self.report = CohortReport(folder, list(self.outcomes.values()))
         self.summary = SummaryFile(cohort, folder, manifest)
 
-    def all(self) -> CohortReport:
+    def run(self) -> CohortReport:
         """Plans the units, runs those that are missing, and writes the summary after every patient."""
         began = time.perf_counter()
         missing = self._plan()
         self.pace = Pace(missing)
         for patient in self.cohort.patients:
             if units := [u for u in missing if u.patient == patient.name]:
-                self._patient(patient, units)
-                self._summarised()
+                self._run_patient(patient, units)
+                self._write_summary()
         for outcome in self.outcomes.values():
             outcome.status = "failed" if outcome.failure else "done"
-        self._summarised()
+        self._write_summary()
         self.report.seconds = time.perf_counter() - began
         return self.report
 
@@ -153,7 +153,7 @@ class _CohortRun:
         self.manifest.failures.clear()
         for patient in self.cohort.patients:
             outcome = self.outcomes[patient.name]
-            with self._caught(outcome, "files"):
+            with self._failures_recorded(outcome, "files"):
                 units = units_of(self.cohort, patient)
                 lacking = [u for u in units if not self.manifest.holds(u, self.folder)]
                 if lacking and lacking[-1] is not units[-1]:
@@ -161,30 +161,30 @@ class _CohortRun:
                 outcome.kept = len(units) - len(lacking)
                 missing += lacking
                 if not lacking:
-                    self._take(outcome, units[-1])
+                    self._read_store(outcome, units[-1])
         return missing
 
-    def _patient(self, patient: Patient, units: list[Unit]) -> None:
+    def _run_patient(self, patient: Patient, units: list[Unit]) -> None:
         """Runs a patient's units in turn until one fails."""
         outcome = self.outcomes[patient.name]
         for unit in units:
-            with self._caught(outcome, unit.kind):
-                self._unit(patient, unit)
+            with self._failures_recorded(outcome, unit.kind):
+                self._run_unit(patient, unit)
                 outcome.computed += 1
-            with self._noted("manifest"):
+            with self._write_errors_reported("manifest"):
                 self.manifest.save(self.folder)
             self.tell(self.pace.ended(unit, outcome.failure))
             if outcome.failure is not None:
                 return
-        with self._caught(outcome, "summary"):
-            self._take(outcome, units[-1])
+        with self._failures_recorded(outcome, "summary"):
+            self._read_store(outcome, units[-1])
 
-    def _take(self, outcome: Outcome, unit: Unit) -> None:
+    def _read_store(self, outcome: PatientOutcome, unit: Unit) -> None:
         """Reads a completed patient's store. Raises InputError if it is not one."""
-        self.summary.take(outcome.patient, unit)
+        self.summary.read(outcome.patient, unit)
         outcome.at_bounds = tuple(self.summary.rows[outcome.patient][0].get("at_bounds", "").split())
 
-    def _unit(self, patient: Patient, unit: Unit) -> None:
+    def _run_unit(self, patient: Patient, unit: Unit) -> None:
         """Computes a unit, writes its file and records it in the manifest. Raises PftwinError if it cannot be computed
         or written."""
         began = time.perf_counter()
@@ -203,7 +203,7 @@ class _CohortRun:
 
                 fitted = Estimate.load(self.folder / PATIENTS / f"{unit.patient}.fit.json")
             prediction = self.work.predict(patient, fitted, tell)
-            about = self.work.about(patient)
+            about = self.work.scene_facts(patient)
             self._check_inputs(patient, unit)
             write_store(path, unit, about, fitted, prediction)
         self.manifest.record(unit, self.folder, time.perf_counter() - began)
@@ -213,13 +213,13 @@ class _CohortRun:
         if unit.key not in [u.key for u in units_of(self.cohort, patient)]:
             raise InputError("its files changed while it was computed", where=patient.name, remedy="--resume")
 
-    def _summarised(self) -> None:
+    def _write_summary(self) -> None:
         self.manifest.failures = {o.patient: o.failure for o in self.outcomes.values() if o.failure}
-        with self._noted("summary"):
+        with self._write_errors_reported("summary"):
             self.summary.write(self.manifest.failures)
 
     @contextmanager
-    def _caught(self, outcome: Outcome, stage: str) -> Iterator[None]:
+    def _failures_recorded(self, outcome: PatientOutcome, stage: str) -> Iterator[None]:
         """Records a patient's failure; Ctrl-C is not caught."""
         try:
             yield
@@ -232,7 +232,7 @@ class _CohortRun:
             self.manifest.failures[outcome.patient] = outcome.failure
 
     @contextmanager
-    def _noted(self, what: str) -> Iterator[None]:
+    def _write_errors_reported(self, what: str) -> Iterator[None]:
         """Reports why the manifest or the summary could not be written, unless a later write succeeds."""
         self.report.unwritten.pop(what, None)
         try:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from fitting.cohort.description import Cohort
-from fitting.cohort.manifest import SUMMARY, Announced, Failure, Manifest, Unit, file_digest, versions
+from fitting.cohort.manifest import SUMMARY, Failure, Manifest, SummaryChecksums, Unit, file_digest, versions
 from fitting.programs import unit_of
 from pftwin.base.errors import MissingExtraError
 from pftwin.base.output import written_whole
@@ -192,7 +192,7 @@ class SummaryFile:
         self.rows: dict[str, list[Row]] = {}
         self.units: Units = {}
 
-    def take(self, patient: str, unit: Unit) -> None:
+    def read(self, patient: str, unit: Unit) -> None:
         """Reads a patient's store. Raises InputError if it is not one."""
         self.rows[patient], units = rows_of(self.folder / unit.file)
         self.units |= units
@@ -210,7 +210,7 @@ class SummaryFile:
         content = table(rows, self.units, {"cohort": self.cohort.name, **versions()})
         path, digest = self.folder / SUMMARY, hashlib.sha256(content).hexdigest()
         there = file_digest(path) if path.is_file() else None
-        self.manifest.summary = Announced(digest, there)
+        self.manifest.summary = SummaryChecksums(digest, there)
         self.manifest.save(self.folder)
         if there == digest:
             return

@@ -68,7 +68,7 @@ def predict_motion(
     check_draws(samples, estimate)
     if samples < 1:
         raise InputError("no draws", where="samples", expected="at least 1: bands are made of them")
-    left = _left_of(estimate)
+    rms = _residual_deviations(estimate)
     thetas = estimate_and_draws(estimate, samples, seed)[:, : estimate.shared]
     measured = scene.measured if measured is None else measured
     if measured is not None:
@@ -94,19 +94,19 @@ def predict_motion(
     lost = int((~good[1:]).sum())
     if verdict == "valid" and lost > MOST_FAILED * samples:
         verdict = f"INVALID: {lost} of {samples} draws have an INVALID motion"
-    each = (f"{name} {value:.2g} {unit}" for (name, (unit, _)), value in zip(COORDINATES.items(), left, strict=True))
+    each = (f"{name} {value:.2g} {unit}" for (name, (unit, _)), value in zip(COORDINATES.items(), rms, strict=True))
     kind = "SD" if estimate.values_compared else "rms"
     notes = [f"{samples} draws, and the residuals of the fit: {', '.join(each)} ({kind})"]
     notes += [f"{lost} draws without a valid motion omitted"] if lost else []
     notes += synthetic_parts(estimate, scene.synthetic or (measured is not None and measured.synthetic))
-    low, high = _band(paths[1:][good[1:]], paths[0], left)
+    low, high = _band(paths[1:][good[1:]], paths[0], rms)
     observed, compared = _measured_path(measured, paths[0])
     ends = (low, high, observed, compared, verdict, tuple(notes), estimate.objection)
     label = "measured" if measured is None else measured.label
     return PredictedMotion(scene.name, np.asarray(scene.motion.times), paths[0], *ends, label)
 
 
-def _left_of(estimate: Estimate) -> Floats:
+def _residual_deviations(estimate: Estimate) -> Floats:
     """Standard deviation of the fit's residuals of each coordinate (6,), in its unit: the rms, corrected for the number
     of parameters as in `Objective.noise_of`, if the number of values is known. Raises InputError without residuals."""
     rmse = estimate.rmse
@@ -122,8 +122,8 @@ def _left_of(estimate: Estimate) -> Floats:
         )
     count = estimate.values_compared
     freedom = np.sqrt(count / max(count - len(estimate.values), 1)) if count else 1.0
-    left = [*(1e3 * rmse[axis] for axis in "XYZ"), *(np.degrees(rmse[n]) for n in list(COORDINATES)[3:])]
-    return freedom * np.array(left)
+    rms = [*(1e3 * rmse[axis] for axis in "XYZ"), *(np.degrees(rmse[n]) for n in list(COORDINATES)[3:])]
+    return freedom * np.array(rms)
 
 
 def _with_values(
@@ -169,21 +169,21 @@ def _coordinates(center: Floats, quaternion: Floats) -> Floats:
     return np.concatenate([1e3 * center, turns], axis=-1)
 
 
-def _beside(path: Floats, values: Floats) -> Floats:
+def _unwrapped_near(path: Floats, values: Floats) -> Floats:
     """The same values (..., n, 6), with angles unwrapped to within 180 deg of a path's."""
     off = values - path
     off[..., 3:] = (off[..., 3:] + 180) % 360 - 180
     return path + off
 
 
-def _band(paths: Floats, path: Floats, left: Floats) -> tuple[Floats, Floats]:
+def _band(paths: Floats, path: Floats, rms: Floats) -> tuple[Floats, Floats]:
     """Ends (n, 6) of the band of draws (k, n, 6) about the estimate's path, with the error added; NaN without draws."""
     if not len(paths):
         return np.full_like(path, np.nan), np.full_like(path, np.nan)
-    errors = ndtri((np.arange(_QUANTILES) + 0.5) / _QUANTILES)[:, None] * left
+    errors = ndtri((np.arange(_QUANTILES) + 0.5) / _QUANTILES)[:, None] * rms
     ends = (0.5 - 0.5 * LEVEL, 0.5 + 0.5 * LEVEL)
-    of_frames = np.moveaxis(_beside(path, paths), 1, 0)
-    quantiles = [np.quantile((a[:, None] + errors).reshape(-1, len(left)), ends, axis=0) for a in of_frames]
+    of_frames = np.moveaxis(_unwrapped_near(path, paths), 1, 0)
+    quantiles = [np.quantile((a[:, None] + errors).reshape(-1, len(rms)), ends, axis=0) for a in of_frames]
     low, high = np.moveaxis(np.array(quantiles), 1, 0)
     return low, high
 
@@ -193,7 +193,7 @@ def _measured_path(measured: Measured | None, path: Floats) -> tuple[Floats | No
     if measured is None:
         return None, np.zeros(len(path), bool)
     turns = np.full((len(path), 4), np.nan) if measured.quaternion is None else measured.quaternion
-    observed = _beside(path, _coordinates(measured.center, turns))
+    observed = _unwrapped_near(path, _coordinates(measured.center, turns))
     compared = np.asarray(np.isfinite(observed).any(axis=1))
     if measured.weights is not None:
         compared &= measured.weights > 0

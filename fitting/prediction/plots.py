@@ -302,13 +302,13 @@ def facts(data: Dataset) -> dict[str, Any]:
     bands = {name: list(central_and_range(data[name])[1:]) for name in drawn}
     variants = [{n: values[i] for n, values in columns.items()} for i in range(data.sizes["variant"])]
     if "status_frames" in first:
-        trust = (_trust(first["status_frames"].isel(variant=i)) for i in range(data.sizes["variant"]))
-        variants = [{**variant, **said} for variant, said in zip(variants, trust, strict=True)]
+        statuses = (_status_facts(first["status_frames"].isel(variant=i)) for i in range(data.sizes["variant"]))
+        variants = [{**variant, **said} for variant, said in zip(variants, statuses, strict=True)]
     coverage = {"coverage": coverage_in(data), "draws_failed": draws_failed(data).tolist()} if drawn else {}
     return {"attributes": dict(data.attrs), "units": units, "variants": variants, "bands_95": bands, **coverage}
 
 
-def _trust(frames: DataArray) -> dict[str, Any]:
+def _status_facts(frames: DataArray) -> dict[str, Any]:
     """As `pftwin.dynamics.status.status_facts`, with the flags that the data name: other versions have others."""
     counts = {str(name): int(n) for name, n in zip(frames["flag"].values, frames.values, strict=True)}
     words = [str(w) for w, n in zip(frames.attrs["flags"], counts.values(), strict=True) if n]

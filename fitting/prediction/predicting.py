@@ -177,7 +177,7 @@ def estimate_and_draws(estimate: Fitted | None, samples: int, seed: int) -> Floa
     return np.concatenate([values[None], drawn])
 
 
-def reservations(estimate: Fitted | None, synthetic: bool) -> list[str]:
+def caveats(estimate: Fitted | None, synthetic: bool) -> list[str]:
     """Caveats of any prediction: doubts about the estimate, and which data are synthetic."""
     said = [] if estimate is None else [f"INVALID estimate: {doubt}" for doubt in estimate.doubts]
     return said + synthetic_parts(estimate, synthetic)
@@ -320,7 +320,7 @@ def _attributes(batches: list[VariantBatch], estimate: Fitted | None, settings: 
 
     names = list(dict.fromkeys(b.scene.name for b in batches))
     computed = any(b.scene.synthetic for b in batches)
-    said = reservations(estimate, computed)
+    said = caveats(estimate, computed)
     return {
         "title": f"predicted outcomes: {', '.join(names)}",
         "source": f"pftwin {__version__}",

@@ -124,7 +124,7 @@ def optimise_treatment(
             trust = {name: nearest[name] for name in ("status", "status_frames")} if flagged else {}
             return written(met, at, none, 0.0 if samples else None, invalid=invalid_variants(coarse), trust=trust)
         share = search.share(at) if samples else None
-        return written(met, at, search.outcomes(at), share, trust=search.trust(at))
+        return written(met, at, search.outcomes(at), share, trust=search.status(at))
 
     share_of: dict[int, float] = {}  # of draws that meet the limits, by grid point; 1 without draws
 

@@ -131,7 +131,7 @@ class Search:
         """Outcomes for the estimate by name, SI units."""
         return {name: float(self._at(amounts)[0][name][0]) for name in MEASURES}
 
-    def trust(self, amounts: Floats) -> dict[str, Any]:
+    def status(self, amounts: Floats) -> dict[str, Any]:
         """`status_facts` of the estimate's motion; empty for several amounts, whose error is not known."""
         counts = self._at(amounts)[2]
         return {} if counts is None else status_facts_of_counts(counts[0])

@@ -14,7 +14,7 @@ from small_scene import small_scene
 
 from fitting.calibration.calibrate import calibrate
 from fitting.calibration.laboratory import Laboratory
-from fitting.calibration.operations import OUTCOMES, Operated, Operation
+from fitting.calibration.operations import OUTCOMES, Operation, OperationOutcome
 from fitting.calibration.plants import Plant
 from fitting.calibration.result import Answers, Calibration, Plans
 from fitting.coverage import SIMULATIONS_WITH_NUISANCE, Coverage
@@ -60,14 +60,14 @@ class Estimated(Fitted):
         return self.values + 3.0 * np.random.default_rng(seed).standard_normal((count, 1))
 
 
-def predictions(width: float, count: int = 300) -> list[Operated]:
+def predictions(width: float, count: int = 300) -> list[OperationOutcome]:
     """Normal predictions whose means are off by one deviation, and as wide as that times a factor."""
     random, size = np.random.default_rng(3), np.array([0.01, 1e-4, 2e-4, 0.3, 2.0, 0.02])
     found = []
     for _ in range(count):
         truth = random.standard_normal(6)
         mean = truth + size * random.standard_normal(6)
-        found.append(Operated(truth, mean + width * size * random.standard_normal((300, 6)), None, None))
+        found.append(OperationOutcome(truth, mean + width * size * random.standard_normal((300, 6)), None, None))
     return found
 
 
@@ -111,8 +111,8 @@ def test_plants_without_an_outcome_are_dropped():
 @pytest.mark.parametrize(("safe", "verdict"), [(5, "less safe than stated"), (11, "as stated"), (14, "as stated")])
 def test_plans_are_held_against_their_confidence(safe, verdict, tmp_path):
     """Of 14 with 0.9 asked for: with five safe ones a true share of 0.9 can be ruled out, with eleven not."""
-    met = [Operated(np.zeros(6), np.zeros((1, 6)), True, i < safe) for i in range(14)]
-    unmet = [Operated(np.zeros(6), np.zeros((1, 6)), False, False)] * 2
+    met = [OperationOutcome(np.zeros(6), np.zeros((1, 6)), True, i < safe) for i in range(14)]
+    unmet = [OperationOutcome(np.zeros(6), np.zeros((1, 6)), False, False)] * 2
     plans = Plans.of([*met, *unmet], 0.9)
     assert (plans.safe, plans.found, plans.asked) == (safe, 14, 16)
     whole = calibration(plans={"twin": plans})
@@ -123,7 +123,7 @@ def test_plans_are_held_against_their_confidence(safe, verdict, tmp_path):
 
 
 def test_without_any_plan_none_holds():
-    plans = Plans.of([Operated(np.zeros(6), np.zeros((1, 6)), False, False)], 0.9)
+    plans = Plans.of([OperationOutcome(np.zeros(6), np.zeros((1, 6)), False, False)], 0.9)
     assert plans.verdict() == "no plan was found"
     assert not calibration(plans={"twin": plans}).holds
 

@@ -7,7 +7,16 @@ import pytest
 from linear_problems import objective
 from scipy.spatial.transform import Rotation
 
-from fitting.channel_checks import LIMITS, Reading, alike, left_over, limits_of, misread, readings, unresolved
+from fitting.channel_checks import (
+    LIMITS,
+    Reading,
+    limits_of,
+    merged_readings,
+    misread_channels,
+    readings,
+    step_doubts,
+    unexplained,
+)
 from fitting.evaluation import StepError
 from pftwin.base.errors import InputError
 
@@ -137,44 +146,44 @@ def test_a_reading_between_the_limits_is_named_and_beyond_them_refused():
     halfway = POSITION * [1, -1, 1]
     times = read(("position",), halfway, POSITION, (3,))[0][2]
     objective, trials = target(("position",), halfway, (3,)), POSITION[None]
-    [said] = misread(objective, trials, limits_of({"reading": (1.5, 2 * times)}))
+    [said] = misread_channels(objective, trials, limits_of({"reading": (1.5, 2 * times)}))
     assert said.startswith("measured positions look like (x, -y, z)")
-    assert misread(objective, trials, limits_of({"reading": (2 * times, 3 * times)})) == []
+    assert misread_channels(objective, trials, limits_of({"reading": (2 * times, 3 * times)})) == []
     with pytest.raises(InputError, match=r"mirrored.*correct the file.*--limit reading=1\.5:"):
-        misread(objective, trials, LIMITS)
+        misread_channels(objective, trials, LIMITS)
 
 
 def test_what_is_left_over_is_named_by_size_and_by_the_stated_noise():
     objective = target(("position", "one"), np.concatenate([POSITION, FORCES[:, :1]], axis=1), (3, 1))
     left = np.zeros((101, 4))
     left[:, 0], left[:, 3] = 0.012, 2.0
-    said = left_over(objective, left, LIMITS, None)
+    said = unexplained(objective, left, LIMITS, None)
     size = np.sqrt(np.mean(FORCES[:, 0] ** 2))
     assert said == [
         "residual of position: 12 mm rms",
         f"residual of one: 2 N rms of {size:.3g} N measured",
     ]
-    noisy = left_over(objective, 0.1 * left, LIMITS, {"position": 1.2e-3 / np.sqrt(3) / 50, "one": 0.1})
+    noisy = unexplained(objective, 0.1 * left, LIMITS, {"position": 1.2e-3 / np.sqrt(3) / 50, "one": 0.1})
     assert noisy == ["residual of position: 1.2 mm rms, 50 times the stated noise"]
     with pytest.raises(InputError, match="residual of one: 8 N rms"):
-        left_over(objective, 4 * left * [0, 0, 0, 1], LIMITS, None)
+        unexplained(objective, 4 * left * [0, 0, 0, 1], LIMITS, None)
     doubt = "measured one looks 4.45 times too small: in pounds-force"
     with pytest.raises(
         InputError, match=f"residual of one: 8 N rms.*try: {doubt}; check unit, sign and channel of one"
     ):
-        left_over(objective, 4 * left * [0, 0, 0, 1], LIMITS, None, [doubt])
+        unexplained(objective, 4 * left * [0, 0, 0, 1], LIMITS, None, [doubt])
 
 
 def test_steps_whose_error_is_large_or_not_known_are_named():
     left = {"position": 5e-4, "orientation": 0.02}
     errors = {"position": StepError(4e-4, True), "orientation": StepError(0.005, True)}
     said = "the fit's time steps cause an error of 0.4 mm rms of position, beside a residual of 0.5 mm"
-    assert unresolved(errors, left, {}) == [said]
-    assert unresolved({"position": StepError(4e-4, False)}, left, {}) == []
-    assert "not known" in unresolved({}, left, {})[0]
-    turned = unresolved({"orientation": StepError(np.radians(1.5), True)}, {"orientation": np.radians(2.0)}, {})
+    assert step_doubts(errors, left, {}) == [said]
+    assert step_doubts({"position": StepError(4e-4, False)}, left, {}) == []
+    assert "not known" in step_doubts({}, left, {})[0]
+    turned = step_doubts({"orientation": StepError(np.radians(1.5), True)}, {"orientation": np.radians(2.0)}, {})
     assert turned == ["the fit's time steps cause an error of 1.5 deg rms of orientation, beside a residual of 2 deg"]
-    pulled = unresolved({"quadriceps": StepError(0.4, True)}, {"quadriceps": 0.5}, {})
+    pulled = step_doubts({"quadriceps": StepError(0.4, True)}, {"quadriceps": 0.5}, {})
     assert pulled == ["the fit's time steps cause an error of 0.4 N rms of quadriceps, beside a residual of 0.5 N"]
 
 
@@ -190,7 +199,7 @@ def test_only_forces_or_readings_of_one_unit_are_named_together():
         Reading(("contact", "quadriceps"), "swapped", 2.5),
     ]
     units = {"m1.x": "m", "m2.x": "m", "strain": "1"}
-    channels = [(r.channels, r.times) for r in alike(found, units)]
+    channels = [(r.channels, r.times) for r in merged_readings(found, units)]
     assert channels == [
         (("position",), 30.0),
         (("m1.x", "m2.x"), 25.0),

@@ -27,7 +27,7 @@ from tests.benchmarks.fitting.methods.entrants import ENTRANTS
 from tests.benchmarks.fitting.methods.figure import best_so_far, comparison_figure
 from tests.benchmarks.fitting.methods.mapped_starts import Residuals
 from tests.benchmarks.fitting.methods.meter import FAILED, Best, Budget, Course, Meter, OneStepEvaluator, SpentError
-from tests.benchmarks.fitting.methods.table import COLUMNS, comma_separated, courses_of, markdown, rows_of
+from tests.benchmarks.fitting.methods.table import COLUMNS, comma_list, courses_of, markdown, rows_of
 from tests.benchmarks.report import from_json, to_json
 from tests.benchmarks.row import Row
 
@@ -148,7 +148,7 @@ def test_the_table_has_every_method_and_says_where_ours_stands(rows, comparison)
         assert row.passed is (better == 0)
     text = markdown(rows)
     assert all(e.label in text for e in LIGHT)
-    table = list(csv.DictReader(io.StringIO(comma_separated(rows))))
+    table = list(csv.DictReader(io.StringIO(comma_list(rows))))
     assert [line["method"] for line in table] == [e.name for e in LIGHT]
     for line in table:
         for key in COLUMNS:

@@ -248,7 +248,7 @@ def test_what_the_twin_lacks_does_not_go_into_what_is_asked_for():
 def test_a_plan_knows_less_of_a_twin_that_is_not_exact(monkeypatch):
     """As the whole covariance's block says, by inverting all of it; in equal steps, whose halving depends on what is
     asked for."""
-    monkeypatch.setattr("fitting.identifiability.settle", lambda *_: 0.0)
+    monkeypatch.setattr("fitting.identifiability.shorten_steps", lambda *_: 0.0)
     nuisance, use = Nuisance(friction=0.05, damping=0.5), ("position", "quadriceps")
     exact, open_ = (
         fitting.plan_experiment(small_scene(21), use=use, nuisance=n, candidates=()) for n in (None, nuisance)

@@ -42,7 +42,7 @@ def test_a_shift_is_found_with_its_deviation(late, gaps):
     for s, true in zip(found.values(), late, strict=True):
         assert s.seconds == pytest.approx(true, abs=max(3 * s.deviation, 2e-4))
         assert s.deviation < 2e-3
-        assert s.beyond(0.02) == (abs(true) > 0.02)
+        assert s.exceeds(0.02) == (abs(true) > 0.02)
 
 
 def test_the_deviation_is_that_of_repeats():
@@ -57,7 +57,7 @@ def test_a_slow_error_of_the_model_is_no_shift():
     """A force that lags by friction, and a drift of positions, as large as a shift of 30 ms would make them."""
     drift = 1e-3 * np.sin(0.7 * TIMES)[:, None] * [1.0, 1.0, 1.0, 0.0]
     friction = -1.5 * np.sign(np.cos(RATES[3] * TIMES + 3.0))[:, None] * [0.0, 0.0, 0.0, 1.0]
-    assert not any(s.beyond(LIMITS["shift"][0]) for s in shifts((0.0, 0.0), drift + friction).values())
+    assert not any(s.exceeds(LIMITS["shift"][0]) for s in shifts((0.0, 0.0), drift + friction).values())
 
 
 def test_a_lead_that_friction_hides_in_part_is_named():
@@ -67,7 +67,7 @@ def test_a_lead_that_friction_hides_in_part_is_named():
     found = shifts((0.0, -0.08), np.outer(friction + rough, [0.0, 0.0, 0.0, 1.0]))["contact"]
     assert found.seconds == pytest.approx(-0.029, abs=0.004)
     assert 0.1 < found.explained < 1 / 6
-    assert found.beyond(LIMITS["shift"][0])
+    assert found.exceeds(LIMITS["shift"][0])
 
 
 def test_words_and_the_refusal():

@@ -21,7 +21,7 @@ from fitting.methods.problem import Problem, Request
 from fitting.nuisance import EXACT
 from fitting.objective import Objective
 from fitting.parameters import free_parameters
-from fitting.trials import frames_of, free_in_trials, joined_objective, trial_names
+from fitting.trials import free_in_trials, joined_objective, rows_of_trials, trial_names
 from fitting.uncertainty import long_run_score
 from pftwin.base.errors import InputError
 from pftwin.model.measured import Measured
@@ -174,7 +174,7 @@ def test_channels_that_a_trial_lacks_are_missing_there():
     one, other = made(5, ("quadriceps",), 1), made(3, ("position", "contact"), 2)
     whole = joined_objective([one, other])
     assert whole.channels == ("position", "quadriceps", "contact")
-    assert whole.frames == frames_of([5, 3]) == (slice(0, 5), slice(6, 9))
+    assert whole.frames == rows_of_trials([5, 3]) == (slice(0, 5), slice(6, 9))
     np.testing.assert_array_equal(whole.measured[:5, 3], one.measured[:, 0])
     np.testing.assert_array_equal(whole.measured[6:], np.insert(other.measured, 3, np.nan, axis=1))
     expected = np.zeros((9, 5), bool)
@@ -242,14 +242,14 @@ def test_frames_of_two_trials_are_not_correlated():
     """A score that falls in the second trial as it rose in the first: each trial's products alone, and their sum."""
     ramp = np.linspace(-1.0, 1.0, 60)
     z = np.concatenate([ramp, [0.0], -ramp])[:, None]
-    frames, a = frames_of([60, 60]), np.ones((121, 1, 1))
+    frames, a = rows_of_trials([60, 60]), np.ones((121, 1, 1))
     whole = long_run_score(a, z, 0.9, frames)
     assert whole == pytest.approx(2 * long_run_score(a[:60], z[:60], 0.9))
     assert abs(float(long_run_score(a, z, 0.9)[0, 0] / whole[0, 0]) - 1) > 0.1
 
 
 def test_noise_of_two_trials_is_not_correlated():
-    target = replace(made(9, ("position",), 1), frames=frames_of([4, 4]))
+    target = replace(made(9, ("position",), 1), frames=rows_of_trials([4, 4]))
     drawn = Noise(np.full(3, 0.2), np.full(3, 0.95), 1.0).drawn(4000, target, np.random.default_rng(3))[..., 0]
     correlation = np.corrcoef(drawn.T)
     assert correlation[2, 3] == pytest.approx(0.95, abs=0.02)

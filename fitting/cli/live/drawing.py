@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from fitting.cli.live.motion import Shown
+from fitting.cli.live.motion import DrawnMotion
 from pftwin.results.viewer import bones
 from pftwin.results.viewer.bones import METAL
 from pftwin.results.viewer.knee import darker, paler
@@ -66,7 +66,7 @@ class Bones:
         elif self._extrapolated is not None:
             self._extrapolated.visible = False
 
-    def frame(self, shown: Shown, k: int) -> None:
+    def frame(self, shown: DrawnMotion, k: int) -> None:
         """Moves the tibia to its pose at a frame."""
         track = shown.tracks["tibia"]
         self._tibia.position, self._tibia.wxyz = track.position[k], track.wxyz[k]
@@ -80,13 +80,13 @@ class DrawnKnee:
         self._whole = scene.add_frame(root, show_axes=False)
         self._moved = {part: scene.add_frame(f"{root}/{part}", show_axes=False) for part in ("patella", "tibia")}
         self._others: dict[str, Any] = {}  # tubes, tuberosities and paths
-        self._shown: Shown | None = None
+        self._shown: DrawnMotion | None = None
 
     def show(self, visible: bool) -> None:
         """Shows or hides all of it."""
         self._whole.visible = visible
 
-    def set(self, shown: Shown) -> None:
+    def set(self, shown: DrawnMotion) -> None:
         """Replaces the drawn motion."""
         others = self._others
         before = None if self._shown is None else self._shown.recorded.geometry

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from fitting.cli.live.knobs import Knobs, neutral
-from fitting.cli.live.motion import AS_SET, UNTREATED, Band, Floats, Shown, ShownMotion
+from fitting.cli.live.motion import AS_SET, UNTREATED, Band, DrawnMotion, Floats, ShownMotion
 from fitting.prediction.untreated import reasons_of, untrusted_start
 from pftwin.base.errors import InputError
 from pftwin.base.spatial import Vec3
@@ -90,7 +90,7 @@ class Engine:
             prepare_relaxation(rest)
             before = _simulated(rest, UNTREATED, still.of(rest), start)
             before.refuse_if_lost()
-            before.continued(Shown(before.recorded, 1.0).touched)
+            before.continued(DrawnMotion(before.recorded, 1.0).touched)
             return self._models.setdefault(contact, LiveModel(contact, knobs, still, before, start))
 
     def run(self, contact: str, values: Mapping[str, float]) -> ShownMotion:
@@ -134,7 +134,7 @@ class Engine:
         if key not in self._untreated:
             theta = self._draws[draw]
             self._untreated[key] = untrusted_start(
-                knobs.turned.fitted(knobs.scene, theta), knobs.scene_with(neutral(), theta)
+                knobs.applied.fitted(knobs.scene, theta), knobs.scene_with(neutral(), theta)
             )
         return self._untreated[key]
 

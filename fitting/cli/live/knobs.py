@@ -77,7 +77,7 @@ def neutral() -> dict[str, float]:
     return {k.name: k.neutral for k in KNOBS}
 
 
-class Turned(eqx.Module):
+class AppliedSliders(eqx.Module):
     """Pure function from a row of numbers [SI] to a scene: first fitted parameters, if any, then slider values."""
 
     fitted: Any  # function of scene and parameters that applies an estimate; None without one
@@ -95,7 +95,7 @@ class Turned(eqx.Module):
         return self.treatment.with_values(row[amounts:])(scene)
 
 
-_turned = eqx.filter_jit(lambda turned, scene, row: turned(scene, row))
+_apply_sliders = eqx.filter_jit(lambda applied, scene, row: applied(scene, row))
 
 
 class Knobs(NamedTuple):
@@ -103,7 +103,7 @@ class Knobs(NamedTuple):
 
     scene: Scene  # with nominal parameters
     estimate: Estimate | None
-    turned: Turned
+    applied: AppliedSliders
     missing: dict[str, str]  # reasons why sliders are missing, by group
 
     @classmethod
@@ -125,12 +125,12 @@ class Knobs(NamedTuple):
             except InputError as error:
                 missing[_group(about.part)] = error.problem
         parameters = 0 if estimate is None else estimate.shared
-        return cls(scene, estimate, Turned(fitted, parameters, tuple(tendons), treatment), missing)
+        return cls(scene, estimate, AppliedSliders(fitted, parameters, tuple(tendons), treatment), missing)
 
     @property
     def usable(self) -> tuple[Knob, ...]:
-        """The sliders that apply, in the order of the numbers of `turned`."""
-        names = [*(f"{tendon}.stiffness" for tendon in self.turned.tendons), *self.turned.treatment.names]
+        """The sliders that apply, in the order of the numbers of `applied`."""
+        names = [*(f"{tendon}.stiffness" for tendon in self.applied.tendons), *self.applied.treatment.names]
         by_name = {k.name: k for k in KNOBS}
         return tuple(by_name[name] for name in names)
 
@@ -140,5 +140,5 @@ class Knobs(NamedTuple):
         Parameters `theta` (p,) default to the estimate's. Raises InputError for a value that is not allowed.
         """
         amounts = [k.checked(values.get(k.name)) * k.size for k in self.usable]
-        own = () if self.estimate is None else self.estimate.values[: self.turned.parameters]
-        return _turned(self.turned, self.scene, np.array([*(own if theta is None else theta), *amounts]))
+        own = () if self.estimate is None else self.estimate.values[: self.applied.parameters]
+        return _apply_sliders(self.applied, self.scene, np.array([*(own if theta is None else theta), *amounts]))

@@ -121,7 +121,7 @@ class Band(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class ShownTrack:
+class DrawnTrack:
     """Position, rotation, scale and presence of a drawn part at every frame (n)."""
 
     position: Floats  # (n, 3) [mm]
@@ -130,7 +130,7 @@ class ShownTrack:
     present: NDArray[np.bool_]  # (n,)
 
     @classmethod
-    def of(cls, matrices: Matrices, present: NDArray[np.bool_] | None = None) -> ShownTrack:
+    def of(cls, matrices: Matrices, present: NDArray[np.bool_] | None = None) -> DrawnTrack:
         """From model matrices (n, 4, 4) with uniform scale."""
         from scipy.spatial.transform import Rotation
 
@@ -141,7 +141,7 @@ class ShownTrack:
         return cls(matrices[:, :3, 3].astype(np.float64), wxyz, scale, there)
 
 
-class Shown:
+class DrawnMotion:
     """The drawing of one motion.
 
     Attributes:
@@ -156,7 +156,7 @@ class Shown:
     def __init__(self, recorded: Recorded, newtons: float) -> None:
         """Draws a motion; an arrow of 10 mm stands for a force of `newtons`."""
         self.recorded = recorded
-        self.tracks = {"patella": ShownTrack.of(recorded.patella), "tibia": ShownTrack.of(recorded.tibia)}
+        self.tracks = {"patella": DrawnTrack.of(recorded.patella), "tibia": DrawnTrack.of(recorded.tibia)}
         self.paths: dict[str, Shape] = {}
         for arrow in recorded.contact_arrows:
             here = arrow.present
@@ -164,13 +164,13 @@ class Shown:
                 continue
             points = gaps_filled(arrow.points, here)
             if arrow.touches:
-                self.tracks[f"at {arrow.name}"] = ShownTrack.of(at_points(points), here)
+                self.tracks[f"at {arrow.name}"] = DrawnTrack.of(at_points(points), here)
                 way = MM * np.where(here[:, None], arrow.points, np.nan)
                 if (taken := spaced_points(way, REST)).sum() > 1:
                     self.paths[f"way {arrow.name}"] = path(way[taken | ~here], 0.5)
             if arrow.forces is not None:
                 along = gaps_filled(arrow.forces, here) * (10 / newtons)
-                self.tracks[f"on {arrow.name}"] = ShownTrack.of(of_arrows(points, along), here)
+                self.tracks[f"on {arrow.name}"] = DrawnTrack.of(of_arrows(points, along), here)
         self.lines = {name: line_shape(lines.paths, lines.radius) for name, lines in recorded.lines.items()}
         schematic = recorded.mesh("tibia_bone") is None
         on_tibia = {n: lines for n, lines in recorded.lines.items() if lines.body == "tibia" and schematic}

@@ -13,9 +13,9 @@ from fitting.cli.live.curves import AGAINST, Curves, why_not_against_flexion
 from fitting.cli.live.drawing import Bones, DrawnKnee
 from fitting.cli.live.engine import Engine, LiveModel
 from fitting.cli.live.knobs import GROUPS, KNOBS
-from fitting.cli.live.motion import AS_SET, Band, Shown, ShownMotion
+from fitting.cli.live.motion import AS_SET, Band, DrawnMotion, ShownMotion
 from fitting.cli.live.words import AFTER, BEFORE
-from fitting.prediction.predicting import reservations
+from fitting.prediction.predicting import caveats
 from pftwin.results.viewer.assembly import per_centimetre
 from pftwin.results.viewer.framing import views
 from pftwin.results.viewer.page import CONTINUED, legend, notes, readout
@@ -37,7 +37,7 @@ class Page:
         self._contact: str | None = None
         self._band: Band | None = None
         self._continued = False  # whether the extrapolated surface, which the legend explains, is drawn
-        self._notes = [] if engine.estimate is None else reservations(engine.estimate, synthetic=False)
+        self._notes = [] if engine.estimate is None else caveats(engine.estimate, synthetic=False)
         self._before, self._after = model.before, model.before.named(AS_SET)
         self._bones = Bones(client.scene, model.before.recorded)
         self._treated = DrawnKnee(client.scene, "/treated", AFTER)
@@ -65,23 +65,23 @@ class Page:
         panel.dock_left()
         panel.set_width(400)
 
-    def tell(self, model: LiveModel, after: ShownMotion) -> None:
+    def set_motion(self, model: LiveModel, after: ShownMotion) -> None:
         """Sets the motion of the table and the curves, which are redrawn at the next call of `number`."""
         if self._contact != model.contact:
             self._offer(model)
         self._before, self._after, self._band = model.before, after, None
-        self._retell()
+        self._update_texts()
 
-    def tell_band(self, band: Band | None) -> None:
+    def set_band(self, band: Band | None) -> None:
         """Sets the band of the current motion in the curves."""
         self._band = band
-        self._retell()
+        self._update_texts()
 
-    def draw(self, model: LiveModel, shown: Shown) -> None:
+    def draw(self, model: LiveModel, shown: DrawnMotion) -> None:
         """Draws another motion: the knee and its extrapolated surface."""
         if self._contact != model.contact:
             self._contact = model.contact
-            self.untreated.set(Shown(model.before.recorded, self.newtons))
+            self.untreated.set(DrawnMotion(model.before.recorded, self.newtons))
         self._shown = shown
         self._treated.set(shown)
         self._bones.set_component(shown.recorded)
@@ -98,7 +98,7 @@ class Page:
         if self._compared.value:
             self.untreated.frame(k)
 
-    def number(self, k: int, at: float) -> None:
+    def show_numbers(self, k: int, at: float) -> None:
         """Shows the numbers at time `at` [s], frame `k`, and marks it in the curves."""
         motions, colours = self._shown_motions()
         self._numbers.content = words.with_margins(readout([m.recorded for m in motions], colours, at))
@@ -109,9 +109,9 @@ class Page:
         curves and numbers of a time follow at the next call of `number`."""
         self.untreated.show(self._compared.value)
         self._legend.content = self._legend_text()
-        self._retell()
+        self._update_texts()
 
-    def _retell(self) -> None:
+    def _update_texts(self) -> None:
         shown = {"compared": self._compared.value, "against_flexion": self._over.value}
         self._curves.set(self._before, self._after, self._band, **shown)
         notes = [AGAINST] if self._over.value else []

@@ -58,10 +58,10 @@ class LiveServer:
             self._server = Private(host=host, port=port, verbose=False)
         self.host, self.port = host, int(self._server.get_port())
         loop = self._server.get_event_loop()
-        loop.call_soon_threadsafe(loop.set_exception_handler, self._nonsense)
-        self._look(engine)
-        self._server.on_client_connect(self._joined)
-        self._server.on_client_disconnect(self._left)
+        loop.call_soon_threadsafe(loop.set_exception_handler, self._on_malformed_message)
+        self._set_appearance(engine)
+        self._server.on_client_connect(self._on_connect)
+        self._server.on_client_disconnect(self._on_disconnect)
 
     @property
     def address(self) -> str:
@@ -84,7 +84,7 @@ class LiveServer:
         for worker in self._workers:
             worker.stop()
 
-    def _look(self, engine: Engine) -> None:
+    def _set_appearance(self, engine: Engine) -> None:
         server = self._server
         server.gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
         server.scene.set_up_direction("+x")
@@ -94,20 +94,20 @@ class LiveServer:
         first.position, first.look_at, first.up = camera[:3], camera[3:6], camera[6:]
         first.fov, first.near, first.far = 0.52, 1.0, 5000.0
 
-    def _joined(self, client: Any) -> None:
+    def _on_connect(self, client: Any) -> None:
         session = Session(client, self._engine, *self._workers)
         with self._lock:
             self._sessions[client.client_id] = session
         if client.client_id not in self._server.get_clients():  # left during set-up
-            self._left(client)
+            self._on_disconnect(client)
 
-    def _left(self, client: Any) -> None:
+    def _on_disconnect(self, client: Any) -> None:
         with self._lock:
             session = self._sessions.pop(client.client_id, None)
         if session is not None:
             session.close()
 
-    def _nonsense(self, loop: Any, context: dict[str, Any]) -> None:
+    def _on_malformed_message(self, loop: Any, context: dict[str, Any]) -> None:
         """Reports a malformed message in one line on stderr and on its page; the server continues."""
         error = context.get("exception")
         if error is None:

@@ -13,7 +13,7 @@ import numpy as np
 from fitting.cli.live import words
 from fitting.cli.live.engine import Engine, LiveModel
 from fitting.cli.live.knobs import KNOBS, Knob, neutral
-from fitting.cli.live.motion import AS_SET, Shown, ShownMotion
+from fitting.cli.live.motion import AS_SET, DrawnMotion, ShownMotion
 from fitting.cli.live.page import Page
 from fitting.cli.live.threads import Player, Worker
 from pftwin.base.errors import InputError
@@ -37,20 +37,20 @@ class Session:
     ) -> None:
         self._client, self._engine = client, engine
         self._simulating, self._preparing, self._drawing_bands = simulating, preparing, drawing_bands
-        self._asked = 0  # number of motions requested so far
+        self._requests = 0  # number of motions requested so far
         self._lock = threading.RLock()
-        self._closed, self._numbered = False, 0.0
+        self._closed, self._numbers_shown = False, 0.0
         self._values = neutral()
         self._wanted = self._contact = engine.contacts[0]
-        self.motions, self.drawings = deque[float](maxlen=words.KEPT), deque[float](maxlen=words.KEPT)
+        self.motions, self.drawings = deque[float](maxlen=words.PACE_COUNT), deque[float](maxlen=words.PACE_COUNT)
         model = engine.model(self._contact)
         self._after, self._now = model.before.named(AS_SET), float(model.before.times[0])
         with self._lock, client.atomic():
             self._page = Page(client, engine, model, self)
-            self._player = Player(self._played, self._now, float(model.before.times[-1]))
+            self._player = Player(self._show_playing, self._now, float(model.before.times[-1]))
             self._show_motions(model, self._after)
-            self._drawn(model, Shown(model.before.recorded, self._page.newtons))
-        self._ask_band(self._contact, dict(self._values))
+            self._draw(model, DrawnMotion(model.before.recorded, self._page.newtons))
+        self._request_band(self._contact, dict(self._values))
 
     def turn(self, knob: Knob, value: Any) -> None:
         """Takes the value of a slider that was moved."""
@@ -61,7 +61,7 @@ class Session:
             self.refuse(str(error))
             self._page.knobs[knob.name].value = self._values[knob.name]
             return
-        self._ask(began)
+        self._request_motion(began)
 
     def reset(self) -> None:
         """Sets all sliders back to the untreated scene."""
@@ -69,7 +69,7 @@ class Session:
         self._values = neutral()
         for knob in KNOBS:
             self._page.knobs[knob.name].value = knob.neutral
-        self._ask(began)
+        self._request_motion(began)
 
     def choose(self, contact: Any) -> None:
         """Chooses another contact; until it is compiled, the page continues with the previous one."""
@@ -80,9 +80,9 @@ class Session:
             return
         self._wanted = contact
         if self._engine.ready(contact):
-            self._ask(began)
+            self._request_motion(began)
             return
-        self._say(words.waiting(contact, self._contact))
+        self._set_state(words.waiting(contact, self._contact))
         self._preparing.submit(self, lambda: self._prepare(contact))
 
     def seek(self, at: Any) -> None:
@@ -121,7 +121,7 @@ class Session:
     def refuse(self, why: str) -> None:
         """Shows why no new motion is drawn."""
         still = "The drawing and the curves still show the last values that worked."
-        self._say(words.state("bad", f"Not drawn: {why}", still))
+        self._set_state(words.state("bad", f"Not drawn: {why}", still))
 
     def close(self) -> None:
         """Stops all work for the client, after it has disconnected."""
@@ -145,14 +145,14 @@ class Session:
                 raise
         else:
             if self._wanted == contact:
-                self._ask(time.perf_counter())
+                self._request_motion(time.perf_counter())
 
-    def _ask(self, began: float) -> None:
+    def _request_motion(self, began: float) -> None:
         """Queues a simulation, which uses the slider values at the time when it starts."""
-        self._asked += 1
-        self._simulating.submit(self, lambda: self._answer(began))
+        self._requests += 1
+        self._simulating.submit(self, lambda: self._simulate(began))
 
-    def _answer(self, began: float) -> None:
+    def _simulate(self, began: float) -> None:
         """In the worker's thread: simulates, sends texts and numbers, then the drawing, which takes longer."""
         contact, values = self._wanted if self._engine.ready(self._wanted) else self._contact, dict(self._values)
         try:
@@ -170,25 +170,25 @@ class Session:
             with self._client.atomic():
                 self._show_motions(model, after)
             self._client.flush()
-            shown = Shown(after.recorded, self._page.newtons)
+            shown = DrawnMotion(after.recorded, self._page.newtons)
             with self._client.atomic():
-                self._drawn(model, shown)
+                self._draw(model, shown)
             self._client.flush()
             self.motions.append(moved - began)
             self.drawings.append(time.perf_counter() - began)
             self._page.pace.content = words.pace_text(self.motions, self.drawings, after.seconds)
             if self._wanted != contact:
                 self._page.state.content = words.waiting(self._wanted, contact)
-        self._ask_band(contact, values)
+        self._request_band(contact, values)
 
-    def _ask_band(self, contact: str, values: dict[str, float]) -> None:
+    def _request_band(self, contact: str, values: dict[str, float]) -> None:
         """Queues the band of the current motion, if there is an estimate; the next move of a slider cancels it."""
         if self._engine.estimate is not None:
-            after, asked = self._after, self._asked
-            wanted = lambda: self._asked == asked and not self._closed  # noqa: E731
-            self._drawing_bands.submit(self, lambda: self._answer_band(contact, values, after, wanted))
+            after, asked = self._after, self._requests
+            wanted = lambda: self._requests == asked and not self._closed  # noqa: E731
+            self._drawing_bands.submit(self, lambda: self._simulate_band(contact, values, after, wanted))
 
-    def _answer_band(
+    def _simulate_band(
         self, contact: str, values: dict[str, float], after: ShownMotion, wanted: Callable[[], bool]
     ) -> None:
         """In the bands' thread, after a pause: simulates draws, and draws their band."""
@@ -197,23 +197,23 @@ class Session:
         with self._lock:
             if band is not None and wanted() and self._after is after:
                 with self._client.atomic():
-                    self._page.tell_band(band)
+                    self._page.set_band(band)
                     self._frame(self._now, numbers=True)
 
     def _show_motions(self, model: LiveModel, after: ShownMotion) -> None:
         self._contact, self._after = model.contact, after
-        self._page.tell(model, after)
+        self._page.set_motion(model, after)
         self._page.state.content = words.outcome(after)
-        self._numbered = time.perf_counter()
-        self._page.number(self._nearest(self._now), self._now)
+        self._numbers_shown = time.perf_counter()
+        self._page.show_numbers(self._nearest(self._now), self._now)
 
-    def _drawn(self, model: LiveModel, shown: Shown) -> None:
+    def _draw(self, model: LiveModel, shown: DrawnMotion) -> None:
         self._page.draw(model, shown)
         self._frame(self._now, numbers=False)
 
-    def _played(self, at: float) -> None:
+    def _show_playing(self, at: float) -> None:
         now = time.perf_counter()
-        self._frame(at, numbers=now - self._numbered > _NUMBERS_EVERY, slider=True)
+        self._frame(at, numbers=now - self._numbers_shown > _NUMBERS_EVERY, slider=True)
 
     def _frame(self, at: float, *, numbers: bool, slider: bool = False) -> None:
         with self._lock:
@@ -224,8 +224,8 @@ class Session:
             with self._client.atomic():
                 self._page.frame(k)
                 if numbers:
-                    self._numbered = time.perf_counter()
-                    self._page.number(k, at)
+                    self._numbers_shown = time.perf_counter()
+                    self._page.show_numbers(k, at)
                 if slider and numbers:
                     self._page.time.value = at
 
@@ -238,7 +238,7 @@ class Session:
         own = isinstance(error, InputError)
         self.refuse(str(error) if own else f"an error in the program, {type(error).__name__}: see the terminal")
 
-    def _say(self, text: str) -> None:
+    def _set_state(self, text: str) -> None:
         with self._lock:
             if not self._closed:
                 self._page.state.content = text

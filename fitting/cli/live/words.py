@@ -13,7 +13,7 @@ from fitting.cli.pages import sentence, template
 from pftwin.results.plots import COLOURS
 
 BEFORE, AFTER = COLOURS[:2]
-KEPT = 50  # number of response times from which the median and the worst are shown
+PACE_COUNT = 50  # number of response times from which the median and the worst are shown
 NOT_FOR_PATIENTS = "Research software: no treatment should be decided by it alone."
 
 

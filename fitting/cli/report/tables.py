@@ -195,7 +195,7 @@ def predicted(data: Dataset, most: int = 60) -> Sheet:
     return outcome_sheet(data, most)
 
 
-def how_sure(data: Dataset) -> list[str]:
+def uncertainty_of_prediction(data: Dataset) -> list[str]:
     """Sentences on the uncertainty of a prediction: missing variants, main source of its bands, measured coverage."""
     from fitting.prediction.plots import coverage_in
 
@@ -227,7 +227,7 @@ def _widest_source(data: Dataset) -> list[str]:
     return [f"Widest source of the bands: {name}{which}. {known}."]
 
 
-def reservations(data: Dataset) -> list[str]:
+def prediction_notes(data: Dataset) -> list[str]:
     """Notes on a prediction's table: parameters, meaning and coverage of its bands, invalid variants."""
     from fitting.prediction.plots import coverage_in, invalid_variants
 

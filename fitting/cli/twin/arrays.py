@@ -1,7 +1,7 @@
 """Arrays of a program that is compiled to WebAssembly, and operations on them.
 
 A value is one of three: a numpy array of constants, known at compile time; an array of objects whose entries are
-operands (local variables or constants); a `Table` in memory.
+operands (local variables or constants); a `Stored` in memory.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from pftwin.base.errors import InputError
 SMALL = 96  # largest number of entries of an array held in local variables
 
 
-class Table(NamedTuple):
+class Stored(NamedTuple):
     """An array in memory, in row-major order."""
 
     address: int
@@ -28,12 +28,12 @@ class Table(NamedTuple):
     dtype: Any
 
 
-Value = np.ndarray | Table
+Value = np.ndarray | Stored
 
 
 def known(value: Value) -> bool:
     """Whether a value is constant, that is, depends on no input."""
-    return not isinstance(value, Table) and value.dtype != object
+    return not isinstance(value, Stored) and value.dtype != object
 
 
 class Arrays:
@@ -43,13 +43,13 @@ class Arrays:
         self.module = Module()
         self._written: dict[bytes, int] = {}  # addresses of constant data
 
-    def reserve(self, like: Any) -> Table:
+    def reserve(self, like: Any) -> Stored:
         """Reserves memory for an array of the shape and type of `like`; InputError for an unsupported type."""
         if kind_of(like.dtype) is None:
             expected = "float64, integers and booleans"
             raise InputError(f"numbers of type {like.dtype}", where="twin", expected=expected)
         size = int(np.prod(like.shape))
-        return Table(self.module.reserve(size), tuple(like.shape), np.dtype(like.dtype))
+        return Stored(self.module.reserve(size), tuple(like.shape), np.dtype(like.dtype))
 
     def elementwise(self, code: Code, write: Callable[..., Operand], params: Any, args: list[Value], out: Any) -> Value:
         """Applies an elementwise operation, written by `write`, to one array or several."""
@@ -60,13 +60,13 @@ class Arrays:
         sources = [self.single(code, a) if a.shape == () else self.table(code, a) for a in args]
         with code.loop(int(np.prod(out.shape))) as i:
             at = code.op(b"\x6c", I32, i, SLOT)
-            x = [code.load(kind_of_table(s), s.address, at) if isinstance(s, Table) else s for s in sources]
+            x = [code.load(kind_of_table(s), s.address, at) if isinstance(s, Stored) else s for s in sources]
             code.store(write(code, params, *x), made.address, at)
         return made
 
     def moved(self, code: Code, move: Callable[[Any], Any], args: list[Value], out: Any) -> Value:
         """Rearranges or repeats the entries of an array by `move`, which accepts numpy arrays of any type."""
-        if not isinstance(args[0], Table) and int(np.prod(out.shape)) <= SMALL:
+        if not isinstance(args[0], Stored) and int(np.prod(out.shape)) <= SMALL:
             return move(args[0])
         if args[0].shape == () or int(np.prod(args[0].shape)) == 1:
             single = self.single(code, args[0])
@@ -75,7 +75,7 @@ class Arrays:
         if source.shape != () and int(np.prod(source.shape)) == int(np.prod(out.shape)):
             whole = move(np.arange(np.prod(source.shape)).reshape(source.shape)).reshape(-1)
             if (np.diff(whole) == 1).all():
-                return Table(source.address, made.shape, source.dtype)  # order unchanged: no copy needed
+                return Stored(source.address, made.shape, source.dtype)  # order unchanged: no copy needed
         self._copy(code, source, move(np.arange(np.prod(source.shape)).reshape(source.shape)), made, None)
         return self.fetched(code, made)
 
@@ -92,7 +92,7 @@ class Arrays:
             self._copy(code, source, np.arange(end - begin).reshape(a.shape), made, to)
         return made
 
-    def _copy(self, code: Code, source: Table, taken: np.ndarray, made: Table, put: np.ndarray | None) -> None:
+    def _copy(self, code: Code, source: Stored, taken: np.ndarray, made: Stored, put: np.ndarray | None) -> None:
         """Copies entries `taken` of a table to positions `put` (None: in order); strides must be constant per axis."""
         put = np.arange(taken.size).reshape(taken.shape) if put is None else put
 
@@ -114,7 +114,7 @@ class Arrays:
 
     def reduced(self, code: Code, write: Callable[..., Operand], axes: Any, x: Value, out: Any) -> Value:
         """Reduces an array along axes by the binary operation that `write` writes, for example a sum."""
-        if not isinstance(x, Table) and x.size <= SMALL:
+        if not isinstance(x, Stored) and x.size <= SMALL:
             remaining = [k for k in range(x.ndim) if k not in axes]
             rows = x.transpose(*remaining, *axes).reshape(int(np.prod(out.shape)), -1)
             return array([self._folded(code, write, [operand(a) for a in row]) for row in rows], out.shape)
@@ -159,34 +159,34 @@ class Arrays:
 
     def fetched(self, code: Code, value: Value) -> Value:
         """Loads a small table into local variables; returns other values unchanged."""
-        if not isinstance(value, Table) or int(np.prod(value.shape)) > SMALL:
+        if not isinstance(value, Stored) or int(np.prod(value.shape)) > SMALL:
             return value
         return self.entries(code, value)
 
     def entries(self, code: Code, value: Value) -> np.ndarray:
         """The value as an array of numbers or operands."""
-        if not isinstance(value, Table):
+        if not isinstance(value, Stored):
             return value
         size = int(np.prod(value.shape))
         return array([code.load(kind_of_table(value), value.address + SLOT * k) for k in range(size)], value.shape)
 
-    def table(self, code: Code, value: Value) -> Table:
+    def table(self, code: Code, value: Value) -> Stored:
         """The value as a table in memory."""
-        if isinstance(value, Table):
+        if isinstance(value, Stored):
             return value
         if known(value):
-            return Table(self._data(value), value.shape, value.dtype)
+            return Stored(self._data(value), value.shape, value.dtype)
         like = jax.ShapeDtypeStruct(value.shape, np.float64 if _any_float(value) else np.int32)
         made = self.reserve(like)
         self.store_all(code, [made], [value])
         return made
 
-    def store_all(self, code: Code, tables: Sequence[Table], values: Sequence[Value]) -> None:
+    def store_all(self, code: Code, tables: Sequence[Stored], values: Sequence[Value]) -> None:
         """Writes values to tables of the same shapes."""
         for table, value in zip(tables, values, strict=True):
             if table.shape != value.shape:
                 raise AssertionError(f"{table.shape} for {value.shape}")
-            if isinstance(value, Table) or value.size > SMALL:
+            if isinstance(value, Stored) or value.size > SMALL:
                 self._copy(
                     code, self.table(code, value), np.arange(np.prod(value.shape)).reshape(value.shape), table, None
                 )
@@ -216,7 +216,7 @@ def operand(x: Any) -> Operand:
     return int(x) if isinstance(x, np.integer | np.bool_) else x
 
 
-def kind_of_table(table: Table) -> int:
+def kind_of_table(table: Stored) -> int:
     """WebAssembly type of a table's numbers."""
     kind = kind_of(table.dtype)
     assert kind is not None

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Literal
 
-from fitting.cli.twin.arrays import SMALL, Arrays, Table, Value, array, kind_of_table, known, operand, stride
+from fitting.cli.twin.arrays import SMALL, Arrays, Stored, Value, array, kind_of_table, known, operand, stride
 from fitting.cli.twin.primitives import ELEMENTWISE, FOLDED, JOINED, MOVED, REDUCED, RUNNING
 from fitting.cli.twin.wasm import F64, I32, SLOT, Code, Operand
 from pftwin.base.errors import InputError
@@ -106,7 +106,7 @@ class Emitter(Arrays):
         answer = self.reserve(jax.ShapeDtypeStruct((), bool))
         self.store_all(code, carry, parts[2])
 
-        def function(closed: ClosedJaxpr, consts: list[Value], to: list[Table]) -> int:
+        def function(closed: ClosedJaxpr, consts: list[Value], to: list[Stored]) -> int:
             inner = Code()
             values = [self.fetched(inner, x) for x in (*consts, *carry)]
             self.store_all(inner, to, self.run(inner, closed.jaxpr, closed.consts, values))
@@ -140,7 +140,7 @@ class Emitter(Arrays):
             code.call(function, j)
         return [self.fetched(code, t) for t in carry] + [self.fetched(code, t) for t in made]
 
-    def _row(self, code: Code, table: Table, i: Operand) -> Value:
+    def _row(self, code: Code, table: Stored, i: Operand) -> Value:
         size = int(np.prod(table.shape[1:]))
         if size > SMALL:
             raise InputError(f"rows of {size} numbers", where="twin", expected=f"at most {SMALL}")
@@ -179,5 +179,5 @@ def _used(jaxpr: Any) -> list[Any]:
     return needed[::-1]
 
 
-def _place(table: Table) -> list[Any]:
+def _place(table: Stored) -> list[Any]:
     return [table.address, int(np.prod(table.shape)), int(kind_of_table(table) == F64)]

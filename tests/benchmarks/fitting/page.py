@@ -44,7 +44,7 @@ def write_page(page: Path, rows: Sequence[Row], machine: dict[str, Any]) -> list
         InputError: see `check_page`.
         OutputError: a file cannot be written.
     """
-    from tests.benchmarks.fitting.methods.table import comma_separated, courses_of, markdown, targets
+    from tests.benchmarks.fitting.methods.table import comma_list, courses_of, markdown, targets
 
     text = check_page(page)
     folder, written = page.with_suffix(""), [page]
@@ -59,7 +59,7 @@ def write_page(page: Path, rows: Sequence[Row], machine: dict[str, Any]) -> list
         written += save_figure(comparison_figure(courses, (budget[0], budget[1])), folder / FIGURE)
         table = folder / f"{FIGURE}.csv"
         with written_whole(table) as path:
-            path.write_text(comma_separated(rows), encoding="utf-8")
+            path.write_text(comma_list(rows), encoding="utf-8")
         written.append(table)
         caption = (
             f"### Methods\nMedian (range) over seeds; equal evaluations: {budget[0]:,}; equal time: {budget[1]:g} s of "

@@ -68,7 +68,7 @@ class CheapWork:
         if (patient.name, kind) in self.broken:
             raise self.broken[patient.name, kind]
 
-    def about(self, patient: Patient) -> dict[str, Any]:
+    def scene_facts(self, patient: Patient) -> dict[str, Any]:
         return {"scene": f"knee {patient.name}", "synthetic": 1}
 
     def fit(self, patient: Patient, tell: Tell) -> Estimate:

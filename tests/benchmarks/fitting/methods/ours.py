@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from fitting.finish import started_at
+from fitting.finish import with_nominal
 from fitting.methods.gradient import Gradient
 from fitting.methods.least_squares import LeastSquares
 from fitting.methods.populations import Genetic, MatlabGa
@@ -39,7 +39,7 @@ def run(name: str, meter: Meter, seed: int) -> str:
     search = OURS[name](meter.problem, seed)
     state = _ended(search, meter)
     if search.rough and state["best_theta"] is not None:
-        from_there = started_at(meter.problem, np.asarray(state["best_theta"]))
+        from_there = with_nominal(meter.problem, np.asarray(state["best_theta"]))
         state = _ended(LeastSquares(from_there, seed, near=True), meter)
     return str(state["stopped"])
 

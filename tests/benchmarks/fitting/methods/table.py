@@ -134,7 +134,7 @@ def markdown(rows: Sequence[Row]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def comma_separated(rows: Sequence[Row]) -> str:
+def comma_list(rows: Sequence[Row]) -> str:
     """The same table for programs: median, least and largest of each column."""
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")

@@ -10,7 +10,7 @@ from wrapped_scene import wrapped_result
 
 from fitting.cli.live.drawing import DrawnKnee
 from fitting.cli.live.engine import Still
-from fitting.cli.live.motion import Shown
+from fitting.cli.live.motion import DrawnMotion
 from pftwin.results.viewer.recorded import Recorded
 
 
@@ -31,7 +31,7 @@ class Canvas:
 def test_the_treated_motions_arcs_are_drawn():
     """`Still` has meshes of the untreated scene, and lines of each result."""
     result = wrapped_result()
-    shown = Shown(Recorded.of(result, geometry=Still(result.scene).geometry(result)), 10.0)
+    shown = DrawnMotion(Recorded.of(result, geometry=Still(result.scene).geometry(result)), 10.0)
     for name in ("quadriceps", "patellar_tendon", "brace"):
         vertices, _ = shown.lines[name]
         middles = vertices.reshape(result.times.size, 10, -1, 3).mean(axis=2)
@@ -45,7 +45,7 @@ def test_a_line_that_begins_to_bend_gets_a_mesh_of_its_own():
     canvas = Canvas()
     knee = DrawnKnee(canvas, "/after", "#D55E00")
     for recorded, rings in ((straight, 2), (bent, 10), (bent, 10), (straight, 2)):
-        shown = Shown(recorded, 10.0)
+        shown = DrawnMotion(recorded, 10.0)
         knee.set(shown)
         knee.frame(3)
         mesh = canvas.meshes["/after/patellar_tendon"]

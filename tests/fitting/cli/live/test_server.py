@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from small_scene import small_scene
 
 import pftwin
-from fitting.cli.live.words import KEPT
+from fitting.cli.live.words import PACE_COUNT
 from pftwin.base.errors import MissingExtraError
 
 pytest.importorskip("viser")
@@ -85,7 +85,7 @@ def test_a_fast_drag_does_not_queue_up_and_ends_where_it_ended(client, server):
         client.move(MEDIALISE, 0.1 * k)
     drawn_for(session, medialisation=0.1 * 199)
     client.wait_for("of the last")  # noted after the drawing
-    assert 1 <= len(session.motions) < KEPT == session.motions.maxlen == session.drawings.maxlen
+    assert 1 <= len(session.motions) < PACE_COUNT == session.motions.maxlen == session.drawings.maxlen
 
 
 @pytest.mark.parametrize(

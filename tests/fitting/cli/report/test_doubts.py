@@ -83,13 +83,13 @@ def test_what_widens_the_bands_most_is_told(tmp_path):
     """An outcome that is a straight function of the fitted K1 alone, over draws in which friction varies as well."""
     from xarray import Dataset
 
-    from fitting.cli.report.tables import how_sure
+    from fitting.cli.report.tables import uncertainty_of_prediction
 
     draws = np.random.default_rng(0).normal(size=(41, 2))
     outcomes = dict.fromkeys(OUTCOMES, (("variant", "sample"), draws[:, :1].T))
     numbers = {"parameters": (("sample", "parameter"), draws)}
     kinds = {"parameter": ["K1", "mu"], "parameter_kind": ("parameter", [REQUESTED, "friction"])}
-    said = how_sure(Dataset({**outcomes, **numbers}, kinds, {"variants_missing": 2}))
+    said = uncertainty_of_prediction(Dataset({**outcomes, **numbers}, kinds, {"variants_missing": 2}))
     assert said[0] == "The prediction was interrupted: 2 variants are missing."
     known = "If this source were known, the bands would be 100 % narrower."
     assert said[1] == f"Widest source of the bands: requested parameters (K1). {known}"

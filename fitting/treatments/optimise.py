@@ -7,11 +7,11 @@ uncertainty the limits must be met for the estimate and, all of them together, f
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
-from functools import partial
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from fitting.coverage import NOT_KNOWN
 from fitting.prediction.outcomes import MEASURES
@@ -24,6 +24,9 @@ from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.model.scene import Scene
 from pftwin.results.tracking import DISLOCATED
+
+if TYPE_CHECKING:
+    from xarray import Dataset
 
 _GRID = {1: 41, 2: 15, 3: 8}  # grid points per side, by the number of amounts
 _AT_ONCE = 8  # grid points whose draws are simulated in one batch
@@ -76,102 +79,122 @@ def optimise_treatment(
     wanted = (limits,) if isinstance(limits, Limit) else tuple(limits)
     ranges = dict(ranges or {"medialisation": (0.0, 0.020)})
     check_limits(wanted)
-    lower, upper = check_ranges(ranges)
+    ends = check_ranges(ranges)
     check_draws(samples, estimate)
     check_confidence(confidence)
     thetas = estimate_and_draws(estimate, samples, seed)
     if isinstance(treatment, str):
         treatment = Treatment.of(treatment, dict.fromkeys(ranges, 0.0))
     search = Search(scene, treatment, tuple(ranges), estimate, wanted, thetas, confidence, dt, threshold)
-    axes = [np.linspace(a, b, _GRID[len(ranges)]) for a, b in zip(lower, upper, strict=True)]
-    amounts = np.stack([a.ravel() for a in np.meshgrid(*axes, indexing="ij")], axis=1)
-    scale = np.maximum(np.abs(lower), np.abs(upper))
-    amounts = amounts[np.argsort(np.linalg.norm(amounts / scale, axis=1), kind="stable")]
-    options: dict[str, Any] = {"dt": dt, "threshold": threshold, "chunk": CHUNK}
+    options = {"dt": dt, "threshold": threshold, "chunk": CHUNK}
+    grid = _GridSearch(scene, search, wanted, estimate, ends, samples, confidence, seed, options, progress)
+    try:
+        return grid.best()
+    except KeyboardInterrupt:
+        return replace(grid.best_so_far(), interrupted=True)
 
-    def report(what: str, before: int, whole: int, done: int, _: int) -> None:
-        progress(before + done, whole, what)
 
-    of_range = partial(report, "the whole range", 0, len(amounts))
-    coarse = predict(scene, search.treated(amounts), estimate, progress=of_range, **options)
-    room = smallest_margin(coarse, wanted)
-    fine = np.flatnonzero(room >= 0)
-    simulated = len(amounts)
+@dataclass(eq=False)
+class _GridSearch:
+    """Simulates a grid over the whole range, then draws at its points that meet the limits, smallest amounts first."""
 
-    objection = "" if estimate is None else estimate.objection
+    scene: Scene
+    search: Search
+    limits: tuple[Limit, ...]
+    estimate: Fitted | None
+    ends: tuple[Floats, Floats]  # lower and upper, of each amount's range
+    samples: int
+    confidence: float
+    seed: int
+    options: dict[str, Any]  # of `predict`
+    progress: Callable[[int, int, str], None]
 
-    def written(
-        met: bool, at: Floats, outcomes: dict[str, float], share: float | None, invalid: str = "", **more: Any
+    def __post_init__(self) -> None:
+        axes = [np.linspace(a, b, _GRID[len(self.ends[0])]) for a, b in zip(*self.ends, strict=True)]
+        amounts = np.stack([a.ravel() for a in np.meshgrid(*axes, indexing="ij")], axis=1)
+        self.scale = np.maximum(*np.abs(self.ends))
+        self.amounts = amounts[np.argsort(np.linalg.norm(amounts / self.scale, axis=1), kind="stable")]
+        self.shares: dict[int, float] = {}  # of draws that meet the limits, by grid point; 1 without draws
+        self.simulated = 0
+        self.coarse = self._predicted(self.amounts, "the whole range", 0, len(amounts))
+        self.margins = smallest_margin(self.coarse, self.limits)
+        self.candidates = np.flatnonzero(self.margins >= 0)
+
+    def best(self) -> TreatmentPlan:
+        """The smallest treatment that meets the limits; if none does, the nearest on the grid."""
+        for i in range(0, len(self.candidates), _AT_ONCE):
+            part = self.candidates[i : i + _AT_ONCE]
+            shares = self._shares_of_draws(part, i) if self.samples else np.ones(len(part))
+            self.shares.update(zip(part.tolist(), shares.tolist(), strict=True))
+            for k in part[shares >= (self.confidence if self.samples else 1.0) - 1e-9]:
+                if (self.search.room(self.amounts[k]) >= 0).all():  # confirmed by a separate simulation
+                    best = self.amounts[k]
+                    if best.any():
+                        best = refine(self.search, best, self._next_smaller(k), *self.ends, self.scale)
+                    return self._simulated_plan(True, best)
+        k = max(self.shares, key=self.shares.__getitem__) if self.shares else int(np.argmax(self.margins))
+        return self._simulated_plan(False, self.amounts[k])
+
+    def best_so_far(self) -> TreatmentPlan:
+        """The best plan that needs no further simulation."""
+        if met := self.search.met(*self.ends):
+            return self._simulated_plan(True, min(met, key=lambda a: effort(a, self.scale)))
+        k = int(self.candidates[0] if self.candidates.size else np.argmax(self.margins))
+        if self.samples and self.shares:
+            enough = [i for i, share in self.shares.items() if share >= self.confidence - 1e-9]  # the smallest first
+            k = enough[0] if enough else max(self.shares, key=self.shares.__getitem__)
+        outcomes = {name: float(in_si(self.coarse[name])[k]) for name in MEASURES}
+        return self._plan(False, self.amounts[k], outcomes, self.shares.get(k) if self.samples else None)
+
+    def _predicted(self, amounts: Floats, stage: str, before: int, whole: int, **more: Any) -> Dataset:
+        """Outcomes at these amounts (n, k); `before` of `whole` simulations of the stage are done."""
+
+        def report(done: int, _: int) -> None:
+            self.progress(before + done, whole, stage)
+
+        data = predict(self.scene, self.search.treated(amounts), self.estimate, progress=report, **self.options, **more)
+        self.simulated += len(amounts) * (1 + more.get("samples", 0))
+        return data
+
+    def _shares_of_draws(self, points: NDArray[np.intp], before: int) -> Floats:
+        """Share of draws that meet the limits at each of these grid points; draws at `before` points are done."""
+        done, whole = (n * (1 + self.samples) for n in (before, len(self.candidates)))
+        data = self._predicted(self.amounts[points], "draws", done, whole, samples=self.samples, seed=self.seed)
+        return (smallest_margin(data, self.limits)[:, 1:] >= 0).mean(axis=1)
+
+    def _next_smaller(self, k: int) -> Floats:
+        """For a single amount, the next smaller grid value on the same side of zero, or the smallest of the range."""
+        smaller = [a for a in self.amounts[:k] if (a * self.amounts[k] >= 0).all()]
+        return smaller[-1] if smaller else np.clip(0.0 * self.amounts[k], *self.ends)
+
+    def _simulated_plan(self, met: bool, at: Floats) -> TreatmentPlan:
+        """The plan with these amounts, whose outcomes are simulated unless the whole grid failed."""
+        if not self.coarse["failed"].all():
+            share = self.search.share(at) if self.samples else None
+            return self._plan(met, at, self.search.outcomes(at), share, trust=self.search.status(at))
+        none, nearest = dict.fromkeys(MEASURES, np.nan), facts(self.coarse)["variants"][int(np.argmax(self.margins))]
+        flagged = len(at) == 1 and any(nearest["status_frames"].values())  # a start's fault is no frame's flag
+        trust = {name: nearest[name] for name in ("status", "status_frames")} if flagged else {}
+        share = 0.0 if self.samples else None
+        return self._plan(met, at, none, share, invalid=invalid_variants(self.coarse), trust=trust)
+
+    def _plan(
+        self, met: bool, at: Floats, outcomes: dict[str, float], share: float | None, invalid: str = "", **more: Any
     ) -> TreatmentPlan:
+        objection = "" if self.estimate is None else self.estimate.objection
         return TreatmentPlan(
             met and not objection,
-            search.treated(at),
+            self.search.treated(at),
             outcomes,
-            wanted,
-            samples=samples,
-            confidence=confidence,
+            self.limits,
+            samples=self.samples,
+            confidence=self.confidence,
             share=share,
-            coverage=(NOT_KNOWN if estimate is None else estimate.coverage).plans,
-            simulations=simulated + search.count,  # including those for the share and the outcomes
+            coverage=(NOT_KNOWN if self.estimate is None else self.estimate.coverage).plans,
+            simulations=self.simulated + self.search.count,  # including those for the share and the outcomes
             invalid="; ".join(why for why in (objection, invalid) if why),
             **more,
         )
-
-    def plan(met: bool, at: Floats) -> TreatmentPlan:
-        if coarse["failed"].all():
-            none, nearest = dict.fromkeys(MEASURES, np.nan), facts(coarse)["variants"][int(np.argmax(room))]
-            flagged = len(ranges) == 1 and any(nearest["status_frames"].values())  # a start's fault is no frame's flag
-            trust = {name: nearest[name] for name in ("status", "status_frames")} if flagged else {}
-            return written(met, at, none, 0.0 if samples else None, invalid=invalid_variants(coarse), trust=trust)
-        share = search.share(at) if samples else None
-        return written(met, at, search.outcomes(at), share, trust=search.status(at))
-
-    share_of: dict[int, float] = {}  # of draws that meet the limits, by grid point; 1 without draws
-
-    def found() -> TreatmentPlan:
-        nonlocal simulated
-        if not fine.size:
-            return plan(False, amounts[int(np.argmax(room))])
-        for i in range(0, len(fine), _AT_ONCE):
-            part = fine[i : i + _AT_ONCE]
-            shares = np.ones(len(part))
-            if samples:
-                draws = 1 + samples
-                of_draws: dict[str, Any] = {"samples": samples, "seed": seed}
-                of_draws["progress"] = partial(report, "draws", i * draws, len(fine) * draws)
-                data = predict(scene, search.treated(amounts[part]), estimate, **options, **of_draws)
-                shares = (smallest_margin(data, wanted)[:, 1:] >= 0).mean(axis=1)
-                simulated += len(part) * (1 + samples)
-            share_of.update(zip(part.tolist(), shares.tolist(), strict=True))
-            for k in part[shares >= (confidence if samples else 1.0) - 1e-9]:
-                if (search.room(amounts[k]) >= 0).all():  # confirmed by a separate simulation
-                    best = amounts[k]
-                    if best.any():
-                        best = refine(search, best, _next_smaller(amounts, k, lower, upper), lower, upper, scale)
-                    return plan(True, best)
-        return plan(False, amounts[max(share_of, key=share_of.__getitem__)])
-
-    def so_far() -> TreatmentPlan:
-        """The best plan that needs no further simulation."""
-        if met := search.met(lower, upper):
-            return plan(True, min(met, key=lambda a: effort(a, scale)))
-        k = int(fine[0] if fine.size else np.argmax(room))
-        if samples and share_of:
-            enough = [i for i, share in share_of.items() if share >= confidence - 1e-9]  # the smallest first
-            k = enough[0] if enough else max(share_of, key=share_of.__getitem__)
-        reached = {name: float(in_si(coarse[name])[k]) for name in MEASURES}
-        return written(False, amounts[k], reached, share_of.get(k) if samples else None)
-
-    try:
-        return found()
-    except KeyboardInterrupt:
-        return replace(so_far(), interrupted=True)
-
-
-def _next_smaller(amounts: Floats, k: int, lower: Floats, upper: Floats) -> Floats:
-    """For a single amount, the next smaller grid value on the same side of zero, or the smallest of the range."""
-    before = [a for a in amounts[:k] if (a * amounts[k] >= 0).all()]
-    return before[-1] if before else np.clip(0.0 * amounts[k], lower, upper)
 
 
 def check_confidence(confidence: float) -> None:

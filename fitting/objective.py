@@ -100,22 +100,12 @@ class Objective:
             InputError: times that differ from the scene's (number, rate or start); no measured channel for this
                 objective; an unknown objective, channel or loss; a noise that is missing or not positive.
         """
-        if kind not in OBJECTIVES:
-            raise InputError(f"no objective {kind!r}", where="objective", expected=f"one of: {', '.join(OBJECTIVES)}")
-        if loss not in LOSSES:
-            raise InputError(f"no loss {loss!r}", where="loss", expected=f"one of: {', '.join(LOSSES)}")
+        _check_kind(kind, loss, noise)
         check_times(scene, measured)
         data = chosen_channels(scene, measured, kind, use, springs)
         channels = tuple(data)
         if noise is not None:
             check_noise(noise, channels, _residuals_of(channels))
-            if kind == "paper":
-                found, expected = "given with the paper's objective, which knows none", "the likelihood, or no noise"
-                raise InputError(found, where="noise", expected=expected)
-        if loss != "linear" and noise is None:
-            problem = f"the loss {loss!r} needs the measurements' noise to detect outliers"
-            expected = 'a likelihood with noise, such as noise={"position": 2e-4}'
-            raise InputError(problem, where="loss", expected=expected)
         there = np.stack([np.isfinite(values).all(axis=1) for values in data.values()], axis=1)
         weights = measured.weights
         if weights is not None:
@@ -313,6 +303,20 @@ class Objective:
         ends = np.cumsum(counts := _residuals_of(self.channels)).tolist()
         for (channel, columns), count, end in zip(side_by_side(self.channels), counts, ends, strict=True):
             yield channel, columns, slice(end - count, end)
+
+
+def _check_kind(kind: str, loss: str, noise: StatedNoise | None) -> None:
+    """Raises InputError for an unknown objective or loss, or for one that does not go with the noise."""
+    if kind not in OBJECTIVES:
+        raise InputError(f"no objective {kind!r}", where="objective", expected=f"one of: {', '.join(OBJECTIVES)}")
+    if loss not in LOSSES:
+        raise InputError(f"no loss {loss!r}", where="loss", expected=f"one of: {', '.join(LOSSES)}")
+    if noise is not None and kind == "paper":
+        found, expected = "given with the paper's objective, which knows none", "the likelihood, or no noise"
+        raise InputError(found, where="noise", expected=expected)
+    if noise is None and loss != "linear":
+        found = f"the loss {loss!r} needs the measurements' noise to detect outliers"
+        raise InputError(found, where="loss", expected='a likelihood with noise, such as noise={"position": 2e-4}')
 
 
 def channel_of_columns(channels: tuple[str, ...]) -> NDArray[np.intp]:

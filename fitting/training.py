@@ -93,18 +93,9 @@ def train_posterior(
     theta, recordings = _simulated(problem, held, extra, drawn, substeps, random, progress)
     check_enough(len(theta), simulations, problem)
     learned = learn(region, theta, recordings, first, held, Noise.initial(target), random)
-    return TrainedPosterior(
-        SetUp.of(problem, extra, springs),
-        learned,
-        probes,
-        held.present,
-        substeps,
-        simulations,
-        simulations - len(theta),
-        seed,
-        time.perf_counter() - began,
-        doubts=tuple(doubts),
-    )
+    own = SetUp.of(problem, extra, springs), learned, probes, held.present, substeps
+    counts = simulations, simulations - len(theta)
+    return TrainedPosterior(*own, *counts, seed, time.perf_counter() - began, doubts=tuple(doubts))
 
 
 def _simulated(

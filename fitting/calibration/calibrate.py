@@ -19,7 +19,7 @@ from fitting.calibration.result import Answers, Calibration, Plans
 from fitting.channel_checks import limits_of
 from fitting.estimate import Estimate
 from fitting.nuisance import EXACT, Nuisance
-from fitting.parameters import Parameter
+from fitting.parameters import Parameter, Parameters
 from fitting.programs import reading_units
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError, PftwinError
@@ -28,6 +28,7 @@ from pftwin.model.scene import Scene, check
 
 if TYPE_CHECKING:
     from fitting.calibration.quick_fit import QuickFit
+    from fitting.set_up import SetUp
     from fitting.trained import TrainedPosterior
 
 PER_KIND = 100  # plants
@@ -83,12 +84,8 @@ def calibrate(
     if missing := [name for name in recorded if name not in lab.readings]:
         remedy = f"Laboratory(readings={{{missing[0]!r}: ...}}), the standard deviation of its noise"
         raise InputError(f"{missing[0]} is not recorded", where="laboratory", remedy=remedy)
-    prepared, parameters = trained.set_up.parameters(scenes)
-    knees = [Knee(one, own.shared, tuple(prepared)) for one, own in zip(prepared, parameters, strict=True)]
-    if trained.set_up.nuisance == EXACT:
-        wider = zip(*trained.set_up._replace(nuisance=MISPLACED).parameters(scenes), strict=True)
-        knees = [replace(knee, lacking=(one, own.shared)) for knee, (one, own) in zip(knees, wider, strict=True)]
-    calibrator = _Calibrator(trained, knees, parameters[0].items, lab, scenes, operation, limits)
+    knees, parameters = _knees(trained.set_up, scenes)
+    calibrator = _Calibrator(trained, knees, parameters.items, lab, scenes, operation, limits)
     found: dict[str, Answers] = {}
     optional: dict[str, dict[str, Any]] = {"predictions": {}, "plans": {}}
     for index, (kind, make) in enumerate(made.items()):
@@ -99,10 +96,19 @@ def calibrate(
             optional["predictions"][kind] = Answers.of_predictions(operations, OUTCOMES)
         if operation is not None and operation.limits:
             optional["plans"][kind] = Plans.of(operations, operation.confidence)
-    asked = parameters[0]
+    names = parameters.names[: parameters.asked]
     words = operation.describe() if operation is not None else ""
-    seconds = time.perf_counter() - began
-    return Calibration(asked.names[: asked.asked], found, trained.sentence(), seed, seconds, words, **optional)
+    return Calibration(names, found, trained.sentence(), seed, time.perf_counter() - began, words, **optional)
+
+
+def _knees(set_up: SetUp, scenes: Sequence[Scene]) -> tuple[list[Knee], Parameters]:
+    """The knee of every trial, and the first trial's parameters, including differences between trials."""
+    prepared, parameters = set_up.parameters(scenes)
+    knees = [Knee(one, own.shared, tuple(prepared)) for one, own in zip(prepared, parameters, strict=True)]
+    if set_up.nuisance == EXACT:
+        wider = zip(*set_up._replace(nuisance=MISPLACED).parameters(scenes), strict=True)
+        knees = [replace(knee, lacking=(one, own.shared)) for knee, (one, own) in zip(knees, wider, strict=True)]
+    return knees, parameters[0]
 
 
 def plant_in_trials(make: Maker, knees: Sequence[Knee], random: np.random.Generator) -> list[Plant]:

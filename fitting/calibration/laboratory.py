@@ -122,9 +122,8 @@ class Laboratory:
             source="a plant",
             readings={name: self._reading(motion, name, random) for name in self.readings},
         )
-        if knee_motion.femur is None:
-            return KneeMotion.from_poses(None, tibia.relative_to(femur)), measured
-        return KneeMotion.from_poses(femur, tibia), measured
+        bones = (femur, tibia) if knee_motion.femur is not None else (None, tibia.relative_to(femur))
+        return KneeMotion.from_poses(*bones), measured
 
     def _poses_of_markers(self, true: PoseSeries, random: np.random.Generator) -> PoseSeries:
         places = self.cluster * _CORNERS

@@ -10,7 +10,7 @@ import pytest
 from linear_problems import NOMINAL, design, parameters, problem, run, scaled
 
 from fitting.evaluation import Prediction
-from fitting.finish import change, estimate_at, finished
+from fitting.finish import estimate_at, finished, halving_change
 from fitting.methods.least_squares import LeastSquares
 from fitting.methods.problem import Problem
 
@@ -58,7 +58,7 @@ def test_an_estimate_is_settled_where_half_the_steps_tell_the_same(off: dict[str
     ours = with_steps(**off)
     state = run(LeastSquares(ours, 0, 2))
     theta = np.asarray(state["best_theta"])
-    assert (change(lambda n: estimate_at(ours, theta, n), ours.evaluator.fine) <= 0.05) is same
+    assert (halving_change(lambda n: estimate_at(ours, theta, n), ours.evaluator.fine) <= 0.05) is same
 
 
 def test_steps_are_halved_until_then_and_the_answer_is_that_of_short_ones() -> None:
@@ -113,7 +113,7 @@ def test_derivatives_that_have_no_meaning_settle_nothing(monkeypatch: pytest.Mon
         return found._replace(covariance=-found.covariance)
 
     monkeypatch.setattr(fitting.finish, "uncertainty", negative)
-    assert change(lambda n: estimate_at(ours, theta, n), ours.evaluator.fine) == np.inf
+    assert halving_change(lambda n: estimate_at(ours, theta, n), ours.evaluator.fine) == np.inf
 
 
 def test_methods_that_are_exact_end_where_they_were() -> None:

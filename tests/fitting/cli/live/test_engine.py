@@ -15,7 +15,7 @@ import pftwin
 from fitting.cli.live import engine as engines
 from fitting.cli.live.engine import Engine
 from fitting.cli.live.knobs import neutral
-from fitting.cli.live.motion import Shown
+from fitting.cli.live.motion import DrawnMotion
 from fitting.cli.live.words import outcome
 from pftwin.base.errors import InputError
 from pftwin.results.viewer.shapes import of_poses
@@ -154,7 +154,7 @@ def test_contacts_are_prepared_when_they_are_wanted(engine):
 
 def test_frames_are_those_of_the_result(engine):
     answer = engine.run("groove", MOVED)
-    shown = Shown(answer.recorded, 10.0)
+    shown = DrawnMotion(answer.recorded, 10.0)
     data = answer.recorded.data
     matrices = of_poses(data["patella_position"].values, data["patella_quaternion"].values)
     patella = shown.tracks["patella"]
@@ -174,7 +174,7 @@ def test_frames_are_those_of_the_result(engine):
 
 def test_the_surface_goes_on_where_it_is_touched_beyond_its_edge(engine):
     model = engine.model("groove")
-    shown = Shown(model.before.recorded, 10.0)
+    shown = DrawnMotion(model.before.recorded, 10.0)
     assert model.still.continued(shown.touched) is None
     out = np.where(np.arange(len(shown.touched))[:, None] == 3, [[0.0, 0.030, 0.0]], shown.touched)
     beyond = model.still.continued(out)

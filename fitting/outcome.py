@@ -158,17 +158,10 @@ def estimate_of(
     parameters, target, fitted = problem.parameters, problem.objective, found.prediction
     r = target.unweighted.residuals(fitted.values)[0]
     rmse = _rmse(target, r)
-    assert fitted.slopes is not None
     scenes, names = problem.evaluator.scenes, trial_names(problem.evaluator.scenes)
-    shifts: dict[str, TimeShift] = {}
-    late: list[str] = []
-    of_trials: dict[str, dict[str, float]] = {}
-    for scene, name, rows, own in zip(scenes, names, target.frames, target.trials, strict=True):
-        of_trials[name] = _rmse(own, r[rows])
-        late_by = time_shifts(own, scene.motion.times, fitted.values[0][rows], fitted.slopes[0][rows])
-        named = {channel if len(scenes) == 1 else f"{channel} of {name}": s for channel, s in late_by.items()}
-        late += late_channels(named, own.source, limits)
-        shifts |= named
+    of_trials = zip(names, target.trials, target.frames, strict=True)
+    trial_rmse = {name: _rmse(own, r[rows]) for name, own, rows in of_trials} if len(scenes) > 1 else {}
+    shifts, late = _time_shifts(problem, fitted, limits)
     noise = None if target.noise is None else noise_beside(target.noise, nuisance, target)
     left = per_trial(scenes, target, lambda own, rows: unexplained(own, r[rows], limits, noise, doubts))
     moved = [s.change for s in shifts.values() if s.exceeds(limits["shift"][0])]
@@ -217,9 +210,24 @@ def estimate_of(
         readings=target.readings,
         covariances=target.covariances,
         step_error={channel: e.rms for channel, e in found.steps.items()},
-        trial_rmse=of_trials if len(scenes) > 1 else {},
+        trial_rmse=trial_rmse,
         trials=tuple(FittedTrial(*each) for each in zip(scenes, measured, strict=True)),
     )
+
+
+def _time_shifts(problem: Problem, fitted: Prediction, limits: Limits) -> tuple[dict[str, TimeShift], list[str]]:
+    """Time shifts of all trials' channels, and those beyond the limit in words. Raises InputError as `late_channels`
+    does."""
+    assert fitted.slopes is not None
+    shifts: dict[str, TimeShift] = {}
+    late: list[str] = []
+    scenes, target = problem.evaluator.scenes, problem.objective
+    for scene, name, rows, own in zip(scenes, trial_names(scenes), target.frames, target.trials, strict=True):
+        late_by = time_shifts(own, scene.motion.times, fitted.values[0][rows], fitted.slopes[0][rows])
+        named = {channel if len(scenes) == 1 else f"{channel} of {name}": s for channel, s in late_by.items()}
+        late += late_channels(named, own.source, limits)
+        shifts |= named
+    return shifts, late
 
 
 def judge(estimate: Estimate) -> None:

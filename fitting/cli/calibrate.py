@@ -18,6 +18,7 @@ from pftwin.cli.terminal import JsonOption, check_outputs, check_suffix, present
 
 if TYPE_CHECKING:
     from fitting.calibration.operations import Operation
+    from fitting.calibration.plants import Maker
     from fitting.calibration.result import Calibration
 
 
@@ -99,15 +100,11 @@ def calibrate(
     check_outputs(output, widen, json)
     from fitting.calibration.calibrate import calibrate as run
     from fitting.calibration.laboratory import Laboratory
-    from fitting.calibration.plants import BY_NAME, PLANTS
     from fitting.calibration.quick_fit import QuickFit
     from fitting.calibration.result import TO_WIDEN
     from fitting.trained import TrainedPosterior
 
-    known, chosen = PLANTS | BY_NAME, names_in(kinds) if kinds is not None else tuple(PLANTS)
-    if not chosen or (strange := [kind for kind in chosen if kind not in known]):
-        found = f"no plants {strange[0]!r}" if chosen else "none named"
-        raise InputError(found, where="--kinds", expected=f"some of: {', '.join(known)}")
+    makers = _makers(kinds)
     lab = Laboratory(
         **errors,
         cutoff=cutoff or None,
@@ -129,7 +126,7 @@ def calibrate(
             answering,
             scenes,
             plants=plants,
-            kinds={kind: known[kind] for kind in chosen},
+            kinds=makers,
             laboratory=lab,
             operation=operation,
             seed=seed,
@@ -151,6 +148,17 @@ def calibrate(
         raise refusal
     if not found.holds:
         exit_flagged(found.sentence())
+
+
+def _makers(kinds: str | None) -> dict[str, Maker]:
+    """Functions that make plants, by kind; InputError for an unknown kind."""
+    from fitting.calibration.plants import BY_NAME, PLANTS
+
+    known, chosen = PLANTS | BY_NAME, names_in(kinds) if kinds is not None else tuple(PLANTS)
+    if not chosen or (strange := [kind for kind in chosen if kind not in known]):
+        found = f"no plants {strange[0]!r}" if chosen else "none named"
+        raise InputError(found, where="--kinds", expected=f"some of: {', '.join(known)}")
+    return {kind: known[kind] for kind in chosen}
 
 
 def _check_what(trained: Path | None, method: str | None, asked: dict[str, Any]) -> None:

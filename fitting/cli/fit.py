@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -29,6 +28,7 @@ if TYPE_CHECKING:
     from fitting.estimate import Estimate
     from fitting.fit import Progress
     from fitting.posterior.result import Posterior
+    from pftwin.model.scene import Scene
 
 
 _UNKNOWN = "not known"  # standard deviation of a value that was set by a bound
@@ -88,28 +88,13 @@ def fit(
     if posterior is not None:
         _check_posterior(objective, calibrated)
     scenes = [within(trial.scene, spans) for trial in trials]
-    if trained is not None:
-        from fitting.trained import TrainedPosterior
-
-        refuse_settled(asked | checkpointing, "--trained")
-        with spinner("answering"):
-            estimate = TrainedPosterior.load(trained, scenes).estimate(scenes, limits=limits)
-    elif calibrated is not None:
-        from fitting.calibration.quick_fit import QuickFit
-
-        refuse_settled(asked, "--calibrated")
-        quick = QuickFit.load(calibrated)
-        estimate = _fitted(quick.method, checkpoint, partial(quick.estimate, scenes, limits=limits, **checkpointing))
-    else:
-        from fitting.fit import fit_tendons
-
-        estimate = _fitted(method, checkpoint, partial(fit_tendons, scenes, limits=limits, **asked, **checkpointing))
+    estimate = _estimated(scenes, limits, asked, checkpointing, trained, calibrated)
     interrupted = estimate.reason.startswith("interrupted")
     with report_written_on_interrupt(output, checkpoint):
         draws = None if interrupted else posterior
         _report(estimate, output, json, figures=figures and not interrupted, posterior=draws)
     if interrupted:
-        raise Interrupted(output, *([] if checkpoint is None else [checkpoint]))
+        raise Interrupted(output, checkpoint)
     if estimate.invalid:
         exit_flagged(estimate.sentence())
 
@@ -182,14 +167,37 @@ def train_posterior(
     present({**found.facts(), "files": files}, sheet, found.sentence(), written_line(files), json=json)
 
 
-def _fitted(method: str, checkpoint: Path | None, fitted: Callable[..., Estimate]) -> Estimate:
-    """Fits, and shows progress on stderr."""
-    with report_written_on_interrupt(checkpoint), progress(f"{method}: compiling") as shown:
+def _estimated(
+    scenes: list[Scene],
+    limits: dict[str, Any] | None,
+    asked: dict[str, Any],
+    checkpointing: dict[str, Any],
+    trained: Path | None,
+    calibrated: Path | None,
+) -> Estimate:
+    """The estimate by a trained posterior, by the settings of a calibrated fit, or by those that were asked for."""
+    if trained is not None:
+        from fitting.trained import TrainedPosterior
+
+        refuse_settled(asked | checkpointing, "--trained")
+        with spinner("answering"):
+            return TrainedPosterior.load(trained, scenes).estimate(scenes, limits=limits)
+    if calibrated is not None:
+        from fitting.calibration.quick_fit import QuickFit
+
+        refuse_settled(asked, "--calibrated")
+        quick = QuickFit.load(calibrated)
+        method, run = quick.method, partial(quick.estimate, scenes, limits=limits, **checkpointing)
+    else:
+        from fitting.fit import fit_tendons
+
+        method, run = asked["method"], partial(fit_tendons, scenes, limits=limits, **asked, **checkpointing)
+    with report_written_on_interrupt(checkpointing["checkpoint"]), progress(f"{method}: compiling") as shown:
 
         def tell(p: Progress) -> None:
             shown(p.iteration, p.of, f"{p.iteration}/{p.of}  best {p.best:.6g}  spread {p.spread:.2g}", method)
 
-        return fitted(progress=tell)
+        return run(progress=tell)
 
 
 def _report(estimate: Estimate, output: Path, json: str | None, *, figures: bool, posterior: int | None) -> None:

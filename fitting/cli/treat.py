@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 
     from fitting.estimate import Estimate
     from fitting.treatments import Treatment
+    from fitting.treatments.limits import TreatmentPlan
     from pftwin.model.scene import Scene
 
 _MOST_ROWS = 40
@@ -37,6 +38,15 @@ StepOption = Annotated[
         metavar="SECONDS",
         parser=seconds,
         help='Longest time step [s], or "0.5 ms". If left out: 0.0005, shorter where accuracy requires it.',
+    ),
+]
+LimitOption = Annotated[
+    list[str],
+    Option(
+        metavar="LIMIT",
+        callback=show_limits,
+        is_eager=True,
+        help="A limit to meet: an outcome, <= or >=, a number and its unit; may be repeated. help: lists the outcomes.",
     ),
 ]
 SeedOption = Annotated[int, Option("--seed", metavar="N", min=0, help="Seed of the draws.")]
@@ -74,15 +84,8 @@ def treat(
     variants = combinations(numbers)
     found = loaded_estimate(estimate)
     chosen = knee.load()
+    from fitting.prediction import plots
     from fitting.prediction.band_sources import band_sources
-    from fitting.prediction.plots import (
-        facts,
-        invalid_variants,
-        main_finding,
-        narrow_bands,
-        outcome_figure,
-        outcome_sheet,
-    )
     from pftwin.files.result_files import save_dataset
     from pftwin.results.plots import save_figure
 
@@ -94,12 +97,12 @@ def treat(
             raise Interrupted(output)
         files = [output]
         if figure and data.sizes["variant"] > 1:
-            drawn = outcome_figure(data, f"{chosen.scene.name}: predicted outcomes")
+            drawn = plots.outcome_figure(data, f"{chosen.scene.name}: predicted outcomes")
             files += save_figure(drawn, output.with_suffix(""))
-    invalid, finding = data.attrs.get("objection"), main_finding(data)
-    outcome = {**facts(data), "finding": finding, "files": [str(p) for p in files]}
-    doubt = invalid_variants(data) or narrow_bands(data)
-    sheet = outcome_sheet(data, _MOST_ROWS)
+    invalid, finding = data.attrs.get("objection"), plots.main_finding(data)
+    outcome = {**plots.facts(data), "finding": finding, "files": [str(p) for p in files]}
+    doubt = plots.invalid_variants(data) or plots.narrow_bands(data)
+    sheet = plots.outcome_sheet(data, _MOST_ROWS)
     parts = (finding, sheet) if doubt or invalid else (sheet, finding)
     if "parameter_kind" in data.coords and "sample" in data.dims:
         sources = band_sources(data)
@@ -114,16 +117,7 @@ def treat(
 @on_scene
 def optimise(
     *,
-    limit: Annotated[
-        list[str],
-        Option(
-            metavar="LIMIT",
-            callback=show_limits,
-            is_eager=True,
-            help="A limit to meet: an outcome, <= or >=, a number and its unit; may be repeated. help: lists the"
-            " outcomes.",
-        ),
-    ],
+    limit: LimitOption,
     output: Annotated[Path | None, Option("-o", "--output", metavar="PLAN.json", help="File for the plan.")] = None,
     knee: SceneOptions,
     estimate: EstimateOption = None,
@@ -148,7 +142,7 @@ def optimise(
     terminal.start_computing(batches=True)
     treatment, ranges = treatment_within(amounts)
     from fitting.prediction.predicting import caveats
-    from fitting.treatments.limits import Limit, in_units
+    from fitting.treatments.limits import Limit
     from fitting.treatments.optimise import optimise_treatment
 
     stated = [Limit.parsed(text) for text in limit]
@@ -167,19 +161,12 @@ def optimise(
             dt=dt,
             progress=terminal.told_by(shown),
         )
-
     notes = caveats(found, chosen.scene.synthetic)
     facts = {"scene": chosen.scene.name, **plan.to_dict(), "notes": notes}
     files = [] if output is None else [output]
     for path in files:
         terminal.write_json(facts, str(path))
-    reached = [(lim, plan.outcomes[lim.outcome]) for lim in plan.limits]
-    sheet = Sheet(
-        f"{chosen.scene.name}: {plan.treatment.describe()}",
-        ("limit", "value", "met"),
-        tuple((lim.describe(), in_units(lim.outcome, v), "yes" if lim.room(v) >= 0 else "no") for lim, v in reached),
-    )
-    parts = (plan.describe(),) if plan.invalid else (sheet, plan.describe())
+    parts = (plan.describe(),) if plan.invalid else (_sheet_of(plan, chosen.scene.name), plan.describe())
     terminal.present(facts, *parts, *notes, terminal.written_line(files), json=json)
     if plan.interrupted:
         raise Interrupted(output, json)
@@ -187,6 +174,15 @@ def optimise(
         exit_flagged(plan.invalid)
     if not plan.met:
         exit_flagged("no amount within the range meets the limits")
+
+
+def _sheet_of(plan: TreatmentPlan, name: str) -> Sheet:
+    """A plan's limits, with the values of a scene `name` that is treated so."""
+    from fitting.treatments.limits import in_units
+
+    reached = [(lim, plan.outcomes[lim.outcome]) for lim in plan.limits]
+    rows = ((lim.describe(), in_units(lim.outcome, v), "yes" if lim.room(v) >= 0 else "no") for lim, v in reached)
+    return Sheet(f"{name}: {plan.treatment.describe()}", ("limit", "value", "met"), tuple(rows))
 
 
 def _predicted(scene: Scene, variants: Treatment, estimate: Estimate | None, **options: Any) -> tuple[Dataset, bool]:

@@ -8,6 +8,7 @@ load.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +33,9 @@ from pftwin.model.measured import Measured
 from pftwin.model.scene import Scene, check
 from pftwin.model.scene_parameters import find
 from pftwin.results.verdict import Verdict, is_invalid, verdict_of_counts
+
+if TYPE_CHECKING:
+    from xarray import Dataset
 
 _QUANTILES = 401  # of the normal error that is added to each draw
 
@@ -77,20 +81,8 @@ def predict_motion(
     for own in (thetas[0], thetas.min(axis=0), thetas.max(axis=0)) if values else thetas[:1]:
         check(estimate.apply(scene, own))
     found = simulate_batch(Variants(scene, estimate.apply, thetas), dt=dt, trajectories=True, progress=progress)
-    frames = scene.motion.times.size
-    counts = found["status_frames"].values
-    good = ~(found["failed"].values | is_invalid(counts, frames))
-    settled = counts[:, FLAGS.index(Status.START_NOT_IN_EQUILIBRIUM)] == 0
-    each_start = zip(settled, found["start_shift"].values, np.radians(found["start_turn"].values), strict=True)
-    starts = [
-        invalid_start(estimate.apply(scene, theta), Start(*start), explained=k == 0) if k == 0 or good[k] else ()
-        for k, (theta, start) in enumerate(zip(thetas, each_start, strict=True))
-    ]
-    good[1:] &= [not why for why in starts[1:]]
+    good, verdict = _validity(found, scene, estimate, thetas)
     paths = _coordinates(found["sphere_center"].values, found["patella_quaternion"].values)
-    verdict = Verdict((*verdict_of_counts(counts[0], frames).reasons, *starts[0])).describe()
-    if verdict == "valid" and not good[0]:
-        verdict = "INVALID: the estimate has no motion"
     lost = int((~good[1:]).sum())
     if verdict == "valid" and lost > MOST_FAILED * samples:
         verdict = f"INVALID: {lost} of {samples} draws have an INVALID motion"
@@ -104,6 +96,21 @@ def predict_motion(
     ends = (low, high, observed, compared, verdict, tuple(notes), estimate.objection)
     label = "measured" if measured is None else measured.label
     return PredictedMotion(scene.name, np.asarray(scene.motion.times), paths[0], *ends, label)
+
+
+def _validity(found: Dataset, scene: Scene, estimate: Estimate, thetas: Floats) -> tuple[NDArray[np.bool_], str]:
+    """Which motions (n,) and starts of a batch with parameters (n, p) are valid, and the verdict on the first."""
+    frames, counts = scene.motion.times.size, found["status_frames"].values
+    good = ~(found["failed"].values | is_invalid(counts, frames))
+    settled = counts[:, FLAGS.index(Status.START_NOT_IN_EQUILIBRIUM)] == 0
+    each_start = zip(settled, found["start_shift"].values, np.radians(found["start_turn"].values), strict=True)
+    starts = [
+        invalid_start(estimate.apply(scene, theta), Start(*start), explained=k == 0) if k == 0 or good[k] else ()
+        for k, (theta, start) in enumerate(zip(thetas, each_start, strict=True))
+    ]
+    good[1:] &= [not why for why in starts[1:]]
+    verdict = Verdict((*verdict_of_counts(counts[0], frames).reasons, *starts[0])).describe()
+    return good, "INVALID: the estimate has no motion" if verdict == "valid" and not good[0] else verdict
 
 
 def _residual_deviations(estimate: Estimate) -> Floats:

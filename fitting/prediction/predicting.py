@@ -129,19 +129,14 @@ def predict(
     given = [scenes] if isinstance(scenes, Scene) else list(scenes)
     step, care = (STEP, True) if dt is None else (dt, False)
     check_draws(samples, estimate)
-    if not (isinstance(chunk, int) and chunk >= 1):
-        raise InputError(f"found {chunk!r}", where="chunk", expected="a whole number, at least 1")
-    for name, value in (("dt", step), ("threshold", threshold)):
-        if not (isinstance(value, int | float) and 0 < value < np.inf):
-            raise InputError(f"found {value!r}", where=name, expected="a positive number")
+    _check_numbers(chunk, step, threshold)
     chosen_devices(devices)
     if stray := [s for s in given if not isinstance(s, Scene)]:
         raise InputError(f"found {stray[0]!r}", where="scenes", expected="scenes")
     groups = batches(given, variants)
     total = sum(len(b.places) for b in groups)
-    if trajectories and total * (1 + samples) > _COURSE_LIMIT:
-        many, remedy = total * (1 + samples), "outcomes first, then the trajectories of a few variants"
-        expected = f"at most {_COURSE_LIMIT}"
+    if trajectories and (many := total * (1 + samples)) > _COURSE_LIMIT:
+        expected, remedy = f"at most {_COURSE_LIMIT}", "outcomes first, then the trajectories of a few variants"
         raise InputError(f"trajectories of {many} members", where="trajectories", expected=expected, remedy=remedy)
     thetas = estimate_and_draws(estimate, samples, seed)
     done, found, invalid = 0, [], []
@@ -151,21 +146,33 @@ def predict(
             if progress is not None:
                 progress(before + here, total * len(thetas))
 
-        scene = batch.scene
-        check(scene)
-        if estimate is not None:
-            check(estimate.apply(scene))  # refuses a scene without these parameters
-        substeps = jnp.asarray(substeps_for(scene.motion.frame_interval, step))
-        fitted = None if estimate is None else estimate.apply
-        groove = Groove.of(scene)
-        recipe = Recipe(scene, batch.treatment, fitted, groove, substeps, float(threshold), trajectories)
+        recipe = _recipe(batch, estimate, step, threshold, trajectories)
         amounts = np.repeat(batch.amounts, len(thetas), axis=0)  # variants by samples, samples varying fastest
         members = np.tile(thetas, (len(batch.amounts), 1))
         programs = MemberPrograms(recipe, len(amounts), chunk, devices)
-        invalid.append(untrusted_starts(programs, scene, thetas))
+        invalid.append(untrusted_starts(programs, batch.scene, thetas))
         found.append(run(programs, amounts, members, counted, care=care))
         done += len(amounts)
     return dataset(groups, found, estimate, thetas, invalid, dt=step, threshold=threshold)
+
+
+def _check_numbers(chunk: int, dt: float, threshold: float) -> None:
+    """Raises InputError for a chunk that is no count, or for a step or threshold that is not positive."""
+    if not (isinstance(chunk, int) and chunk >= 1):
+        raise InputError(f"found {chunk!r}", where="chunk", expected="a whole number, at least 1")
+    for name, value in (("dt", dt), ("threshold", threshold)):
+        if not (isinstance(value, int | float) and 0 < value < np.inf):
+            raise InputError(f"found {value!r}", where=name, expected="a positive number")
+
+
+def _recipe(batch: VariantBatch, estimate: Fitted | None, dt: float, threshold: float, trajectories: bool) -> Recipe:
+    """How to simulate a batch. Raises InputError for a scene that fails `check` or lacks the estimate's parameters."""
+    scene, fitted = batch.scene, None if estimate is None else estimate.apply
+    check(scene)
+    if fitted is not None:
+        check(fitted(scene))
+    substeps = jnp.asarray(substeps_for(scene.motion.frame_interval, dt))
+    return Recipe(scene, batch.treatment, fitted, Groove.of(scene), substeps, float(threshold), trajectories)
 
 
 def estimate_and_draws(estimate: Fitted | None, samples: int, seed: int) -> Floats:

@@ -6,6 +6,7 @@ And the data for its page: sliders, frames, flags and groove.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -28,6 +29,7 @@ from pftwin.dynamics.status import Status
 from pftwin.dynamics.tolerance import HALVINGS, UNCONFIRMED
 from pftwin.dynamics.trajectory import DEFAULT_STEP
 from pftwin.geometry.patch.closest import Surface
+from pftwin.model.effects.contact import Contact
 from pftwin.model.motion_on_host import tibia_orientation
 from pftwin.model.scene import Scene
 from pftwin.results.tracking import DISLOCATED, RE_ENGAGED, groove_bottom
@@ -72,8 +74,6 @@ def programs(knobs: Knobs) -> Programs:
     start = jax.eval_shape(start_before_search, scene.unnamed())
     empty = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), start)
     n, contact = scene.motion.n_frames, scene.contact
-    name = None if contact is None else contact.name
-    surface: Any = None if contact is None else contact.groove_surface()
 
     def settle(values: Array, position: Array, quaternion: Array) -> dict[str, Any]:
         found = starting_equilibrium(changed(values), Pose(Vec3(*position), Quaternion(*quaternion)))
@@ -88,34 +88,9 @@ def programs(knobs: Knobs) -> Programs:
 
     def motion(values: Array, leaves: list[Array], substeps: Array) -> dict[str, Array]:
         treated, found = changed(values), jax.tree.unflatten(jax.tree.structure(start), leaves)
-
-        def frame_record(observation: Observation) -> dict[str, Array]:
-            report: Mapping[str, Array] = {} if name is None else observation.effects[name]
-            none = jnp.zeros(())
-            along = (none, none) if surface is None else surface.chart.foot(surface.chart.to_frame(observation.center))
-            turn, angles = observation.patella.orientation, patellar_angles(observation.patella.orientation)
-            return {
-                "center": observation.center.array(),
-                "position": observation.patella.position.array(),
-                "quaternion": turn.array(),
-                "contact_force": jnp.stack([report.get(f"force_{axis}", none) for axis in "xyz"]),
-                "medial": report.get("force_medial", none),
-                "lateral": report.get("force_lateral", none),
-                "force": report.get("force", none),
-                "tilt": angles.tilt,
-                "along": jnp.asarray(along[0], float),
-                "across": jnp.asarray(along[1], float),
-            }
-
         options: Any = {"integrator": _INTEGRATOR, "substeps": substeps, "start": found, "ledger": True}
-        frames, status, _ = observe_on_the_way(treated, frame_record, **options)
+        frames, status, _ = observe_on_the_way(treated, partial(_frame_record, contact), **options)
         return {**frames, "status": status}
-
-    def estimate(here: Course, coarse: Course, before: list[Array], factor: Array, sound: Array) -> dict[str, Any]:
-        pair = error_of(here, coarse, _INTEGRATOR.order, 2.0, jnp)
-        pair = pair.with_errors(*(jnp.where(sound, x, jnp.inf) for x in pair.errors))
-        error = pair.with_errors(*(jnp.maximum(factor * x, y) for x, y in zip(pair.errors, before, strict=True)))
-        return {"flags": error.flags, "halved": list(after_halving(pair, _INTEGRATOR.order).errors)}
 
     three, each = jnp.zeros((n, 3)), jnp.zeros(n)
     course = Course(three, jnp.zeros((n, 4)), three, each, each)
@@ -126,12 +101,42 @@ def programs(knobs: Knobs) -> Programs:
         "relaxed": emitter.program("relaxed", relaxed, values),
         "motion": emitter.program("motion", motion, values, jax.tree.leaves(empty), jnp.asarray(1)),
         "estimate": emitter.program(
-            "estimate", estimate, course, course, [jnp.zeros(n)] * 4, jnp.zeros(()), jnp.asarray(True)
+            "estimate", _error_estimate, course, course, [jnp.zeros(n)] * 4, jnp.zeros(()), jnp.asarray(True)
         ),
     }
     start_pose = [np.asarray(a, float).tolist() for a in place]
     rules = {"substeps": substeps + substeps % 2, "halvings": HALVINGS, "unconfirmed": UNCONFIRMED}
     return Programs(emitter.module.binary(), {"programs": exported, "start": start_pose, "rules": rules})
+
+
+def _frame_record(contact: Contact | None, observation: Observation) -> dict[str, Array]:
+    """What the page needs of a frame; zeros without a contact, or without a surface that has a groove."""
+    report: Mapping[str, Array] = {} if contact is None else observation.effects[contact.name]
+    surface: Any = None if contact is None else contact.groove_surface()
+    none = jnp.zeros(())
+    along = (none, none) if surface is None else surface.chart.foot(surface.chart.to_frame(observation.center))
+    turn, angles = observation.patella.orientation, patellar_angles(observation.patella.orientation)
+    return {
+        "center": observation.center.array(),
+        "position": observation.patella.position.array(),
+        "quaternion": turn.array(),
+        "contact_force": jnp.stack([report.get(f"force_{axis}", none) for axis in "xyz"]),
+        "medial": report.get("force_medial", none),
+        "lateral": report.get("force_lateral", none),
+        "force": report.get("force", none),
+        "tilt": angles.tilt,
+        "along": jnp.asarray(along[0], float),
+        "across": jnp.asarray(along[1], float),
+    }
+
+
+def _error_estimate(here: Course, coarse: Course, before: list[Array], factor: Array, sound: Array) -> dict[str, Any]:
+    """Flags by a motion's error, estimated from a coarser one (infinite unless both are `sound`), times `factor` and at
+    least `before`; and the errors to expect with half the step."""
+    pair = error_of(here, coarse, _INTEGRATOR.order, 2.0, jnp)
+    pair = pair.with_errors(*(jnp.where(sound, x, jnp.inf) for x in pair.errors))
+    error = pair.with_errors(*(jnp.maximum(factor * x, y) for x, y in zip(pair.errors, before, strict=True)))
+    return {"flags": error.flags, "halved": list(after_halving(pair, _INTEGRATOR.order).errors)}
 
 
 def _changed(knobs: Knobs) -> Any:

@@ -182,7 +182,7 @@ def fit_tendons(
         problem.evaluator.prepare(search.widest)
         compiled = compiled_aside(
             knee.unnamed(), before=problem.evaluator.begin
-        )  # for the fitted motion, which is simulated last
+        )  # of the fitted motion, simulated last
         identity = problem.fingerprint(method, seed, search.settings())
         path = None if checkpoint is None else Path(checkpoint)
         state = load_checkpoint(path, identity) if resume and path is not None else None

@@ -149,12 +149,7 @@ def reshaped(knee: Knee, random: np.random.Generator) -> Plant:
     return Plant.of(scene.with_effect(contact.with_fitted_surface(surface.with_waves(waves))))
 
 
-PLANTS: dict[str, Maker] = {
-    "twin": twin,
-    "misplaced": misplaced,
-    "sliding": sliding,
-    "stiffening": stiffening,
-}
+PLANTS: dict[str, Maker] = {"twin": twin, "misplaced": misplaced, "sliding": sliding, "stiffening": stiffening}
 BY_NAME = {"reshaped": reshaped}  # not by default: they need a contact with a fitted patch
 
 

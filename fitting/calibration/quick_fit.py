@@ -96,17 +96,19 @@ class QuickFit:
             InputError: another number of trials or frames, or other nominal parameters, than in the first recording.
             PftwinError: as `fit_tendons`.
         """
-        set_up = self.set_up
+        s = self.set_up
         scenes, given = trials_of(scene, measured)
-        set_up.check_frames(scenes, given[0].source)
+        s.check_frames(scenes, given[0].source)
         self._check_nominal(scenes)
-        selected = [_with_channels(*each, set_up.springs) for each in zip(self.measured, scenes, given, strict=True)]
+        selected = [_with_channels(*each, s.springs) for each in zip(self.measured, scenes, given, strict=True)]
         names = ("free", "bounds", "priors", "nuisance", "varies", "noise", "springs")
-        asked: dict[str, Any] = {name: getattr(set_up, name) for name in names}
-        found = fit_tendons(scenes, selected, method=self.method, use=set_up.channels, limits=limits, **asked, **more)
+        asked: dict[str, Any] = {name: getattr(s, name) for name in names}
+        found = fit_tendons(scenes, selected, method=self.method, use=s.channels, limits=limits, **asked, **more)
         if not self.widened or found.reason.startswith("interrupted"):
             return found
-        return _widened(found, self)
+        scale = np.append(self.widened, np.ones(len(found.names) - len(self.widened)))  # correlations stay the same
+        covariance, widened = found.covariance * np.outer(scale, scale), dict(zip(s.free, self.widened, strict=True))
+        return replace(found, covariance=covariance, widened=widened, plants=dict(self.plants), calibrated=s.scene_name)
 
     def _check_nominal(self, scenes: Sequence[Scene]) -> None:
         """Raises InputError for a scene with another nominal value of a free or nuisance parameter."""
@@ -184,14 +186,6 @@ def interval_draws(estimate: Estimate) -> Floats:
     if estimate.draws is not None:
         return estimate.draws[:, :d]
     return random.multivariate_normal(estimate.values[:d], estimate.covariance[:d, :d], DRAWS, method="eigh")
-
-
-def _widened(estimate: Estimate, fit: QuickFit) -> Estimate:
-    """The estimate with larger standard deviations of the requested parameters; correlations are kept."""
-    scale = np.append(fit.widened, np.ones(len(estimate.names) - len(fit.widened)))
-    widened = dict(zip(fit.set_up.free, fit.widened, strict=True))
-    calibrated: dict[str, Any] = {"plants": dict(fit.plants), "calibrated": fit.set_up.scene_name}
-    return replace(estimate, covariance=estimate.covariance * np.outer(scale, scale), widened=widened, **calibrated)
 
 
 def _with_channels(channels: Sequence[str], scene: Scene, data: Measured, springs: Mapping[str, str]) -> Measured:

@@ -10,8 +10,7 @@ from pftwin.cli.plugins import Command, Job
 
 FIT = Job("Fit its tendons to the recording", "pftwin fit knee/scene.toml -o fit.json")
 TREAT = Job(
-    "See what a treatment would do",
-    "pftwin treat knee/scene.toml --estimate fit.json --tto-medial 0:20:4 -o out.nc",
+    "See what a treatment would do", "pftwin treat knee/scene.toml --estimate fit.json --tto-medial 0:20:4 -o out.nc"
 )
 COMMANDS = (
     Command("demo", demo.demo, "Simulate, fit and treat the virtual rig; compare to paper", "Start", 10),

@@ -60,8 +60,7 @@ def fit(
         Option(metavar="FILE.json", help="Fit as `pftwin calibrate --method --widen` has: its settings and intervals."),
     ] = None,
     posterior: Annotated[
-        int | None,
-        Option(min=8, metavar="N", help="Check the intervals with N posterior draws in each of 4 chains."),
+        int | None, Option(min=8, metavar="N", help="Check the intervals with N posterior draws in each of 4 chains.")
     ] = None,
     figures: Annotated[bool, Option("--figures/--no-figures", help="Write figures next to the output.")] = True,
     json: JsonOption = None,
@@ -100,11 +99,7 @@ def fit(
 
 
 @on_scene
-def plan_experiment(
-    *,
-    knee: ExperimentOptions,
-    json: JsonOption = None,
-) -> None:
+def plan_experiment(*, knee: ExperimentOptions, json: JsonOption = None) -> None:
     """Predict how precisely a planned experiment would determine the parameters, and what else to measure.
 
     With several scenes, the first is the recorded trial, and the others are possible further trials of the same knee.

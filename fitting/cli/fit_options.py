@@ -17,11 +17,7 @@ if TYPE_CHECKING:
 
 DuringOption = Annotated[
     list[str] | None,
-    Option(
-        "--during",
-        metavar="FROM:TO",
-        help="Compare only measurements within this time span [s]; may be repeated.",
-    ),
+    Option("--during", metavar="FROM:TO", help="Compare only measurements within this time span [s]; may be repeated."),
 ]
 _SHARE = 0.3  # default half width of the bounds, as a share of the nominal value
 _BOUNDS = 'a share, such as 0.3; or "L1=0.03:0.05", "L1=30:50 mm"'

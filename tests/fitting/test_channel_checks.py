@@ -159,10 +159,7 @@ def test_what_is_left_over_is_named_by_size_and_by_the_stated_noise():
     left[:, 0], left[:, 3] = 0.012, 2.0
     said = unexplained(objective, left, LIMITS, None)
     size = np.sqrt(np.mean(FORCES[:, 0] ** 2))
-    assert said == [
-        "residual of position: 12 mm rms",
-        f"residual of one: 2 N rms of {size:.3g} N measured",
-    ]
+    assert said == ["residual of position: 12 mm rms", f"residual of one: 2 N rms of {size:.3g} N measured"]
     noisy = unexplained(objective, 0.1 * left, LIMITS, {"position": 1.2e-3 / np.sqrt(3) / 50, "one": 0.1})
     assert noisy == ["residual of position: 1.2 mm rms, 50 times the stated noise"]
     with pytest.raises(InputError, match="residual of one: 8 N rms"):

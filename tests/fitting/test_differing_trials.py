@@ -221,11 +221,7 @@ def test_numbers_of_many_trials_are_weighed_as_stated():
         ({"L2": 1e-3}, (0,), "varies: a single trial"),
         ({"L1": 1e-3}, (0, 1), "'L1' is not free"),
         ({"L2": 0.0}, (0, 1), "L2: found 0.0"),
-        (
-            {"K1": 40.0},
-            (0, 1),
-            "K1: bounds 109.2 to 202.8 and 4 deviations of 40 leave room for",
-        ),
+        ({"K1": 40.0}, (0, 1), "K1: bounds 109.2 to 202.8 and 4 deviations of 40 leave room for"),
     ],
 )
 def test_what_cannot_vary_is_refused(varies, trials, said):

@@ -88,12 +88,7 @@ def measured() -> Measured:
 @cache
 def fitted() -> fitting.Estimate:
     return fitting.fit_tendons(
-        scene(),
-        measured(),
-        free=tuple(TRUTH),
-        use=(*MARKERS, GAUGE),
-        starts=2,
-        computed=COMPUTED,
+        scene(), measured(), free=tuple(TRUTH), use=(*MARKERS, GAUGE), starts=2, computed=COMPUTED
     )
 
 
@@ -203,10 +198,7 @@ def test_a_plan_asks_for_the_noise_of_a_reading() -> None:
 
 @pytest.mark.parametrize(
     ("use", "said"),
-    [
-        (("m3.x",), "no channel 'm3.x'.*one of: m1.x"),
-        (("contact.force_medial",), "no channel 'contact.force_medial'"),
-    ],
+    [(("m3.x",), "no channel 'm3.x'.*one of: m1.x"), (("contact.force_medial",), "no channel 'contact.force_medial'")],
 )
 def test_what_was_not_measured_is_refused(use: Any, said: str) -> None:
     with pytest.raises(InputError, match=f"(?s){said}"):

@@ -17,14 +17,7 @@ from small_scene import small_scene
 import pftwin
 from fitting.nuisance import Nuisance
 from fitting.parameters import Applied, with_nuisance
-from fitting.stiffening import (
-    StiffeningSpring,
-    Working,
-    linear_tendons,
-    stiffened,
-    stiffening_tendons,
-    working_of,
-)
+from fitting.stiffening import StiffeningSpring, Working, linear_tendons, stiffened, stiffening_tendons, working_of
 from tests.verification.rig_plant.plant_parts import Spring
 
 

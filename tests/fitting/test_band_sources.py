@@ -86,7 +86,7 @@ def test_words_and_figures_say_the_same(tmp_path):
     np.testing.assert_allclose(bars, 100 * found.narrower[:, 0])
 
 
-def test_the_figures_texts_lie_apart():
+def test_the_figures_texts_do_not_overlap():
     note = "95 % bands hold the uncertainty of the fitted parameters alone, and nothing of the model's own error."
     sources = (REQUESTED, "damping", "attachments", "friction", ALL)
     narrower = np.linspace(0, 1, 20).reshape(5, 4)

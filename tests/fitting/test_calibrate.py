@@ -51,7 +51,7 @@ def test_right_posteriors_hold_as_often_as_they_say():
 @pytest.mark.parametrize(
     ("width", "said", "holds"), [(0.6, "too narrow: K1, L2", False), (2.0, "wider than necessary: K1, L2", True)]
 )
-def test_other_posteriors_are_told_apart(width, said, holds):
+def test_other_posteriors_get_other_verdicts(width, said, holds):
     found = Calibration(NAMES, {"twin": answers(1.0), "odd": answers(width)}, "a posterior", 0, 1.0)
     assert found.kinds["odd"].verdict(NAMES) == said
     assert found.holds is holds
@@ -71,7 +71,7 @@ def test_few_plants_accuse_nobody():
     assert answers(0.8, count=8).verdict(NAMES) == "as stated"
 
 
-def test_doubted_answers_are_counted_apart():
+def test_doubted_answers_are_counted_separately():
     found = answers(1.0, count=50, doubted=20)
     assert (len(found.ranks), found.doubted, found.refused, found.dropped) == (30, 20, 1, 2)
     whole = Calibration(NAMES, {"twin": found}, "a posterior", 0, 1.0)

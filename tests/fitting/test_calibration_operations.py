@@ -93,7 +93,7 @@ def test_right_bands_hold_in_nine_of_ten_plants():
     np.testing.assert_allclose(half, [0.94, 0.165, 0.33, 0.49, 3.3, 3.3], rtol=0.04)  # deg, mm, mm, N, N, %
 
 
-def test_bands_too_narrow_are_told_although_intervals_hold():
+def test_bands_too_narrow_are_reported_although_intervals_hold():
     whole = calibration(predictions={"twin": Answers.of_predictions(predictions(0.5), OUTCOMES)})
     assert not whole.holds
     assert "are NOT shown to be as reliable as stated: 90 % bands on twin: too narrow: mean_tilt" in whole.sentence()
@@ -109,7 +109,7 @@ def test_plants_without_an_outcome_are_dropped():
 
 
 @pytest.mark.parametrize(("safe", "verdict"), [(5, "less safe than stated"), (11, "as stated"), (14, "as stated")])
-def test_plans_are_held_against_their_confidence(safe, verdict, tmp_path):
+def test_plans_are_compared_with_their_confidence(safe, verdict, tmp_path):
     """Of 14 with 0.9 asked for: with five safe ones a true share of 0.9 can be ruled out, with eleven not."""
     met = [OperationOutcome(np.zeros(6), np.zeros((1, 6)), True, i < safe) for i in range(14)]
     unmet = [OperationOutcome(np.zeros(6), np.zeros((1, 6)), False, False)] * 2
@@ -194,7 +194,7 @@ def asked_of(count: int, operation: Operation) -> Calibration:
 
 
 @pytest.mark.slow
-def test_answers_are_carried_to_treated_plants():
+def test_answers_are_applied_to_treated_plants():
     found = asked_of(6, Operation(MOVED, samples=20))  # fewer are too few to tell
     assert [a.verdict(("K1",)) for a in found.kinds.values()] == ["as stated", "too narrow: K1"]
     assert found.predictions["like"].verdict(OUTCOMES) == "as stated"
@@ -203,7 +203,7 @@ def test_answers_are_carried_to_treated_plants():
 
 
 @pytest.mark.slow
-def test_answers_are_carried_to_plans():
+def test_answers_are_applied_to_plans():
     force = outcomes(simulate(stiff(170.0), dt=5e-4, integrator=BDF2()))["peak_contact_force"]
     limit = Limit("peak_contact_force", at_most=float(force))
     found = asked_of(2, Operation(MOVED.with_values([0.0]), (limit,), {"medialisation": (0.0, 0.002)}, samples=20))

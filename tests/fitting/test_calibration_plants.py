@@ -47,7 +47,7 @@ def test_twins_come_from_the_priors():
     assert found[:, at].std() == pytest.approx(sd, rel=0.12)
 
 
-def test_misplaced_plants_are_spread_evenly_and_less_than_their_priors():
+def test_misplaced_plants_are_uniform_and_vary_less_than_their_priors():
     """0.6 of the priors' deviations, none beyond the square root of 3 times that; of friction as well."""
     found, p = drawn(misplaced), knee().parameters
     share = p.share(found)[:, :4]

@@ -107,7 +107,7 @@ def test_the_line_is_that_of_the_mean_length():
 
 
 def test_the_line_is_that_of_the_mean_stiffness():
-    """Trials whose tendon is stiffer or softer, at the same lengths: what is told is the mean of all that might be."""
+    """Trials whose tendon is stiffer or softer, at the same lengths: the mean over all possible trials is reported."""
     plant = PLANTS["stiffening"](knees()[0], np.random.default_rng(4))
     own = free_in_trials([alike()[0]], ("K2", "L2"), 0.3, None, Nuisance())[1][0]
     tendon: Any = plant.scene.effect("patellar_tendon")

@@ -185,7 +185,7 @@ def test_steps_whose_error_is_large_or_not_known_are_named():
 
 
 def test_only_forces_or_readings_of_one_unit_are_named_together():
-    """A marker in millimetres looks like positions in millimetres, which are told in words of their own."""
+    """A marker in millimetres looks like positions in millimetres, which have a message of their own."""
     words = "1000 times too large: in millimetres"
     found = [
         Reading(("position",), words, 30.0),

@@ -186,7 +186,7 @@ def test_two_trials_are_fitted_and_planned(toy, tmp_path):
 @pytest.mark.parametrize(
     ("options", "named"), [(["--use", "position,orientation"], "--use"), (["--bounds", 0.4, "--starts", 3], "--starts")]
 )
-def test_what_was_settled_in_training_is_not_stated_again(toy, tmp_path, options, named):
+def test_settings_fixed_in_training_are_refused(toy, tmp_path, options, named):
     said = refused("fit", toy, "-o", tmp_path / "fit.json", "--trained", tmp_path / "knee.npz", *options)
     assert "together with this file; expected: none, as the file has fixed them" in said
     assert named in said

@@ -65,7 +65,7 @@ def problem(trials: tuple[int, ...], varies: dict[str, float] | None) -> Problem
 
 
 @pytest.mark.slow
-def test_each_trial_has_its_own_length_and_what_is_told_is_their_mean():
+def test_each_trial_has_its_own_length_and_their_mean_is_reported():
     """Measurements fix both lengths; of the mean of all trials two tell as much as two normal numbers of theirs."""
     assert found().names == (*FREE, "L2 difference in low", "L2 difference in high")
     estimates = found().in_trials["L2"]
@@ -162,7 +162,7 @@ def test_a_plan_allows_for_what_differs():
     plan = fitting.plan_experiment(nominal()[0], further=[nominal()[1]], varies={"L2": 0.4e-3}, **given)
     between = np.diag([0.0, 0.4e-3**2, 0.0])
     one, other = (fitting.plan_experiment(scene, **given).covariance + between for scene in nominal())
-    size = np.array([156.0, 0.0714, 0.04])  # the coordinate's deviation is told relative to its bounds' span
+    size = np.array([156.0, 0.0714, 0.04])  # the coordinate's deviation is relative to its bounds' span
     np.testing.assert_allclose(plan.covariance / np.outer(size, size), one / np.outer(size, size), rtol=1e-5, atol=1e-8)
     parts = [np.linalg.inv(c / np.outer(size, size)) for c in (one, other)]
     np.testing.assert_allclose(plan.additions["trial high"], np.sqrt(np.diagonal(np.linalg.inv(sum(parts)))), rtol=1e-5)

@@ -200,7 +200,7 @@ def test_its_file_is_json_where_numbers_are_not_finite(tmp_path):
     assert np.isnan(again.rmse["X"])
 
 
-def test_coordinates_of_points_are_told_in_millimetres():
+def test_coordinates_of_points_are_stated_in_millimetres():
     """An attachment 1 mm from the middle is as well known as one 20 mm from it."""
     names, values, sd = ("K1", "insertion.y", "insertion.x"), np.array([160.0, 1e-3, -0.02]), [4.0, 4e-4, 6e-4]
     said = in_words(names, np.array([90.0, 0.01, 0.01]), values, np.diag(sd) ** 2, ("position",), names[1:])
@@ -213,7 +213,7 @@ def test_coordinates_of_points_are_told_in_millimetres():
     assert lost.startswith("contact gives L2 with no useful accuracy and K1 = 9.00 +- 0.90 N/m (SD)")
 
 
-def test_a_coordinate_is_carried_to_another_knee_as_an_offset(tmp_path):
+def test_a_coordinate_is_applied_to_another_knee_as_an_offset(tmp_path):
     """What the fit moved by 2 mm is moved by 2 mm; the other knee's transfer of its tuberosity stays."""
     fitted, other = case(2), case(1)  # their tuberosities are 16 mm apart
     names = ("K1", "patellar_tendon.origin.y")

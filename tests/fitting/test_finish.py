@@ -78,7 +78,7 @@ def test_steps_are_halved_until_then_and_the_answer_is_that_of_short_ones() -> N
     assert [entry["iteration"] for entry in state["history"]] == list(range(1, state["iteration"] + 1))
 
 
-def test_they_are_halved_three_times_at_most_and_it_is_told() -> None:
+def test_steps_are_halved_three_times_at_most_and_it_is_reported() -> None:
     ours = with_steps(shift=1000.0)
     search = LeastSquares(ours, 0, 2)
     _, state = finished(search, run(search), run)

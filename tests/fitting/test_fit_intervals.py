@@ -52,7 +52,7 @@ def test_a_profile_is_about_a_parabola():
         fitting.profile_likelihood(estimate(), "K7")
 
 
-def test_serial_correlation_is_seen():
+def test_serial_correlation_is_detected():
     random = np.random.default_rng(0)
     white = random.normal(size=(2000, 3))
     present = np.ones(white.shape, bool)
@@ -60,7 +60,7 @@ def test_serial_correlation_is_seen():
     assert serial_correlation(np.cumsum(white, axis=0), present) > 0.9
 
 
-def test_an_estimate_is_saved_and_read_again(tmp_path):
+def test_an_estimate_is_saved_and_loaded(tmp_path):
     found = made_estimate({"K1": (157.0, 2.0), "L2": (0.0713, 2e-4)}, **of_trial(scene()))
     path = found.save(tmp_path / "fit.json")
     again = fitting.Estimate.load(path, scene())

@@ -85,7 +85,7 @@ class _Gone(BaseException):
 
 
 @pytest.mark.slow
-def test_a_fit_that_is_gone_resumes_as_if_nothing_had_happened(tmp_path, monkeypatch):
+def test_a_killed_fit_resumes_with_the_same_result(tmp_path, monkeypatch):
     def end(p):
         if p.iteration == 5:
             raise _Gone

@@ -254,7 +254,7 @@ def test_efficiency_has_a_row_for_every_target():
     assert "one spring force" in to_json(rows, MACHINE)
 
 
-def test_a_biased_estimator_is_seen():
+def test_a_biased_estimator_is_detected():
     true, bound = np.ones(4), 1e-4 * np.eye(4)
     found = Found(np.full((50, 4), 1.05), np.full((50, 4), 0.01), true, bound)
     rows = efficiency.rows_of("case 9", dict.fromkeys((k.name for k in KINDS), found), 50)

@@ -141,7 +141,7 @@ def test_a_shift_beyond_the_limit_is_refused_and_limits_are_the_users():
         fit(truth(), limits={"shift": (2.0, 1.0)})
 
 
-def test_what_no_reading_explains_is_left_over_and_named_or_refused():
+def test_residuals_that_no_reading_explains_are_reported_or_refused():
     """A spring's force with half of its size missing in every other frame: within no bound of the parameters."""
     odd = truth().femoral_spring_force * np.where(np.arange(FRAMES) % 2, 0.5, 1.0)
     broken = replace(truth(), femoral_spring_force=odd)

@@ -71,7 +71,7 @@ def test_they_keep_their_proportions_and_coordinates_their_distances():
     np.testing.assert_array_equal(there.get("patellar_tendon.stiffness"), scene().get("patellar_tendon.stiffness"))
 
 
-def test_what_is_told_is_the_mean_with_its_unit():
+def test_the_mean_is_reported_with_its_unit():
     parameters = free_parameters(scene(), (SLACK, TENSION, PLACE), {PLACE: 0.5, SLACK: 0.1})
     assert parameters.names == (SLACK, TENSION, PLACE)
     assert [p.unit for p in parameters.items] == ["m", "N", "m"]
@@ -87,7 +87,7 @@ def test_a_derivative_is_that_of_all_of_them():
     assert slope == pytest.approx(LENGTHS[1] / LENGTHS.mean(), rel=1e-12)
 
 
-def test_carried_to_another_knee_proportions_are_its_own():
+def test_applied_to_another_knee_proportions_are_its_own():
     other = scene().set("patellar_tendon.slack_length", jnp.asarray([0.06, 0.08, 0.07]))
     found = Applied((SLACK,), [0.077])(other)
     np.testing.assert_allclose(found.get("patellar_tendon.slack_length"), [0.066, 0.088, 0.077], rtol=1e-12)

@@ -58,7 +58,7 @@ def test_a_small_knee_gets_the_least_that_meets_its_limit(swept):
     assert float(nothing.treatment.values[0]) == 0
 
 
-def test_a_small_knee_is_told_what_it_cannot_have():
+def test_limits_that_a_small_knee_cannot_meet_are_reported():
     limits = [Limit("peak_contact_force", at_most=0.5), Limit("dislocation_margin", at_least=0.001)]
     reports = []
     plan = optimise_treatment(

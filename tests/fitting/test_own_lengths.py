@@ -1,5 +1,5 @@
-"""Lines of stiffening springs told at the lengths of the fitted knee: the same springs, and the line through what they
-pull there."""
+"""Lines of stiffening springs, converted to the lengths of the fitted knee: the same springs, and the line through what
+they pull there."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def problem(free: tuple[str, ...], nuisance: Nuisance) -> Problem:
 
 
 @pytest.mark.slow
-def test_draws_are_told_by_lines_through_what_the_knee_pulls():
+def test_draws_are_converted_to_lines_at_the_knees_lengths():
     """A knee with shorter tendons works at other lengths than the nominal one: another line, the same tensions."""
     nuisance = Nuisance(stiffening=0.2).at_work([small_scene()])
     one = problem(FREE, nuisance)

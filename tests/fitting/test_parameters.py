@@ -53,7 +53,7 @@ def test_short_names_are_the_tendons_in_their_order(scene):
         "quadriceps.damping",
     ],
 )
-def test_what_is_written_is_read_again(scene, name):
+def test_a_written_value_is_read(scene, name):
     p = free_parameters(scene, [name], {name: (-1e12, 1e12)})
     changed = p.apply(scene, 1.1 * p.nominal)
     np.testing.assert_allclose(p.vector(changed), 1.1 * p.nominal, rtol=1e-12)

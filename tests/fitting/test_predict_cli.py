@@ -62,7 +62,7 @@ def test_spans_of_time_belong_to_the_scenes_own_recording(folder):
 
 
 @pytest.mark.slow
-def test_bands_are_written_and_told(folder, tmp_path):
+def test_bands_are_written_and_reported(folder, tmp_path):
     from xarray import open_dataset
 
     out = tmp_path / "other.nc"

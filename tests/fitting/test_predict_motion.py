@@ -74,7 +74,7 @@ def test_residuals_are_corrected_for_the_number_of_fitted_parameters(knee, predi
     assert predicted.notes[0].endswith("(rms)")
 
 
-def test_errors_and_shares_are_of_the_frames_compared(knee, truth, predicted):
+def test_errors_and_coverage_are_of_the_frames_compared(knee, truth, predicted):
     assert predicted.verdict == "valid"
     off = predicted.value[:, :3] - 1e3 * truth.center
     assert predicted.errors["mean_distance"] == pytest.approx(np.linalg.norm(off, axis=1).mean())
@@ -123,7 +123,7 @@ def test_draws_beyond_a_limit_of_parameters_are_draws(knee):
     assert not any("omitted" in note for note in found.notes)
 
 
-def test_synthetic_data_and_doubts_are_told(knee, truth):
+def test_synthetic_data_and_doubts_are_reported(knee, truth):
     doubted = fitted(doubts=["two springs swapped"], verdict="INVALID: no contact")
     found = predict_motion(knee, doubted, replace(truth, synthetic=True), samples=2, dt=2e-3)
     assert found.objection.startswith("INVALID: no contact (the fitted motion); two springs swapped")

@@ -215,12 +215,12 @@ def test_a_prediction_is_synthetic_where_its_motion_or_its_estimates_measurement
 
 
 @pytest.mark.slow
-def test_a_synthetic_motion_is_told(case_2):
+def test_a_synthetic_motion_is_reported(case_2):
     assert case_2.attrs["note"] == SYNTHETIC
     assert case_2.attrs["synthetic"] == 1
 
 
-def test_samples_spread_around_the_estimate(sampled, knee):
+def test_samples_lie_around_the_estimate(sampled, knee):
     np.testing.assert_allclose(sampled["parameters"].values[0], [160.0, 0.0715])
     force = sampled["mean_contact_force"].values
     assert np.ptp(force, axis=1).min() > 0.01  # N

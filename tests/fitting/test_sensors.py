@@ -53,7 +53,7 @@ def test_a_placement_is_the_same_in_all_frames_and_trials():
     np.testing.assert_allclose(np.corrcoef(off[:, 0, :3].T), np.eye(3), atol=0.06)
 
 
-def test_a_turn_is_of_the_frame_in_which_points_and_orientations_are_told():
+def test_a_turn_is_of_the_frame_of_points_and_orientations():
     """Distances from the frame's origin and angles between frames stay; each vector turns as SciPy turns it."""
     random = np.random.default_rng(3)
     poses = Rotation.from_rotvec(random.normal(0, 0.8, (FRAMES, 3)))

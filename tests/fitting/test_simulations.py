@@ -42,7 +42,7 @@ def test_what_is_said_of_intervals_is_said_of_simulations():
     assert "7 of 900 simulations found no equilibrium" in found.remarks()[-1]
 
 
-def test_an_interval_that_reaches_a_bound_is_told():
+def test_an_interval_that_reaches_a_bound_is_reported():
     found = drawn()
     assert found.at_bounds == ()
     found.lower = np.array([found.intervals[0, 0], found.lower[1]])

@@ -60,8 +60,8 @@ def test_the_line_nearest_to_a_bent_spring_is_the_one_asked_for(reach, rest, sha
 
 
 @given(st.floats(0.05, 0.2), st.floats(0.0, 0.12), st.floats(0.9, 1.3), st.integers(0, 1000))
-def test_a_spring_told_at_other_lengths_is_the_same_spring(reach, share, longer, seed):
-    """And the line told there is the nearest, by polynomial regression."""
+def test_a_spring_converted_to_other_lengths_is_the_same_spring(reach, share, longer, seed):
+    """And the line there is the nearest, by polynomial regression."""
     random = np.random.default_rng(seed)
     lengths = 0.15 + reach * (1 + 0.1 * random.uniform(size=40) ** 2)
     there = 0.15 + longer * reach * (1 + 0.08 * random.uniform(size=40) ** 3)
@@ -90,7 +90,7 @@ def bent_knee(share: float = 0.08):
     )
 
 
-def test_tensions_in_the_motion_lie_about_the_line_that_is_told():
+def test_tensions_in_the_motion_lie_about_the_springs_line():
     """Lines through what tendons pull in the motion have the stiffness and slack length that the scene tells."""
     _, bent = bent_knee()
     result = pftwin.simulate(bent.set("quadriceps.damping", 0.0).set("patellar_tendon.damping", 0.0), dt=2e-3)

@@ -81,7 +81,7 @@ def test_mirroring_is_a_reflection_at_both_sides():
 
 
 @pytest.mark.parametrize("kind", [CmaEs, DifferentialEvolution])
-def test_the_best_of_a_generation_is_kept_and_only_if_it_is_the_best_so_far(kind):
+def test_the_best_of_a_generation_is_stored_only_if_it_is_the_best_so_far(kind):
     search = begun(kind, 0)
     state = search.begin()
     values = np.array([7.0, 3.0, np.nan, 9.0, *[8.0] * 8])

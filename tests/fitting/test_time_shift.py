@@ -90,8 +90,8 @@ def test_a_short_recording_and_one_that_does_not_move_have_no_shift():
 
 
 @pytest.mark.parametrize("late", [0.28, -0.35])
-def test_one_that_is_later_than_is_looked_for_is_named(late):
-    """Less than 0.2 s is looked through, in whole steps of 10 ms."""
+def test_a_delay_longer_than_the_search_range_is_reported(late):
+    """Less than 0.2 s is searched, in whole steps of 10 ms."""
     found = shifts((late, 0.0))["position"]
     assert found.at_least
     assert found.seconds == pytest.approx(np.copysign(0.19, late))

@@ -117,7 +117,7 @@ def test_a_plan_tells_what_a_further_trial_brings():
     given: Any = {"free": FREE, "bounds": BOUNDS, "noise": {"position": 3e-4, "quadriceps": 0.2}}
     plan = fitting.plan_experiment(one, candidates=["quadriceps"], further=[other], **given)
     alone, elsewhere = (fitting.plan_experiment(scene, candidates=[], **given).covariance for scene in nominal())
-    size = np.array([156.0, 0.0714, 0.04])  # the coordinate's deviation is told relative to its bounds' span
+    size = np.array([156.0, 0.0714, 0.04])  # the coordinate's deviation is relative to its bounds' span
     parts = [np.linalg.inv(c / np.outer(size, size)) for c in (alone, elsewhere)]
     np.testing.assert_allclose(plan.additions["trial high"], np.sqrt(np.diagonal(np.linalg.inv(sum(parts)))), rtol=1e-6)
     assert plan.trials == ("trial high",)
@@ -257,7 +257,7 @@ def test_noise_of_two_trials_is_not_correlated():
     np.testing.assert_allclose(drawn.std(axis=0)[[0, 5]], 0.2, rtol=0.05)
 
 
-def test_trials_of_one_name_are_told_apart():
+def test_trials_of_one_name_get_numbers():
     scenes = [replace(small_scene(), name=name) for name in ("a", "a (2)", "a")]
     assert trial_names(scenes) == ["a", "a (2)", "a (3)"]
 
@@ -289,7 +289,7 @@ def test_a_shared_number_that_scenes_have_at_other_values_is_refused():
     assert varied[1].nominal[1] == varied[0].nominal[1]
 
 
-def test_measurements_in_the_place_of_a_scene_are_told():
+def test_measurements_in_the_place_of_a_scene_are_refused():
     with pytest.raises(InputError, match="scene: found Measured"):
         fitted(measured_alike()[0], None)
 

@@ -140,7 +140,7 @@ def test_an_inverse_of_unlike_units():
         assert inverse_information(np.diag([1.0, 0.0]))[1, 1] > 1e200
 
 
-def test_what_measurements_do_not_tell_is_counted_and_named():
+def test_undetermined_combinations_are_counted_and_named():
     """Of four parameters, in deviations of what was known: K1 against K2 is open, and friction alone."""
     names, known = ("K1", "L1", "K2", "mu"), np.array([17.0, 0.011, 58.0, 0.3])
     against = np.array([0.6, 0.0, -0.8, 0.0])
@@ -154,14 +154,14 @@ def test_what_measurements_do_not_tell_is_counted_and_named():
 
 @pytest.mark.parametrize("seed", range(5))
 def test_parameters_that_are_open_are_the_same_whatever_rounding_makes_of_them(seed):
-    """Draws of three parameters from their bounds, and of a fourth that is told."""
+    """Draws of three parameters from their bounds, and of a fourth that is determined."""
     drawn = np.random.default_rng(seed).uniform(-1, 1, (2000, 4)) * [1.0, 1.0, 1.0, 0.1]
     found = Undetermined.of(("a", "b", "c", "d"), np.full(4, 1 / np.sqrt(3)), np.cov(drawn.T))
     assert found.count == 3
     assert set(found.names) == {"a", "b", "c"}
 
 
-def test_an_estimate_says_how_much_is_told():
+def test_an_estimate_says_how_many_combinations_are_determined():
     numbers = {"K1": (150.0, 2.0), "L1": (0.14, 0.001), "K2": (620.0, 200.0)}
     assert made_estimate(numbers).undetermined == (1, ("K2",))
     said = "the measurements determine 2 of 3 combinations of the requested parameters; the others are hardly known"

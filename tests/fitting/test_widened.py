@@ -125,7 +125,7 @@ def test_a_widened_interval_is_stated_at_a_bound_too(monkeypatch):
     assert "K1 = 151 N/m (at its bound)" in at_bound.sentence()
 
 
-def test_a_calibrated_fit_is_kept_in_a_file(tmp_path):
+def test_a_calibrated_fit_is_saved_and_loaded(tmp_path):
     kept = quick(widened=FACTORS, plants=PLANTS)
     kept = replace(
         kept, set_up=kept.set_up._replace(priors={"K1": (150.0, 9.0)}, nuisance=fitting.Nuisance(damping=0.5))

@@ -28,7 +28,7 @@ def run(folder: Path) -> None:
 
 
 def killed_at(number: int) -> None:
-    """Counts the calls that change files, as an audit of the interpreter sees them, HDF5's own writes apart."""
+    """Counts the calls that change files, as an audit of the interpreter sees them, without HDF5's own writes."""
     left = [number]
 
     def hook(event: str, arguments: tuple[object, ...]) -> None:

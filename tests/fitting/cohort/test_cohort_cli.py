@@ -70,7 +70,7 @@ def test_a_cohort_with_a_failure(tmp_path, cheap_work):
 
 
 def test_parameters_at_a_bound_are_listed(tmp_path, cheap_work):
-    """In the table, in the JSON and on the terminal alike; of kept results as of computed ones."""
+    """In the table, in the JSON and on the terminal alike; of results of earlier runs as of computed ones."""
     parquet = pytest.importorskip("pyarrow.parquet")
     upper = {"A": [65.0, 0.1], "B": [70.0, 0.2]}
 

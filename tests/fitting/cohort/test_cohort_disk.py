@@ -1,4 +1,4 @@
-"""A disk that is full and folders that cannot be written to: told at the end, and the others go on."""
+"""A disk that is full and folders that cannot be written to: reported at the end, and the others go on."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_a_store_that_does_not_fit(tmp_path, little_room):
     assert set(verdicts.values()) == {"sound"}
 
 
-def test_no_room_is_seen_before_a_unit_is_computed(tmp_path, monkeypatch):
+def test_a_full_disk_is_noticed_before_a_unit_is_computed(tmp_path, monkeypatch):
     def full(*_: Any, **__: Any) -> Any:
         raise OSError(28, "No space left on device")
 
@@ -94,7 +94,7 @@ def blocked(manifest: Path) -> None:
     manifest.mkdir()
 
 
-def test_a_manifest_that_cannot_be_written_is_told_and_stops_nobody(tmp_path):
+def test_a_manifest_that_cannot_be_written_is_reported_and_stops_nobody(tmp_path):
     cohort = cheap(tmp_path, 2)
 
     def began(patient: str, kind: str) -> None:

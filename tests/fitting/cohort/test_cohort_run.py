@@ -1,4 +1,4 @@
-"""A cohort's folder: what is written, what is kept, what is computed anew, and what stops nobody."""
+"""A cohort's folder: what is written, what stays, what is computed anew, and what stops nobody."""
 
 from __future__ import annotations
 
@@ -231,7 +231,7 @@ def test_places_that_cannot_be(tmp_path):
         run_cohort(cohort, tmp_path / "file" / "out", work=CheapWork())
 
 
-def test_a_patient_who_has_gone_keeps_the_files(tmp_path):
+def test_files_of_a_patient_who_was_removed_stay(tmp_path):
     run_cohort(cheap(tmp_path, 2), work=CheapWork())
     smaller = cheap(tmp_path, 1)
     assert run_cohort(smaller, resume=True, work=CheapWork()).sound

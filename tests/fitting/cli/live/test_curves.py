@@ -1,4 +1,4 @@
-"""Curves against flexion: strokes told apart, and no line across a dislocation."""
+"""Curves against flexion: separate strokes, and no line across a dislocation."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def test_over_time_there_is_one_line(motion):
     np.testing.assert_array_equal(line.frames, np.arange(41))
 
 
-def test_both_strokes_are_told_apart_and_rise_in_flexion(motion):
+def test_both_strokes_are_separate_and_rise_in_flexion(motion):
     shown = cycle(motion)
     bending, straightening = pieces(shown, against_flexion=True)
     assert (bending.dash, straightening.dash) == (SOLID, DASHED)

@@ -38,14 +38,14 @@ def server():
 
 @pytest.fixture
 def client(server):
-    gone(server)
+    wait_until_disconnected(server)
     with PageClient(server.address) as made:
         made.wait_for("Dislocation: no")
         until(lambda: server.sessions)
         yield made
 
 
-def gone(server) -> None:
+def wait_until_disconnected(server) -> None:
     """Until the clients of former tests have left."""
     until(lambda: not server.sessions)
 
@@ -122,7 +122,7 @@ def test_a_slider_that_was_out_of_range_goes_back(client):
 
 @pytest.mark.parametrize("message", [b"\x00garbage", {"type": "NoSuchMessage"}, {"type": "GuiUpdateMessage"}, {}])
 def test_messages_that_are_none_end_that_page_alone(server, capfd, message):
-    gone(server)
+    wait_until_disconnected(server)
     with PageClient(server.address) as other:
         other.wait_for("Dislocation: no")
         with PageClient(server.address) as mad:
@@ -146,7 +146,7 @@ def test_nobody_opens_a_way_to_the_public_internet(client, monkeypatch):
 
 @pytest.mark.parametrize("origin", ["https://evil.example", "http://localhost:1", "null"])
 def test_a_page_of_another_site_is_refused(server, capfd, origin):
-    gone(server)
+    wait_until_disconnected(server)
     with pytest.raises(InvalidStatus) as refused:
         PageClient(server.address, origin=origin)
     assert refused.value.response.status_code == 403
@@ -155,7 +155,7 @@ def test_a_page_of_another_site_is_refused(server, capfd, origin):
 
 
 def test_its_own_page_is_let_in(server):
-    gone(server)
+    wait_until_disconnected(server)
     with PageClient(server.address, origin=server.address) as own:
         own.wait_for("Dislocation: no")
 
@@ -303,14 +303,14 @@ def test_a_contact_that_there_is_not_is_said_and_the_one_before_stays(client, se
 
 
 def test_a_client_that_leaves_frees_its_things(server):
-    gone(server)
+    wait_until_disconnected(server)
     with PageClient(server.address) as client:
         client.wait_for("Dislocation: no")
         client.move("Play", True)
         client.wait(lambda c: any(e.get("label") == "Pause" for e in c.elements.values()))
         until(lambda: server.sessions)
         session = weakref.ref(server.sessions[0])
-    gone(server)
+    wait_until_disconnected(server)
     until(lambda: "player" not in [t.name for t in threading.enumerate()])
 
     def freed() -> bool:
@@ -321,12 +321,12 @@ def test_a_client_that_leaves_frees_its_things(server):
 
 
 def test_nothing_is_written_to_a_client_who_has_left(server, monkeypatch):
-    gone(server)
+    wait_until_disconnected(server)
     with PageClient(server.address) as client:
         client.wait_for("Dislocation: no")
         until(lambda: server.sessions)
         (session,) = server.sessions
-    gone(server)
+    wait_until_disconnected(server)
     asked = []
     monkeypatch.setattr(session._page, "redraw", lambda: asked.append(1))
     monkeypatch.setattr(session._page, "frame", asked.append)

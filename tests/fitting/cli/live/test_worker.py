@@ -52,7 +52,7 @@ def test_what_was_forgotten_is_not_done(worker):
     assert done == []
 
 
-def test_a_job_that_fails_is_told_and_the_next_one_is_done(worker, capfd):
+def test_a_job_that_fails_is_reported_and_the_next_one_is_done(worker, capfd):
     end = threading.Event()
 
     def fails() -> None:

@@ -168,7 +168,7 @@ def test_fitted_nuisance_is_reported_though_the_scene_lacks_it(tmp_path):
     assert row[1] == "0.031"
 
 
-def test_gaps_and_residuals_are_told(fit_seen):
+def test_gaps_and_residuals_are_reported(fit_seen):
     assert fit_seen.rows["position of the button's centre"] == [["41", "5", "4"]]
     assert fit_seen.rows["contact force"] == [["not measured", "–", "–"]]
     assert fit_seen.rows["position"] == [["1.23", "1.1", "mm"]]
@@ -180,7 +180,7 @@ def test_parameters_of_the_scene_have_their_units(fit_seen):
     assert ["radius of the button", "22", "mm"] in fit_seen.rows["contact"]
 
 
-def test_the_prediction_is_told_row_by_row(fit_seen):
+def test_the_prediction_has_a_row_per_variant(fit_seen):
     (row,) = fit_seen.rows["10"]
     assert row[0] == "none; 0 % of draws"
     assert row[1].startswith("15.0 (")  # 0.02 m less 5 steps of 1 mm

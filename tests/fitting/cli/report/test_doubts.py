@@ -79,7 +79,7 @@ def test_a_fit_that_may_not_be_spoken_of_is_in_the_verdict(tmp_path):
     assert "see the verdict" in text
 
 
-def test_what_widens_the_bands_most_is_told(tmp_path):
+def test_the_main_source_of_the_bands_is_named(tmp_path):
     """An outcome that is a straight function of the fitted K1 alone, over draws in which friction varies as well."""
     from xarray import Dataset
 

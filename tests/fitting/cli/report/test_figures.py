@@ -73,7 +73,7 @@ def test_courses_against_flexion_are_the_runs(material):
     assert "fitted" in drawn.alternative
 
 
-def test_a_run_from_a_file_is_drawn_apart_where_it_dislocates(tmp_path):
+def test_a_run_from_a_file_is_marked_where_it_dislocates(tmp_path):
     result = small_result()
     center = result.center.copy()
     center[30:, 1] += 0.030  # while the knee straightens
@@ -102,7 +102,7 @@ def test_of_two_runs_each_is_drawn_under_its_own_name(material):
     assert "fitted and treated" in drawn.alternative
 
 
-def test_pictures_are_told_by_what_they_are(material):
+def test_a_pictures_data_url_states_its_type(material):
     """Bytes of a PNG file as they are; a figure as SVG."""
     kept = figures.Picture(b"\x89PNG\r\n\x1a\n and more", "", "").source
     start, data = kept.split(",")

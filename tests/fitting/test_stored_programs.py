@@ -1,4 +1,4 @@
-"""Programs of fits are kept for the next process, so that it need not trace them."""
+"""Programs of fits are stored for the next process, so that it need not trace them."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from pftwin.base.program_cache import Program
 
 
 @pytest.fixture
-def kept(tmp_path):
+def programs_folder(tmp_path):
     before = cache_folder.chosen()
-    cache_folder.use_cache_folder(tmp_path / "kept")
-    yield tmp_path / "kept" / "programs"
+    cache_folder.use_cache_folder(tmp_path / "cache")
+    yield tmp_path / "cache" / "programs"
     cache_folder.use_cache_folder(before)
 
 
 @pytest.mark.slow
-def test_another_process_does_not_trace_what_one_has_kept(kept, monkeypatch):
+def test_another_process_does_not_trace_stored_programs(programs_folder, monkeypatch):
     scene = hanging_scene(6)
     free = fitting.free_parameters(scene, SPRINGS)
     theta = jnp.asarray(free.nominal * np.linspace(0.95, 1.05, 3)[:, None])
@@ -54,7 +54,7 @@ def test_another_process_does_not_trace_what_one_has_kept(kept, monkeypatch):
         np.testing.assert_array_equal(a, b)
     assert run("quadriceps")[0].shape == (3, 6, 1)  # another program, which is traced
     assert len(traced) > count
-    assert len(list(kept.iterdir())) == 2
+    assert len(list(programs_folder.iterdir())) == 2
     count = len(traced)
     source = program_cache._source
     monkeypatch.setattr(program_cache, "_source", lambda package: source(package) + package.removeprefix("pftwin"))

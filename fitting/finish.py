@@ -129,7 +129,7 @@ def share_at(problem: Problem, theta: Floats) -> float:
     if not prediction.usable[0]:
         return 1.0
     r, j = (a[0] for a in target.linear(prediction))
-    r = r + j @ problem.ahead(theta, problem.evaluator.fine)
+    r = r + j @ problem.quadratic_step(theta, problem.evaluator.fine)
     share = share_of_independent(target.known(target.noise or target.noise_of(r, len(theta))), r, j)
     return 1.0 if share > _WHOLE else share
 
@@ -161,7 +161,7 @@ def estimate_at(problem: Problem, theta: Floats, substeps: int) -> NormalEstimat
     r, j = (a[0] for a in target.linear(prediction))
     known = target.known(target.noise or target.noise_of(r, len(p)))
     asked, span = slice(p.asked), p.upper - p.lower
-    mean = p.share(theta + problem.ahead(theta, substeps))
+    mean = p.share(theta + problem.quadratic_step(theta, substeps))
     covariance = (uncertainty(known, p, r, j, theta).covariance / np.outer(span, span))[asked, asked]
     if not np.linalg.eigvalsh(covariance)[0] > 0:  # derivatives that grow from step to step, or an open combination
         return NormalEstimate(mean[asked], np.full(covariance.shape, np.nan))

@@ -42,21 +42,21 @@ class TrialsEvaluator:
 
     def scenes_at(self, theta: Floats) -> tuple[Scene, ...]:
         """The scene of every trial with parameters (p,)."""
-        return tuple(e.parameters.apply(e.scene, at[0]) for e, at, _ in self._each(theta, self.first))
+        return tuple(e.parameters.apply(e.scene, at[0]) for e, at, _ in self._at_parameters(theta, self.first))
 
     @cached_property
     def coarse(self) -> int:
         """As `Evaluator.coarse`, for the trial that needs the shortest steps."""
-        return max(self._of_the_first(each, each.coarse) for each in self.evaluators)
+        return max(self._steps_in_first(each, each.coarse) for each in self.evaluators)
 
     @cached_property
     def fine(self) -> int:
         """As `Evaluator.fine`, likewise."""
-        return max(self._of_the_first(each, each.fine) for each in self.evaluators)
+        return max(self._steps_in_first(each, each.fine) for each in self.evaluators)
 
     def short_enough(self, *, slopes: bool = True) -> int:
         """As `Evaluator.short_enough`, likewise."""
-        return max(self._of_the_first(each, each.short_enough(slopes=slopes)) for each in self.evaluators)
+        return max(self._steps_in_first(each, each.short_enough(slopes=slopes)) for each in self.evaluators)
 
     @property
     def pull_chunk(self) -> int:
@@ -70,12 +70,12 @@ class TrialsEvaluator:
 
     def values(self, theta: Floats, substeps: int) -> Prediction:
         """As `Evaluator.values`."""
-        return _joined([e.values(at, steps) for e, at, steps in self._each(theta, substeps)])
+        return _joined([e.values(at, steps) for e, at, steps in self._at_parameters(theta, substeps)])
 
     def with_slopes(self, theta: Floats, substeps: int) -> Prediction:
         """As `Evaluator.with_slopes`."""
         parts = []
-        for (e, at, steps), weights in zip(self._each(theta, substeps), self._weights, strict=True):
+        for (e, at, steps), weights in zip(self._at_parameters(theta, substeps), self._weights, strict=True):
             found = e.with_slopes(at, steps)
             assert found.slopes is not None
             parts.append(found._replace(slopes=found.slopes @ weights))
@@ -84,17 +84,19 @@ class TrialsEvaluator:
     def gradients(self, theta: Floats, substeps: int, pulls: Floats) -> Floats:
         """As `Evaluator.gradients`."""
         lengths = [len(scene.motion.times) for scene in self.scenes]
-        parts = zip(self._each(theta, substeps), rows_of_trials(lengths), self._weights, strict=True)
+        parts = zip(self._at_parameters(theta, substeps), rows_of_trials(lengths), self._weights, strict=True)
         return np.sum([e.gradients(at, steps, pulls[:, rows]) @ w for (e, at, steps), rows, w in parts], axis=0)
 
     def step_errors(self, theta: Floats, substeps: int, *, slopes: bool = True) -> dict[str, StepError]:
         """As `Evaluator.step_errors`, from the trial in which a channel's error is largest."""
-        found = [e.step_errors(at[0], steps, slopes=slopes) for e, at, steps in self._each(theta[None], substeps)]
+        found = [
+            e.step_errors(at[0], steps, slopes=slopes) for e, at, steps in self._at_parameters(theta[None], substeps)
+        ]
         if not all(found):
             return {}
         return {channel: max((each[channel] for each in found), key=lambda e: (e.large, e.rms)) for channel in found[0]}
 
-    def _each(self, theta: Floats, substeps: int) -> list[tuple[Evaluator, Floats, int]]:
+    def _at_parameters(self, theta: Floats, substeps: int) -> list[tuple[Evaluator, Floats, int]]:
         """Every trial's evaluator, with its parameters (N, p) and steps."""
         theta, first = np.atleast_2d(np.asarray(theta, dtype=np.float64)), self.first
         return [
@@ -102,7 +104,7 @@ class TrialsEvaluator:
             for each, weights, moved in zip(self.evaluators, self._weights, self._moved, strict=True)
         ]
 
-    def _of_the_first(self, each: Evaluator, substeps: int) -> int:
+    def _steps_in_first(self, each: Evaluator, substeps: int) -> int:
         """Steps between two frames of the first trial that are no longer than these of another trial."""
         return -(-substeps * self.first // each.first)
 
@@ -111,11 +113,11 @@ def _joined(parts: list[Prediction]) -> Prediction:
     """Joins the trials' predictions; usable if all are."""
     usable = np.logical_and.reduce([p.usable for p in parts])
     slopes = [p.slopes for p in parts if p.slopes is not None]
-    values = _one_after_another([p.values for p in parts])
-    return Prediction(values, _one_after_another(slopes) if slopes else None, usable)
+    values = _concatenated([p.values for p in parts])
+    return Prediction(values, _concatenated(slopes) if slopes else None, usable)
 
 
-def _one_after_another(parts: list[Floats]) -> Floats:
+def _concatenated(parts: list[Floats]) -> Floats:
     """Joins arrays (N, n, ...) along the frames, with a frame of zeros between two."""
     between = np.zeros_like(parts[0][:, :1])
     return np.concatenate([part for one in parts for part in (between, one)][1:], axis=1)

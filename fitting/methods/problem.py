@@ -106,7 +106,7 @@ class Problem:
         value, gradient, hessian = self.objective.normal(prediction)
         return Normal(value + prior, gradient + pull, hessian + np.diag(precision))
 
-    def ahead(self, theta: Floats, substeps: int) -> Floats:
+    def quadratic_step(self, theta: Floats, substeps: int) -> Floats:
         """Step from parameters (p,) to the minimum of the quadratic model there, within the bounds."""
         normal, p = self.normal(theta[None], substeps), self.parameters
         span, u = p.upper - p.lower, p.share(theta)

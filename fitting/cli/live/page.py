@@ -46,19 +46,21 @@ class Page:
         self._gui.set_panel_label("Treatment")
         self.state = self._gui.add_html("")
         self._folders: dict[str, Any] = {}
-        self.knobs = self._sliders()
-        self._model(engine)
-        self._views(model)
+        self.knobs = self._add_sliders()
+        self._add_model_controls(engine)
+        self._add_views(model)
         self._legend = self._gui.add_html(self._legend_text())
         panel = self._gui.add_panel()
         with panel.add_tab("Motion"):
-            self._playing(model)
+            self._add_time_controls(model)
             self._numbers = self._gui.add_html("")
-            self._whole = self._gui.add_html("")
+            self._extremes = self._gui.add_html("")
             why = why_not_against_flexion(model.before)
-            self._over = self._gui.add_checkbox("against knee flexion", False, disabled=bool(why), hint=why or AGAINST)
-            self._on_input(self._over, self._session.redraw)
-            self._said = self._gui.add_html("")
+            self._against_flexion = self._gui.add_checkbox(
+                "against knee flexion", False, disabled=bool(why), hint=why or AGAINST
+            )
+            self._on_input(self._against_flexion, self._session.redraw)
+            self._curve_notes = self._gui.add_html("")
             self._curves = Curves(self._gui, model.before)
         with panel.add_tab("Times"):  # computing times, apart from the results
             self.pace = self._gui.add_html(words.pace_text((), (), 0.0))
@@ -68,7 +70,7 @@ class Page:
     def set_motion(self, model: LiveModel, after: ShownMotion) -> None:
         """Sets the motion of the table and the curves, which are redrawn at the next call of `number`."""
         if self._contact != model.contact:
-            self._offer(model)
+            self._show_usable_sliders(model)
         self._before, self._after, self._band = model.before, after, None
         self._update_texts()
 
@@ -112,11 +114,11 @@ class Page:
         self._update_texts()
 
     def _update_texts(self) -> None:
-        shown = {"compared": self._compared.value, "against_flexion": self._over.value}
+        shown = {"compared": self._compared.value, "against_flexion": self._against_flexion.value}
         self._curves.set(self._before, self._after, self._band, **shown)
-        notes = [AGAINST] if self._over.value else []
-        self._said.content = words.aside(*notes, *([] if self._band is None else [self._band.words]))
-        self._whole.content = words.whole_motion(*self._shown_motions())
+        notes = [AGAINST] if self._against_flexion.value else []
+        self._curve_notes.content = words.aside(*notes, *([] if self._band is None else [self._band.words]))
+        self._extremes.content = words.whole_motion(*self._shown_motions())
 
     def _shown_motions(self) -> tuple[list[ShownMotion], list[str]]:
         """The displayed motions and their colours; the untreated one only if it is to be compared."""
@@ -129,8 +131,8 @@ class Page:
         lines = [*notes([self._before.recorded], self.newtons), *pale, *self._notes, words.NOT_FOR_PATIENTS]
         return words.with_margins(legend([m.recorded for m in motions], colours, lines))
 
-    def _sliders(self) -> dict[str, Any]:
-        """Adds a slider for every knob, in folders; `_offer` hides those that do not apply to a model."""
+    def _add_sliders(self) -> dict[str, Any]:
+        """Adds a slider for every knob, in folders; `_show_usable_sliders` hides those that do not apply to a model."""
         found = {}
         for group in GROUPS:
             self._folders[group] = self._gui.add_folder(group, expand_by_default=group == GROUPS[0])
@@ -144,7 +146,7 @@ class Page:
             self._reasons = self._gui.add_html("")
         return found
 
-    def _offer(self, model: LiveModel) -> None:
+    def _show_usable_sliders(self, model: LiveModel) -> None:
         """Shows the sliders that apply to a model, and the reasons why others are missing."""
         usable = {k.name for k in model.knobs.usable}
         for name, slider in self.knobs.items():
@@ -162,7 +164,7 @@ class Page:
             if event.client is not None:
                 handler(element.value)
 
-    def _model(self, engine: Engine) -> None:
+    def _add_model_controls(self, engine: Engine) -> None:
         with self._gui.add_folder("Model"):
             self.contacts = self._gui.add_dropdown("contact", engine.contacts, initial_value=engine.contacts[0])
             self._compared = self._gui.add_checkbox("compare with untreated", False)
@@ -175,7 +177,7 @@ class Page:
         async def _(_: Any) -> None:
             self._session.reset()
 
-    def _playing(self, model: LiveModel) -> None:
+    def _add_time_controls(self, model: LiveModel) -> None:
         times = model.before.times
         begin, end = float(times[0]), float(times[-1])
         self.time = self._gui.add_slider("time [s]", begin, end, round(float(np.diff(times).min()), 4), begin)
@@ -186,7 +188,7 @@ class Page:
         async def _(_: Any) -> None:
             self._session.play_or_pause()
 
-    def _views(self, model: LiveModel) -> None:
+    def _add_views(self, model: LiveModel) -> None:
         found = views(model.before.recorded)
         buttons = self._gui.add_button_group("view", tuple(name.capitalize() for name in found))
 

@@ -140,7 +140,7 @@ class Session:
             if self._wanted == contact:
                 self._wanted = self._contact
                 self._page.contacts.value = self._contact
-                self._failed(error)
+                self._show_error(error)
             if not isinstance(error, InputError):
                 raise
         else:
@@ -159,7 +159,7 @@ class Session:
             model = self._engine.model(contact)
             after = self._engine.run(contact, values)
         except Exception as error:
-            self._failed(error)
+            self._show_error(error)
             if not isinstance(error, InputError):
                 raise
             return
@@ -233,7 +233,7 @@ class Session:
         """The displayed frame nearest to a time [s]."""
         return int(np.argmin(np.abs(self._after.times - at)))
 
-    def _failed(self, error: Exception) -> None:
+    def _show_error(self, error: Exception) -> None:
         """Shows why a motion failed; for a bug in the program, refers to the terminal."""
         own = isinstance(error, InputError)
         self.refuse(str(error) if own else f"an error in the program, {type(error).__name__}: see the terminal")

@@ -180,9 +180,8 @@ def fit_tendons(
     else:
         search = _method(method, problem, seed, options)
         problem.evaluator.prepare(search.widest)
-        compiled = compiled_aside(
-            knee.unnamed(), before=problem.evaluator.begin
-        )  # of the fitted motion, simulated last
+        # For the fitted motion, which is simulated last.
+        compiled = compiled_aside(knee.unnamed(), before=problem.evaluator.begin)
         identity = problem.fingerprint(method, seed, search.settings())
         path = None if checkpoint is None else Path(checkpoint)
         state = load_checkpoint(path, identity) if resume and path is not None else None

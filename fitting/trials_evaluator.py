@@ -42,7 +42,7 @@ class TrialsEvaluator:
 
     def scenes_at(self, theta: Floats) -> tuple[Scene, ...]:
         """The scene of every trial with parameters (p,)."""
-        return tuple(e.parameters.apply(e.scene, at[0]) for e, at, _ in self._at_parameters(theta, self.first))
+        return tuple(e.parameters.apply(e.scene, at[0]) for e, at, _ in self._trials(theta, self.first))
 
     @cached_property
     def coarse(self) -> int:
@@ -70,12 +70,12 @@ class TrialsEvaluator:
 
     def values(self, theta: Floats, substeps: int) -> Prediction:
         """As `Evaluator.values`."""
-        return _joined([e.values(at, steps) for e, at, steps in self._at_parameters(theta, substeps)])
+        return _joined([e.values(at, steps) for e, at, steps in self._trials(theta, substeps)])
 
     def with_slopes(self, theta: Floats, substeps: int) -> Prediction:
         """As `Evaluator.with_slopes`."""
         parts = []
-        for (e, at, steps), weights in zip(self._at_parameters(theta, substeps), self._weights, strict=True):
+        for (e, at, steps), weights in zip(self._trials(theta, substeps), self._weights, strict=True):
             found = e.with_slopes(at, steps)
             assert found.slopes is not None
             parts.append(found._replace(slopes=found.slopes @ weights))
@@ -84,19 +84,17 @@ class TrialsEvaluator:
     def gradients(self, theta: Floats, substeps: int, pulls: Floats) -> Floats:
         """As `Evaluator.gradients`."""
         lengths = [len(scene.motion.times) for scene in self.scenes]
-        parts = zip(self._at_parameters(theta, substeps), rows_of_trials(lengths), self._weights, strict=True)
+        parts = zip(self._trials(theta, substeps), rows_of_trials(lengths), self._weights, strict=True)
         return np.sum([e.gradients(at, steps, pulls[:, rows]) @ w for (e, at, steps), rows, w in parts], axis=0)
 
     def step_errors(self, theta: Floats, substeps: int, *, slopes: bool = True) -> dict[str, StepError]:
         """As `Evaluator.step_errors`, from the trial in which a channel's error is largest."""
-        found = [
-            e.step_errors(at[0], steps, slopes=slopes) for e, at, steps in self._at_parameters(theta[None], substeps)
-        ]
+        found = [e.step_errors(at[0], steps, slopes=slopes) for e, at, steps in self._trials(theta[None], substeps)]
         if not all(found):
             return {}
         return {channel: max((each[channel] for each in found), key=lambda e: (e.large, e.rms)) for channel in found[0]}
 
-    def _at_parameters(self, theta: Floats, substeps: int) -> list[tuple[Evaluator, Floats, int]]:
+    def _trials(self, theta: Floats, substeps: int) -> list[tuple[Evaluator, Floats, int]]:
         """Every trial's evaluator, with its parameters (N, p) and steps."""
         theta, first = np.atleast_2d(np.asarray(theta, dtype=np.float64)), self.first
         return [

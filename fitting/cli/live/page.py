@@ -56,10 +56,9 @@ class Page:
             self._numbers = self._gui.add_html("")
             self._extremes = self._gui.add_html("")
             why = why_not_against_flexion(model.before)
-            self._against_flexion = self._gui.add_checkbox(
-                "against knee flexion", False, disabled=bool(why), hint=why or AGAINST
-            )
-            self._on_input(self._against_flexion, self._session.redraw)
+            text, hint = "against knee flexion", why or AGAINST
+            self._by_flexion = self._gui.add_checkbox(text, False, disabled=bool(why), hint=hint)
+            self._on_input(self._by_flexion, self._session.redraw)
             self._curve_notes = self._gui.add_html("")
             self._curves = Curves(self._gui, model.before)
         with panel.add_tab("Times"):  # computing times, apart from the results
@@ -114,9 +113,9 @@ class Page:
         self._update_texts()
 
     def _update_texts(self) -> None:
-        shown = {"compared": self._compared.value, "against_flexion": self._against_flexion.value}
+        shown = {"compared": self._compared.value, "against_flexion": self._by_flexion.value}
         self._curves.set(self._before, self._after, self._band, **shown)
-        notes = [AGAINST] if self._against_flexion.value else []
+        notes = [AGAINST] if self._by_flexion.value else []
         self._curve_notes.content = words.aside(*notes, *([] if self._band is None else [self._band.words]))
         self._extremes.content = words.whole_motion(*self._shown_motions())
 

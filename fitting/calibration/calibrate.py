@@ -73,17 +73,8 @@ def calibrate(
     if not made:
         raise InputError("no kind of plants", where="kinds", expected=f"some of: {', '.join(PLANTS)}; or functions")
     limits_of(limits)
-    scenes = [scene] if isinstance(scene, Scene) else list(scene)
-    for one in scenes:
-        check(one)
-    trained.set_up.check_frames(scenes, scenes[0].name)
-    if operation is not None:
-        operation.check(scenes[0])
-    lab = laboratory or Laboratory()
-    recorded = reading_units(scenes[0], [*trained.set_up.channels, *lab.readings])
-    if missing := [name for name in recorded if name not in lab.readings]:
-        remedy = f"Laboratory(readings={{{missing[0]!r}: ...}}), the standard deviation of its noise"
-        raise InputError(f"{missing[0]} is not recorded", where="laboratory", remedy=remedy)
+    scenes, lab = [scene] if isinstance(scene, Scene) else list(scene), laboratory or Laboratory()
+    _check_scenes(scenes, trained.set_up, operation, lab)
     knees, parameters = _knees(trained.set_up, scenes)
     calibrator = _Calibrator(trained, knees, parameters.items, lab, scenes, operation, limits)
     found: dict[str, Answers] = {}
@@ -99,6 +90,19 @@ def calibrate(
     names = parameters.names[: parameters.asked]
     words = operation.describe() if operation is not None else ""
     return Calibration(names, found, trained.sentence(), seed, time.perf_counter() - began, words, **optional)
+
+
+def _check_scenes(scenes: list[Scene], set_up: SetUp, operation: Operation | None, lab: Laboratory) -> None:
+    """Raises InputError for scenes that are not of the set-up, cannot have the operation, or are not fully recorded."""
+    for one in scenes:
+        check(one)
+    set_up.check_frames(scenes, scenes[0].name)
+    if operation is not None:
+        operation.check(scenes[0])
+    recorded = reading_units(scenes[0], [*set_up.channels, *lab.readings])
+    if missing := [name for name in recorded if name not in lab.readings]:
+        remedy = f"Laboratory(readings={{{missing[0]!r}: ...}}), the standard deviation of its noise"
+        raise InputError(f"{missing[0]} is not recorded", where="laboratory", remedy=remedy)
 
 
 def _knees(set_up: SetUp, scenes: Sequence[Scene]) -> tuple[list[Knee], Parameters]:

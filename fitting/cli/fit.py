@@ -74,8 +74,7 @@ def fit(
     """
     check_suffix(output, [".json"], "estimates are JSON")
     check_outputs(output, checkpoint, json)
-    limits, spans = knee.limits(), time_spans(during)
-    trials = knee.load()
+    limits, spans, trials = knee.limits(), time_spans(during), knee.load()
     asked: dict[str, Any] = {"method": method, "objective": objective, **knee.asked(trials[0].scene), "loss": loss}
     asked |= {"seed": seed} | ({} if starts is None else {"starts": starts})
     checkpointing: dict[str, Any] = {"checkpoint": checkpoint, "resume": resume}

@@ -191,8 +191,8 @@ def flat_columns(data: Dataset) -> tuple[dict[str, np.ndarray], dict[str, str]]:
         labels = [""]
         for dimension in variable.dims[1:]:
             if dimension in data.coords:
-                lead = "_q" if dimension == _QUATERNION else "_"
-                parts = [f"{lead}{value}" for value in data[dimension].values]
+                prefix_of_part = "_q" if dimension == _QUATERNION else "_"
+                parts = [f"{prefix_of_part}{value}" for value in data[dimension].values]
             else:
                 parts = [f"_{i + 1}" for i in range(variable.sizes[dimension])]
             labels = [a + b for a in labels for b in parts]

@@ -66,7 +66,7 @@ def _glb(result: Recorded) -> bytes:
 
     rods = _rods(result)
     scene = _scene(result, rods)
-    carried = {
+    bodies = {
         body: PartTrack(result.data[f"{body}_position"].values, result.data[f"{body}_quaternion"].values)
         for body in ("patella", "tibia")
     }
@@ -75,7 +75,7 @@ def _glb(result: Recorded) -> bytes:
         raise InputError("times that do not increase", where=result.name, expected="a recording")
 
     def animate(buffers: Any, tree: dict[str, Any]) -> None:
-        _animate(buffers, tree, times, {**carried, **rods})
+        _animate(buffers, tree, times, {**bodies, **rods})
 
     return export_glb(scene, include_normals=True, buffer_postprocessor=animate)
 

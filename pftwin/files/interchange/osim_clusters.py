@@ -72,27 +72,27 @@ def read_recording(
     chosen = _mended(chosen, places, notes)
     filled, gaps = fill_gaps(chosen, max_gap_s=MAX_GAP, keep_long=True)
     notes += [f"{g.marker}: filled {g.in_words()}" for g in gaps if g.filled]
-    kept, clusters = _known(filled, places, centers, own, knee)
+    selected, clusters = _known(filled, places, centers, own, knee)
     notes.append(
-        f"stretch: {kept.times[0]:g} to {kept.times[-1]:g} s of {raw.times[0]:g} to {raw.times[-1]:g} s, the longest "
-        f"in which enough markers of each of {', '.join(sorted(relevant - {'patella'}))} are seen throughout"
+        f"stretch: {selected.times[0]:g} to {selected.times[-1]:g} s of {raw.times[0]:g} to {raw.times[-1]:g} s, the "
+        f"longest in which enough markers of each of {', '.join(sorted(relevant - {'patella'}))} are seen throughout"
     )
-    used = frozenset(m for m, theirs in names.items() if theirs in kept.names)
+    used = frozenset(m for m, theirs in names.items() if theirs in selected.names)
     notes += [
         f"{c.name} counts as a marker of {knee.femur}: the model's default place, determined from the markers of "
         f"{knee.name(c.carrier)}"
         for c in centers
     ]
-    cutoff = CUTOFF if kept.rate > 2 * CUTOFF else None
+    cutoff = CUTOFF if selected.rate > 2 * CUTOFF else None
     notes.append(
         f"gaps of up to {MAX_GAP:g} s are filled; filter: "
         + (f"Butterworth, {cutoff:g} Hz, order {ORDER}, forwards and backwards" if cutoff else "none, by the low rate")
     )
-    smooth = _low_passed(kept.select([n for p in ("femur", "tibia") for n in clusters[p]]), cutoff)
+    smooth = _low_passed(selected.select([n for p in ("femur", "tibia") for n in clusters[p]]), cutoff)
     fits = {p: _fit(smooth, clusters[p], places[p], knee.name(p), notes) for p in ("femur", "tibia")}
     start, said = resting_patella(knee, fits["tibia"].relative_to(fits["femur"]))
     said += "; limits of how far from there it comes to rest are wide"
-    return Recording(kept, clusters, used, cutoff, start, [*notes, said])
+    return Recording(selected, clusters, used, cutoff, start, [*notes, said])
 
 
 def _mended(
@@ -120,7 +120,7 @@ def _known(
     for part in segments:
         _refuse_few(part, places[part], least[part], filled, own, knee)
     whole = _stretch(filled, {p: list(places[p]) for p in segments}, least)
-    clusters = {p: _seen(held, whole, throughout=p != "patella") for p, held in places.items()}
+    clusters = {p: _present_markers(held, whole, throughout=p != "patella") for p, held in places.items()}
     whole = with_centers(whole, centers, clusters)
     clusters["femur"] |= {c.name: c.place for c in centers}
     clusters = {p: clusters[p] for p in PARTS}
@@ -140,13 +140,13 @@ def _refuse_few(
     part: str, places: Mapping[str, Floats], least: int, filled: MarkerTrajectories,
     own: Sequence[OsimMarker], knee: OsimKnee,
 ) -> None:  # fmt: skip
-    seen = list(_seen(places, filled, throughout=False))
-    if len(seen) >= least:
+    present = list(_present_markers(places, filled, throughout=False))
+    if len(present) >= least:
         return
     model = ", ".join(m.name for m in own if m.part == part)
     centers = "" if part != "femur" or least < LEAST else "--joint-centers, where the pelvis has markers; "
     raise InputError(
-        f"{len(seen)} of the markers on {knee.name(part)} are seen: {', '.join(seen) or 'none'}",
+        f"{len(present)} of the markers on {knee.name(part)} are seen: {', '.join(present) or 'none'}",
         where=filled.source,
         expected=f"{LEAST} or more that span a plane; the model has {model or 'none'} there",
         remedy=f"--markers FILE.xml with the places of more that were recorded; {centers}"
@@ -154,7 +154,9 @@ def _refuse_few(
     )
 
 
-def _seen(places: Mapping[str, Floats], markers: MarkerTrajectories, *, throughout: bool) -> dict[str, Floats]:
+def _present_markers(
+    places: Mapping[str, Floats], markers: MarkerTrajectories, *, throughout: bool
+) -> dict[str, Floats]:
     """Markers that are present in every frame (`throughout`), or in any."""
     most = 0 if throughout else markers.times.size - 1  # largest number of frames in which a marker may be missing
     lost = dict(zip(markers.names, np.count_nonzero(markers.missing, axis=0), strict=True))
@@ -207,8 +209,8 @@ def _fit(
 ) -> PoseSeries:
     """Fits a segment's poses; adds notes on the markers' residuals and on the marker that is best left out."""
     poses = segment_poses(markers, cluster, source=f"{markers.source}, {body}")
-    places, seen = np.array([*cluster.values()]), markers.select(list(cluster)).positions
-    off = seen - poses.positions[:, None] - np.einsum("nij,mj->nmi", poses.matrices(), places)
+    places, measured = np.array([*cluster.values()]), markers.select(list(cluster)).positions
+    off = measured - poses.positions[:, None] - np.einsum("nij,mj->nmi", poses.matrices(), places)
     each = ", ".join(f"{n} {1e3 * v:.1f}" for n, v in zip(cluster, _rms(off, (0, 2)), strict=True))
     frames = _rms(off, (1, 2))
     note = (
@@ -217,20 +219,22 @@ def _fit(
         "model's"
     )
     if len(cluster) > LEAST:
-        left = {n: _misfit(np.delete(seen, i, 1), np.delete(places, i, 0)) for i, n in enumerate(cluster) if n in own}
+        left = {
+            n: _misfit(np.delete(measured, i, 1), np.delete(places, i, 0)) for i, n in enumerate(cluster) if n in own
+        }
         name, best = min(left.items(), key=lambda item: item[1])
         note += f"; without {name} by {1e3 * best:.1f} mm rms"
     notes.append(note)
     return poses
 
 
-def _misfit(seen: Floats, places: Floats) -> float:
+def _misfit(measured: Floats, places: Floats) -> float:
     """Root mean square distance of markers (n, m, 3) from the rigid body (m, 3) fitted to each frame [m].
 
     With the singular values s of the covariance, the residual sum of squares is |p|^2 + |r|^2 - 2 (s1 + s2 +- s3)
     (Soederkvist & Wedin 1993).
     """
-    p, r = seen - seen.mean(axis=1, keepdims=True), places - places.mean(axis=0)
+    p, r = measured - measured.mean(axis=1, keepdims=True), places - places.mean(axis=0)
     u, s, vt = np.linalg.svd(np.einsum("nmi,mj->nij", p, r))
     s[:, 2] *= np.linalg.det(u @ vt)
     left = (p**2).sum(axis=(1, 2)) + (r**2).sum() - 2 * s.sum(axis=1)

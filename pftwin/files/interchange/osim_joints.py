@@ -235,21 +235,21 @@ class Tree:
 
     def pose(self, body: str, values: dict[str, Floats], count: int) -> Floats:
         """Pose (n, 4, 4) of a body in ground; raises InputError if no chain of joints connects it with ground."""
-        out, seen = np.tile(np.eye(4), (count, 1, 1)), set()
+        out, visited = np.tile(np.eye(4), (count, 1, 1)), set()
         while body != GROUND:
             joint = self.joints.get(body)
-            if joint is None or body in seen:
+            if joint is None or body in visited:
                 raise InputError(f"no chain of joints connects the body {body!r} with ground", where=body)
-            seen.add(body)
+            visited.add(body)
             out = joint.pose(values, count) @ out
             body = joint.parent.body
         return out
 
     def welded(self, body: str) -> tuple[str, Floats]:
         """The body to which this one is rigidly attached, and the pose (4, 4) of this one in it."""
-        out, seen = np.eye(4), set()
-        while body in self.joints and self.joints[body].kind == "WeldJoint" and body not in seen:
-            seen.add(body)
+        out, visited = np.eye(4), set()
+        while body in self.joints and self.joints[body].kind == "WeldJoint" and body not in visited:
+            visited.add(body)
             out = self.joints[body].pose({}, 1)[0] @ out
             body = self.joints[body].parent.body
         return body, out

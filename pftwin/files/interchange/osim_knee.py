@@ -14,7 +14,7 @@ import numpy as np
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.files.interchange.osim_document import OsimFrame
-from pftwin.files.interchange.osim_model import LeftOut, Mesh, OsimModel, loose_name, plain_name
+from pftwin.files.interchange.osim_model import LeftOut, Mesh, OsimModel, loose_name, scene_name
 from pftwin.geometry.mesh.files import read_triangles
 from pftwin.geometry.mesh.mesh import SurfaceMesh
 
@@ -123,7 +123,7 @@ def load_mesh(mesh: Mesh, knee: OsimKnee, places: list[Path]) -> Written:
     points = (vertices * mesh.scale) @ pose[:3, :3].T + pose[:3, 3]
     if np.prod(mesh.scale) < 0:
         faces = faces[:, ::-1].copy()
-    return Written(part, f"{FOLDER}/{plain_name(mesh.name)}.stl", SurfaceMesh(points, faces, mesh.file))
+    return Written(part, f"{FOLDER}/{scene_name(mesh.name)}.stl", SurfaceMesh(points, faces, mesh.file))
 
 
 def bones(knee: OsimKnee, places: list[Path], taken: set[str], left: list[LeftOut]) -> Iterator[Written]:
@@ -154,9 +154,9 @@ def _mesh_file(mesh: Mesh, home: Path, places: list[Path]) -> Path:
     own = sorted(f for f in home.glob("*") if f.name.lower() == "geometry" and f.is_dir())
     folders = [home, *own, *places]
     files = [sorted(f for f in folder.glob("*") if f.is_file()) for folder in folders if folder.is_dir()]
-    for plain in (str, str.lower, loose_name):
+    for spelling in (str, str.lower, loose_name):
         for held in files:
-            alike = [f for f in held if plain(f.name) == plain(name)]
+            alike = [f for f in held if spelling(f.name) == spelling(name)]
             if len(alike) > 1:
                 several = ", ".join(f.name for f in alike)
                 raise InputError(
@@ -167,5 +167,5 @@ def _mesh_file(mesh: Mesh, home: Path, places: list[Path]) -> Path:
                 )
             if alike:
                 return alike[0]
-    looked = ", ".join(str(f) for f in (folders if own else [home, home / "Geometry", *places]))
-    raise InputError(f"no mesh {name!r}", where=mesh.where, expected=f"in {looked}", remedy="--geometry FOLDER")
+    searched = ", ".join(str(f) for f in (folders if own else [home, home / "Geometry", *places]))
+    raise InputError(f"no mesh {name!r}", where=mesh.where, expected=f"in {searched}", remedy="--geometry FOLDER")

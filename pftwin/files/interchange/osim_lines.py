@@ -16,7 +16,7 @@ from pftwin.base.errors import InputError
 from pftwin.base.text_files import refuse_repeated
 from pftwin.files.interchange.osim_document import Element
 from pftwin.files.interchange.osim_knee import OsimKnee
-from pftwin.files.interchange.osim_model import LIGAMENT, LeftOut, OsimLigament, path_wraps, plain_name
+from pftwin.files.interchange.osim_model import LIGAMENT, LeftOut, OsimLigament, path_wraps, scene_name
 from pftwin.files.interchange.osim_motion import Motion
 from pftwin.files.interchange.osim_wraps import OsimWrap, Wraps
 
@@ -52,7 +52,7 @@ class PatellarMuscle(NamedTuple):
     origin: Floats  # the point before, in its body's frame [m]
     body: str  # part of the knee with that point, or the model's name of another body
     strength: float | None  # maximum isometric force [N]
-    plain: bool = True  # whether it is the muscle's only segment at the patella, with two fixed end points
+    single_segment: bool = True  # whether it is the muscle's only segment at the patella, with two fixed end points
     wraps: tuple[str, ...] = ()  # names of the objects over which the segment may wrap
     coincident: bool = False  # whether the segment's ends coincide at the model's default coordinates
 
@@ -64,12 +64,12 @@ class PatellarMuscle(NamedTuple):
     @property
     def line(self) -> str:
         """Name in a scene."""
-        return plain_name(self.name)
+        return scene_name(self.name)
 
     @property
     def takes_tension(self) -> bool:
         """Whether a scene can include it with a share of a total tension."""
-        usable = self.plain and not self.coincident and self.body in BODIES
+        usable = self.single_segment and not self.coincident and self.body in BODIES
         return usable and self.strength is not None and self.strength > 0
 
     def describe(self) -> str:
@@ -78,7 +78,7 @@ class PatellarMuscle(NamedTuple):
         ends = f"insertion_m = {insertion}, origin_m = {origin} on the {self.body}"
         if self.body not in BODIES:
             return f"it comes from the {self.body}, which a scene does not have; {ends}"
-        if not self.plain:
+        if not self.single_segment:
             return f"its points move, or it passes over the patella: only one line can be taken; {ends}"
         if self.coincident:
             return f"its line has no length where the model has the patella; {ends}"
@@ -88,30 +88,30 @@ class PatellarMuscle(NamedTuple):
 def pulls(
     knee: OsimKnee,
     moved: Motion | None,
-    told: Imported,
+    imported: Imported,
     quadriceps: float | None,
     activation: float | str | os.PathLike[str] | None,
     wraps: Wraps,
 ) -> tuple[list[tuple[PatellarMuscle, OsimWrap | None]], Activated | None]:
     """Muscles of the patella with their obstacles, and their tensions: shares of a total, or from activations."""
-    muscles = told.muscles = list(_muscles(knee))
+    muscles = imported.muscles = list(_muscles(knee))
     pulled = None
     if quadriceps is not None:
-        told.tensions = shared_tensions(muscles, quadriceps)
-        each = ", ".join(f"{name} {newtons:.3g} N" for name, newtons in told.tensions.items())
-        told.notes.append(f"tensions, constant, by maximum isometric force: {each}")
+        imported.tensions = shared_tensions(muscles, quadriceps)
+        each = ", ".join(f"{name} {newtons:.3g} N" for name, newtons in imported.tensions.items())
+        imported.notes.append(f"tensions, constant, by maximum isometric force: {each}")
     elif activation is not None and moved is not None:
         from pftwin.files.interchange.osim_activation import activated
 
         pulled = activated(knee, moved, muscles, activation, wraps)
-        told.tensions = {m.name: float(t) for m, t in zip(pulled.muscles, pulled.tensions[0], strict=True)}
-        told.notes += pulled.notes
-    if told.tensions and (without := [m.name for m in muscles if m.name not in told.tensions]):
-        told.notes.append(f"without a tension: {', '.join(without)}")
+        imported.tensions = {m.name: float(t) for m, t in zip(pulled.muscles, pulled.tensions[0], strict=True)}
+        imported.notes += pulled.notes
+    if imported.tensions and (without := [m.name for m in muscles if m.name not in imported.tensions]):
+        imported.notes.append(f"without a tension: {', '.join(without)}")
     found = []
-    for muscle in [m for m in muscles if m.name in told.tensions] if pulled is None else pulled.muscles:
+    for muscle in [m for m in muscles if m.name in imported.tensions] if pulled is None else pulled.muscles:
         over, left = wraps.over(muscle.wraps)
-        told.notes += _straight({(muscle.name, tuple(left)): [muscle.name]})
+        imported.notes += _straight({(muscle.name, tuple(left)): [muscle.name]})
         found.append((muscle, over))
     return found, pulled
 
@@ -131,10 +131,10 @@ def _muscles(knee: OsimKnee) -> Iterator[PatellarMuscle]:
         i, j = pairs[0]
         strength = force.child(_STRENGTH)
         newtons = None if strength is None else float(strength.numbers(1)[0])
-        plain = len(pairs) == 1 and points[i].tag == points[j].tag == POINTS[0]
+        single_segment = len(pairs) == 1 and points[i].tag == points[j].tag == POINTS[0]
         wraps = tuple(w.name for w in path_wraps(force) if w.covers(min(i, j), max(i, j)))
-        coincident = plain and at[j][0] in BODIES and _distance(knee, at[i], at[j]) < _LEAST
-        yield PatellarMuscle(force, at[i][1], at[j][1], at[j][0], newtons, plain, wraps, coincident)
+        coincident = single_segment and at[j][0] in BODIES and _distance(knee, at[i], at[j]) < _LEAST
+        yield PatellarMuscle(force, at[i][1], at[j][1], at[j][0], newtons, single_segment, wraps, coincident)
 
 
 def _distance(knee: OsimKnee, *points: tuple[str, Floats]) -> float:
@@ -161,7 +161,7 @@ def shared_tensions(muscles: Sequence[PatellarMuscle], total: float) -> dict[str
     return {m.name: total * (m.strength or 0.0) / whole for m in taken}
 
 
-def ligament_lines(knee: OsimKnee, wraps: Wraps, told: Imported) -> list[tuple[OsimStrand, OsimWrap | None]]:
+def ligament_lines(knee: OsimKnee, wraps: Wraps, imported: Imported) -> list[tuple[OsimStrand, OsimWrap | None]]:
     """Ligaments of the patella with their obstacles; others are added to what is left out."""
     found = []
     straight: dict[tuple[str, tuple[str, ...]], list[str]] = {}
@@ -171,14 +171,14 @@ def ligament_lines(knee: OsimKnee, wraps: Wraps, told: Imported) -> list[tuple[O
         if parts.count("patella") != 1 or not {*parts} - {"patella"} <= {"femur", "tibia", "ground"}:
             why = "pftwin knows femur, tibia and ground beside the patella"
             why = f": {why}" if "patella" in parts else ", whose motion is prescribed"
-            told.left_out.append(LeftOut(LIGAMENT, ligament.name, f"it joins {' and '.join(parts)}{why}"))
+            imported.left_out.append(LeftOut(LIGAMENT, ligament.name, f"it joins {' and '.join(parts)}{why}"))
             continue
         k = parts.index("patella")
         over, left = wraps.over(ligament.wraps)
         strand = OsimStrand(ligament, places[k][1], *places[1 - k])
         straight.setdefault((strand.name, tuple(left)), []).append(ligament.name)
         found.append((strand, over))
-    told.notes += _straight(straight)
+    imported.notes += _straight(straight)
     return found
 
 

@@ -126,13 +126,13 @@ def find_centers(knee: OsimKnee) -> list[Center]:
             expected="a joint by which it turns about a point of another body",
         )
 
-    def carried(joint: Joint) -> tuple[str, Floats]:
+    def carrier_and_origin(joint: Joint) -> tuple[str, Floats]:
         """The part that carries a joint, and the moving frame's origin in it at the default coordinates."""
         pose = joint.pose(tree.values({}, 1), 1)[0] @ joint.child.pose
         return knee.point(OsimFrame(joint.parent.body, pose), np.zeros(3))
 
-    pelvis, there = carried(hip)
-    part, place = carried(joint)
+    pelvis, there = carrier_and_origin(hip)
+    part, place = carrier_and_origin(joint)
     if part != "femur":
         raise InputError(f"{joint.name!r} is attached to {part!r}", where=joint.where, expected=f"on {knee.femur!r}")
     in_femur, in_tibia = (knee.point(j.child, np.zeros(3))[1] for j in (hip, joint))

@@ -105,9 +105,9 @@ def _measured(knee: OsimKnee, path: str | os.PathLike[str], rate: float | None) 
     held = read_poses(path, rate=rate)
     if missing := [body for body in (knee.femur, knee.tibia) if body not in held]:
         raise unknown_name("body", missing[0], held, where=path)
-    seen = {body: held[body] for body in (knee.femur, knee.tibia, knee.patella) if body in held}
-    said = f"poses of {', '.join(seen)} from {os.fspath(path)}"
-    femur = seen[knee.femur]
+    selected = {body: held[body] for body in (knee.femur, knee.tibia, knee.patella) if body in held}
+    said = f"poses of {', '.join(selected)} from {os.fspath(path)}"
+    femur = selected[knee.femur]
     if measured := knee.patella in held:
         said += "; the patella's are what was measured"
     else:
@@ -115,10 +115,10 @@ def _measured(knee: OsimKnee, path: str | os.PathLike[str], rate: float | None) 
         there = rest[knee.patella].relative_to(rest[knee.femur])
         places = femur.positions + femur.matrices() @ there.positions[0]
         turns = quaternion_product(femur.quaternions, there.quaternions)
-        seen[knee.patella] = PoseSeries(femur.times, places, turns)
+        selected[knee.patella] = PoseSeries(femur.times, places, turns)
         said += f"; {knee.patella} starts where the model has it in {knee.femur}"
-    said += _not_used([body for body in held if body not in seen])
-    return Motion(femur.times, seen, f"{said}; {GROUND_AS_MODEL}", measured)
+    said += _not_used([body for body in held if body not in selected])
+    return Motion(femur.times, selected, f"{said}; {GROUND_AS_MODEL}", measured)
 
 
 def _not_used(names: list[str]) -> str:

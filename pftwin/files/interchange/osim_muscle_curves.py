@@ -132,8 +132,8 @@ def _curve(points: Sequence[_Point], curviness: float, said: Properties) -> Func
         first, last = (e + share * (crossing - e) for e in ends)
         bezier = BPoly(np.array([ends[0], first, first, last, last, ends[1]])[:, None], [0.0, 1.0])
         place, way = bezier(u), bezier.derivative()(u)
-        kept = slice(0 if a is points[0] else 1, None)  # do not repeat the end of the corner before
-        pieces.append(np.column_stack([place, way[:, 1] / way[:, 0]])[kept])
+        rows = slice(0 if a is points[0] else 1, None)  # do not repeat the end of the corner before
+        pieces.append(np.column_stack([place, way[:, 1] / way[:, 0]])[rows])
     at, height, slope = np.concatenate(pieces).T
     said.expect(bool((np.diff(at) > 0).all()), "corners that follow one another")
     return continued(CubicHermiteSpline(at, height, slope), at)

@@ -52,7 +52,7 @@ class MovingBodies:
         """Pose (n, 4, 4) of "femur", "tibia", "patella" or a named body that joints connect with ground."""
         body = self.knee.name(part)
         if body not in self._found:
-            self._found[body] = self._given(body) if body in self.motion.poses else self._carried(body)
+            self._found[body] = self._measured(body) if body in self.motion.poses else self._fixed_to_part(body)
         return self._found[body]
 
     def seen_from(self, part: str, points: Floats, at: np.ndarray | slice = slice(None)) -> Floats:
@@ -70,12 +70,12 @@ class MovingBodies:
             raise InputError(found, where=where, remedy="--motion with a file of coordinates")
         return known[name], self.values[name]
 
-    def _given(self, body: str) -> Floats:
+    def _measured(self, body: str) -> Floats:
         out = np.tile(np.eye(4), (self.count, 1, 1))
         out[:, :3, :3], out[:, :3, 3] = self.motion.poses[body].matrices(), self.motion.poses[body].positions
         return out
 
-    def _carried(self, body: str) -> Floats:
+    def _fixed_to_part(self, body: str) -> Floats:
         tree, bones = self.knee.model.tree, (self.knee.tibia, self.knee.patella)
         roots = {tree.welded(bone)[0]: bone for bone in bones}
         below, carrier = tree.welded(body)[0], self.knee.femur

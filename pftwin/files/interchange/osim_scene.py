@@ -122,10 +122,10 @@ def import_osim(
     Limits.of(limits or {})
     found = read_model(read_osim(model))
     knee = find_knee(found, side, femur=femur, tibia=tibia, patella=patella)
-    told = Imported(left_out=list(found.left_out))
+    imported = Imported(left_out=list(found.left_out))
     places = [Path(p) for p in geometry]
-    seen = moved = None
-    how: dict[str, Any] = {"units": units, "without": tuple(without), "joint_centers": joint_centers}
+    recording = moved = None
+    options: dict[str, Any] = {"units": units, "without": tuple(without), "joint_centers": joint_centers}
     if motion is not None:
         _refuse_others("a motion", bend=bend)
     if motion is not None and Path(motion).suffix.lower() in MARKER_FILES:
@@ -133,54 +133,54 @@ def import_osim(
         if activation is not None:
             expected = "coordinates (.mot) or poses (.sto), by which muscles have lengths; or a constant tension"
             raise InputError("an activation, and a recording of markers", where="activation", expected=expected)
-        seen = _recording(knee, motion, markers, told, how)
+        recording = _recording(knee, motion, markers, imported, options)
     else:
-        _refuse_others("no recording of markers as motion", markers=markers, **how)
+        _refuse_others("no recording of markers as motion", markers=markers, **options)
         moved = osim_motion.motion_of(knee, motion, rate, bend)
-        told.notes.append(f"motion: {moved.said}")
+        imported.notes.append(f"motion: {moved.said}")
     if found.bodies[knee.patella].mass <= 0:
         raise InputError("a patella without mass", where=found.bodies[knee.patella].where, expected="a positive mass")
     wraps = Wraps(knee)
-    strands = ligament_lines(knee, wraps, told)
-    contact, pressing = _contact_meshes(knee, places, told)
-    drawn = list(bones(knee, places, {m.file for m in pressing}, told.left_out))
+    strands = ligament_lines(knee, wraps, imported)
+    contact, pressing = _contact_meshes(knee, places, imported)
+    drawn = list(bones(knee, places, {m.file for m in pressing}, imported.left_out))
     if drawn:
-        told.notes.append(f"bones: {len(drawn)} meshes lie in {FOLDER}/; a scene file has no table for them")
-    pulling, pulled = pulls(knee, moved, told, quadriceps, activation, wraps)
-    told.left_out += _unused_elements(found.root, told, recorded=seen is not None)
+        imported.notes.append(f"bones: {len(drawn)} meshes lie in {FOLDER}/; a scene file has no table for them")
+    pulling, pulled = pulls(knee, moved, imported, quadriceps, activation, wraps)
+    imported.left_out += _unused_elements(found.root, imported, recorded=recording is not None)
     if any(wrap is not None and wrap.kind == "cylinder" for _, wrap in (*strands, *pulling)):
-        told.notes.append("wrapping: cylinders are taken as endless")
-    drive = moved, pulling, pulled, seen
-    text = scene_text(knee, strands, contact, pressing, told, *drive, limits or {}, quadriceps_knots or ())
+        imported.notes.append("wrapping: cylinders are taken as endless")
+    drive = moved, pulling, pulled, recording
+    text = scene_text(knee, strands, contact, pressing, imported, *drive, limits or {}, quadriceps_knots or ())
     tables = {} if moved is None else {"poses.csv": poses_csv(moved)}
-    tables |= {} if seen is None else {RECORDING: trc_text(RECORDING, seen.markers)}
+    tables |= {} if recording is None else {RECORDING: trc_text(RECORDING, recording.markers)}
     if moved is not None and pulled is not None:
         tables[FILE] = pulled.table(moved.times)
-    _write(Path(folder), text, tables, [*pressing, *drawn], told)
-    return told
+    _write(Path(folder), text, tables, [*pressing, *drawn], imported)
+    return imported
 
 
 def _recording(
     knee: OsimKnee,
     motion: str | os.PathLike[str],
     markers: str | os.PathLike[str] | None,
-    told: Imported,
-    how: dict[str, Any],
+    imported: Imported,
+    options: dict[str, Any],
 ) -> Recording:
     """Reads the knee's markers and their recording."""
     from pftwin.files.interchange.osim_clusters import read_recording
     from pftwin.files.interchange.osim_markers import markers_of
 
-    known = markers_of(knee, markers, told.left_out)
-    seen = read_recording(motion, knee, known, **how)
+    known = markers_of(knee, markers, imported.left_out)
+    recording = read_recording(motion, knee, known, **options)
     why = "it is not in the recording, or not seen throughout, or was left out"
-    told.left_out += [
+    imported.left_out += [
         LeftOut("Marker", m.name, why if m.part in PARTS else "it is on no bone of the knee")
         for m in known
-        if m.name not in seen.used
+        if m.name not in recording.used
     ]
-    told.notes += [f"motion: markers of {os.fspath(motion)}; {osim_motion.GROUND_AS_MODEL}", *seen.notes]
-    return seen
+    imported.notes += [f"motion: markers of {os.fspath(motion)}; {osim_motion.GROUND_AS_MODEL}", *recording.notes]
+    return recording
 
 
 def _refuse_others(found: str, **options: Any) -> None:
@@ -190,7 +190,7 @@ def _refuse_others(found: str, **options: Any) -> None:
         raise InputError(f"{given[0]} given, and {found}", where=given[0], expected="one or the other")
 
 
-def _contact(knee: OsimKnee, told: Imported) -> OsimContact | None:
+def _contact(knee: OsimKnee, imported: Imported) -> OsimContact | None:
     """The contact of femur and patella, the femur's surface first."""
     chosen, surfaces = None, knee.model.surfaces
     for contact in knee.model.contacts:
@@ -205,23 +205,23 @@ def _contact(knee: OsimKnee, told: Imported) -> OsimContact | None:
         else:
             chosen = contact if parts[0] == "femur" else contact._replace(surfaces=contact.surfaces[::-1])
             continue
-        told.left_out.append(LeftOut(CONTACT, contact.name, why))
+        imported.left_out.append(LeftOut(CONTACT, contact.name, why))
     return chosen
 
 
-def _contact_meshes(knee: OsimKnee, places: list[Path], told: Imported) -> tuple[OsimContact | None, list[Written]]:
+def _contact_meshes(knee: OsimKnee, places: list[Path], imported: Imported) -> tuple[OsimContact | None, list[Written]]:
     """The contact with its two meshes; neither if a mesh cannot be read."""
-    contact = _contact(knee, told)
+    contact = _contact(knee, imported)
     if contact is None:
         return None, []
     try:
         return contact, [load_mesh(knee.model.surfaces[s].mesh, knee, places) for s in contact.surfaces]
     except InputError as error:
-        told.left_out.append(LeftOut(CONTACT, contact.name, str(error)))
+        imported.left_out.append(LeftOut(CONTACT, contact.name, str(error)))
         return None, []
 
 
-def _write(folder: Path, text: str, tables: dict[str, str], meshes: list[Written], told: Imported) -> None:
+def _write(folder: Path, text: str, tables: dict[str, str], meshes: list[Written], imported: Imported) -> None:
     """Writes all files, or none if one of them exists already."""
     names = ["scene.toml", *tables, REPORT, *(m.file for m in meshes)]
     for name in names:
@@ -237,22 +237,22 @@ def _write(folder: Path, text: str, tables: dict[str, str], meshes: list[Written
         save_mesh(mesh.mesh, folder / mesh.file)
     for name, content in tables.items():
         write_text(folder / name, content)
-    write_text(folder / REPORT, report(told.notes, told.left_out))
+    write_text(folder / REPORT, report(imported.notes, imported.left_out))
     write_text(folder / "scene.toml", text)
-    told.files = [folder / name for name in names]
+    imported.files = [folder / name for name in names]
 
 
-def _unused_elements(root: Element, told: Imported, *, recorded: bool) -> Iterator[LeftOut]:
+def _unused_elements(root: Element, imported: Imported, *, recorded: bool) -> Iterator[LeftOut]:
     """Parts of the model that are not used, in the file's order; without the imported muscles.
 
     If the motion was `recorded` by markers, they are omitted too, since the recording lists them.
     """
-    taken = {(m.element.tag, m.name) for m in told.muscles if m.name in told.tensions}
+    taken = {(m.element.tag, m.name) for m in imported.muscles if m.name in imported.tensions}
     for group in root.children:
         for part in group.objects():
             if group.tag == "ForceSet":
                 if part.tag not in _READ and (part.tag, part.name) not in taken:
-                    yield _left_out_force(part, told.muscles)
+                    yield _left_out_force(part, imported.muscles)
             elif group.tag == "ContactGeometrySet":
                 if part.tag != SURFACE:
                     yield LeftOut(part.tag, part.name, f"only <{SURFACE}> is read")

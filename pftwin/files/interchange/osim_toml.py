@@ -12,7 +12,7 @@ import numpy as np
 from pftwin.base.arrays import Floats
 from pftwin.files.interchange.osim_knee import PARTS, OsimKnee, Written
 from pftwin.files.interchange.osim_lines import OsimStrand, PatellarMuscle
-from pftwin.files.interchange.osim_model import LeftOut, OsimContact, plain_name
+from pftwin.files.interchange.osim_model import LeftOut, OsimContact, scene_name
 from pftwin.files.interchange.osim_motion import Motion
 from pftwin.files.interchange.osim_wraps import OsimWrap, of_group
 from pftwin.files.toml_text import render_toml
@@ -46,32 +46,34 @@ def scene_text(
     strands: Sequence[tuple[OsimStrand, OsimWrap | None]],
     contact: OsimContact | None,
     meshes: Sequence[Written],
-    told: Imported,
+    imported: Imported,
     moved: Motion | None,
     muscles: Sequence[tuple[PatellarMuscle, OsimWrap | None]],
     pulled: Activated | None,
-    seen: Recording | None,
+    recording: Recording | None,
     limits: Mapping[str, float],
     knots: Sequence[float],
 ) -> str:
     """Text of the scene file; adds notes on what could not be imported unchanged.
 
-    The scene's measurements are the patella's poses if `moved` has measured ones, or its markers if `seen` has them.
+    The scene's measurements are the patella's poses if `moved` has measured ones, or its markers in the `recording`.
     Each strand and muscle comes with its obstacle; tensions over time (`pulled`) are in a separate file. With `knots`,
     flexions of the knee [deg], tensions are given at each of them.
     """
     model = knee.model
     body = model.bodies[knee.patella]
     if np.any(body.inertia[3:]):
-        told.notes.append(f"{body.name}: the products of inertia are left out")
+        imported.notes.append(f"{body.name}: the products of inertia are left out")
     layers = [] if contact is None else [model.surfaces[s] for s in contact.surfaces]
     if contact is None:
-        told.notes.append("contact: none was imported; the scene needs a [contact] of your own")
+        imported.notes.append("contact: none was imported; the scene needs a [contact] of your own")
     for layer in layers:
         if layer.variable:
-            told.notes.append(f"{layer.mesh.name}: one thickness throughout, {1e3 * layer.thickness:g} mm")
+            imported.notes.append(f"{layer.mesh.name}: one thickness throughout, {1e3 * layer.thickness:g} mm")
     if contact is not None and contact.lumped:
-        told.notes.append(f"{contact.name}: two layers in series; the model lumps both into one of averaged modulus")
+        imported.notes.append(
+            f"{contact.name}: two layers in series; the model lumps both into one of averaged modulus"
+        )
     ligaments = _groups((strand.name, strand, wrap) for strand, wrap in strands)
     pulling = "quadriceps"  # no other effect's name starts with this
     while any(label.startswith(pulling) for label in ligaments):
@@ -86,11 +88,11 @@ def scene_text(
         patella=body,
         measured=moved is not None and moved.measured,
         synthetic=moved is not None and moved.synthetic,
-        seen=seen,
-        patella_markers=None if seen is None else _marker_effects(seen.clusters["patella"], ligaments),
-        limits={**(ANYWHERE if seen else {}), **limits},
+        recording=recording,
+        patella_markers=None if recording is None else _marker_effects(recording.clusters["patella"], ligaments),
+        limits={**(ANYWHERE if recording else {}), **limits},
         bodies={part: body_label(knee.name(part)) for part in PARTS},
-        tensions={label: [told.tensions[muscle.name] for muscle in group.lines] for label, group in pulls.items()},
+        tensions={label: [imported.tensions[muscle.name] for muscle in group.lines] for label, group in pulls.items()},
         pulled=pulled,
         knots=knots,
         muscles=pulls,
@@ -105,7 +107,7 @@ def _marker_effects(markers: Mapping[str, Floats], labels: Iterable[str]) -> lis
     """Name of the effect, name of the marker, and its position, for each marker of the patella."""
     taken, found = {*labels, "contact", "gravity"}, []
     for marker, place in markers.items():
-        label = plain_name(marker)
+        label = scene_name(marker)
         name = f"{label}_marker" if label in taken or label.startswith("quadriceps") else label
         taken.add(name)
         found.append((name, marker, place))
@@ -120,7 +122,7 @@ def _groups(lines: Iterable[tuple[str, OsimStrand | PatellarMuscle, OsimWrap | N
         alike.setdefault((name, line.body, wrap and wrap.like), []).append((line, wrap))
     for (name, body, _), group in alike.items():
         wraps = [wrap for _, wrap in group if wrap is not None]
-        label = _unlike(plain_name(name), body, found)
+        label = _unlike(scene_name(name), body, found)
         found[label] = LineGroup([line for line, _ in group], body, of_group(wraps) if wraps else None)
     return found
 
@@ -133,7 +135,7 @@ def _unlike(name: str, body: str, taken: Collection[str]) -> str:
 
 def body_label(body: str) -> str:
     """Name of a body in the scene's poses: as in the model, so that other recordings of it can be used too."""
-    return body if re.fullmatch(r"[\w.-]+", body) else plain_name(body)
+    return body if re.fullmatch(r"[\w.-]+", body) else scene_name(body)
 
 
 def poses_csv(motion: Motion) -> str:

@@ -99,17 +99,17 @@ def _where(frames: NDArray[np.bool_], there: PoseSeries, elsewhere: PoseSeries) 
     )
 
 
-def _knee(seen: PoseSeries) -> Floats:
+def _knee(poses: PoseSeries) -> Floats:
     """Point (3,) of the tibia [m] that moves least in the femur, by a robust fit."""
     from scipy.optimize import least_squares
 
-    turns = seen.matrices()
+    turns = poses.matrices()
 
     def off(both: Floats) -> Floats:
-        return (seen.positions + turns @ both[:3] - both[3:]).ravel()
+        return (poses.positions + turns @ both[:3] - both[3:]).ravel()
 
     slopes = np.concatenate([turns, np.broadcast_to(-np.eye(3), turns.shape)], axis=2).reshape(-1, 6)
-    start = np.concatenate([np.zeros(3), np.median(seen.positions, axis=0)])
+    start = np.concatenate([np.zeros(3), np.median(poses.positions, axis=0)])
     return least_squares(off, start, jac=lambda _: slopes, loss="soft_l1", f_scale=_NEAR).x[:3]  # pyright: ignore[reportArgumentType]
 
 
@@ -117,8 +117,8 @@ def _spline(poses: PoseSeries, odd: NDArray[np.bool_]) -> PoseSeries:
     """Poses on the spline through the frames that are not marked odd."""
     from scipy.interpolate import CubicSpline
 
-    kept = PoseSeries(poses.times[~odd], poses.positions[~odd], poses.quaternions[~odd])  # continuous signs
-    curve = CubicSpline(kept.times, np.concatenate([kept.positions, kept.quaternions], axis=1))(poses.times)
+    good = PoseSeries(poses.times[~odd], poses.positions[~odd], poses.quaternions[~odd])  # continuous signs
+    curve = CubicSpline(good.times, np.concatenate([good.positions, good.quaternions], axis=1))(poses.times)
     quaternions = curve[:, 3:] / np.linalg.norm(curve[:, 3:], axis=1, keepdims=True)
     return replace(poses, positions=curve[:, :3], quaternions=quaternions)
 

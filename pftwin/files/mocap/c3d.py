@@ -50,7 +50,7 @@ def read_c3d(path: str | os.PathLike[str], *, units: str | None = None) -> Marke
     if not all(labels):
         found = f"{len([v for v in labels if v])} labels for {len(labels)} points"
         raise InputError(found, where=f"{path}, POINT:LABELS", expected="a name for every point")
-    return from_file(times, labels, positions, path=path, told=units is not None)
+    return from_file(times, labels, positions, path=path, unit_given=units is not None)
 
 
 def read_c3d_channels(path: str | os.PathLike[str]) -> Table:

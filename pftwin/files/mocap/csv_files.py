@@ -39,17 +39,17 @@ def read_csv(path: str | os.PathLike[str], *, time_column: str | None = None, un
     at = _time_index(labels, time_column, path)
     parts = [split_unit(label) for label in labels]
     if isinstance(units, str):  # for columns without a unit, but not for the time
-        told = {label: units for i, label in enumerate(labels) if parts[i][1] is None and i != at}
+        given = {label: units for i, label in enumerate(labels) if parts[i][1] is None and i != at}
     else:
-        told = dict(units or {})
+        given = dict(units or {})
     known = {*labels, *(name for name, _ in parts)}
-    if strange := [key for key in told if key not in known]:
+    if strange := [key for key in given if key not in known]:
         raise unknown_name("column", strange[0], labels, where=f"{path}, argument units")
     found = [
         _unit(
             label,
             unit,
-            told.get(label, told.get(name)),
+            given.get(label, given.get(name)),
             path,
             remedy="the header time_s (or time_ms)" if i == at else "",
         )
@@ -57,9 +57,9 @@ def read_csv(path: str | os.PathLike[str], *, time_column: str | None = None, un
     ]
     _check_time(found[at][0], labels[at], path)
     values = values * [factor for _, factor in found]
-    kept = [i for i in range(len(labels)) if i != at]
-    si_units = {parts[i][0]: found[i][0] for i in kept}
-    return Table(values[:, at], tuple(parts[i][0] for i in kept), values[:, kept], si_units, source=str(path))
+    columns = [i for i in range(len(labels)) if i != at]
+    si_units = {parts[i][0]: found[i][0] for i in columns}
+    return Table(values[:, at], tuple(parts[i][0] for i in columns), values[:, columns], si_units, source=str(path))
 
 
 def read_marker_csv(
@@ -107,7 +107,7 @@ def read_marker_csv(
         problem = f"markers without all three coordinates: {shortened_list(incomplete)}" if incomplete else "no markers"
         raise InputError(problem, where=path, expected="NAME_x, NAME_y, NAME_z for every marker")
     positions = np.stack([np.stack([a[k] for k in "xyz"], -1) for a in found.values()], axis=1)
-    return from_file(values[:, at] * time_factor, tuple(found), positions, path=path, told=units is not None)
+    return from_file(values[:, at] * time_factor, tuple(found), positions, path=path, unit_given=units is not None)
 
 
 def write_csv(path: str | os.PathLike[str], data: Table | MarkerTrajectories, notes: Iterable[str] = ()) -> None:
@@ -178,17 +178,17 @@ def _check_time(unit: str, label: str, path: object) -> None:
         raise InputError(f"the unit of the times is {unit}", where=f"{path}, column {label!r}", expected="s or ms")
 
 
-def _unit(label: str, header: str | None, told: str | None, path: object, *, remedy: str = "") -> tuple[str, float]:
+def _unit(label: str, header: str | None, given: str | None, path: object, *, remedy: str = "") -> tuple[str, float]:
     where = f"{path}, column {label!r}"
-    if header is None and told is None:
+    if header is None and given is None:
         raise InputError(
             "no unit in the header, and none given",
             where=where,
             expected="a header like 'force_N' or 'time [s]'",
             remedy=remedy or f"units={{{label!r}: 'N'}} (whatever is true; '1' if it has no dimension)",
         )
-    if header is not None and told is not None and to_si(header, where=where) != to_si(told, where=where):
+    if header is not None and given is not None and to_si(header, where=where) != to_si(given, where=where):
         raise InputError(
-            f"the header says {header!r}, the argument units says {told!r}", where=where, expected="one of them"
+            f"the header says {header!r}, the argument units says {given!r}", where=where, expected="one of them"
         )
-    return to_si(header if header is not None else told or "1", where=where)
+    return to_si(header if header is not None else given or "1", where=where)

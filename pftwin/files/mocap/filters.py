@@ -109,9 +109,9 @@ def singular_spectrum_filter(signal: ArrayLike, window: int = 30, components: in
         beta = hankel.shape[0] / hankel.shape[1]
         omega = 0.56 * beta**3 - 0.95 * beta**2 + 1.82 * beta + 1.43
         components = max(1, int(np.sum(values > omega * np.median(values))))
-    kept = (left[:, :components] * values[:components]) @ right[:components]
+    reconstructed = (left[:, :components] * values[:components]) @ right[:components]
     total, count = np.zeros((2, n))
-    for lag, row in enumerate(kept):
+    for lag, row in enumerate(reconstructed):
         total[lag : lag + row.size] += row
         count[lag : lag + row.size] += 1
     return total / count
@@ -181,10 +181,10 @@ def fill_gaps(
         return markers, []
     limit = int(np.floor(max_gap_s * markers.rate + 1e-9)) if markers.times.size > 1 else 0
     last = markers.times.size - 1
-    seen = dict(zip(markers.names, (~markers.missing).sum(axis=0), strict=True))
+    present = dict(zip(markers.names, (~markers.missing).sum(axis=0), strict=True))
     inside = (g.first_frame > 0 and g.last_frame < last for g in gaps)
     report = [
-        replace(g, filled=there and g.frames <= limit and int(seen[g.marker]) >= 4)
+        replace(g, filled=there and g.frames <= limit and int(present[g.marker]) >= 4)
         for g, there in zip(gaps, inside, strict=True)
     ]
     refused = [g for g in report if not g.filled]

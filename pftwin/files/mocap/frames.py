@@ -96,9 +96,9 @@ def cluster_poses(
         raise InputError(
             f"the reference lacks {shortened_list(bad)}", where=source, expected="all markers in the reference"
         )
-    seen = np.asarray(np.isfinite(p).all(axis=2), dtype=np.bool_)
-    if (few := np.flatnonzero(seen.sum(axis=1) < 3)).size:
-        absent = [labels[i] for i in np.flatnonzero(~seen[few[0]])]
+    present = np.asarray(np.isfinite(p).all(axis=2), dtype=np.bool_)
+    if (few := np.flatnonzero(present.sum(axis=1) < 3)).size:
+        absent = [labels[i] for i in np.flatnonzero(~present[few[0]])]
         raise InputError(
             f"fewer than three markers of {shortened_list(labels)} in frames {shortened_list(few + 1)} (from 1)"
             + (f"; frame {few[0] + 1} lacks {shortened_list(absent)}" if absent else ""),
@@ -106,12 +106,12 @@ def cluster_poses(
             expected="at least three markers seen",
             remedy="fill the gaps, or use a part of the recording",
         )
-    weight = (seen / seen.sum(axis=1, keepdims=True))[:, :, None]  # (n, m, 1)
-    p = np.where(seen[:, :, None], p, 0.0)
+    weight = (present / present.sum(axis=1, keepdims=True))[:, :, None]  # (n, m, 1)
+    p = np.where(present[:, :, None], p, 0.0)
     p_mean, r_mean = (weight * p).sum(axis=1), (weight * r).sum(axis=1)  # (n, 3)
-    p_centred, r_centred = (p - p_mean[:, None]) * seen[:, :, None], (r - r_mean[:, None]) * seen[:, :, None]
+    p_centred, r_centred = (p - p_mean[:, None]) * present[:, :, None], (r - r_mean[:, None]) * present[:, :, None]
     for label, points in (("reference", r_centred), ("measured", p_centred)):
-        _refuse_lines(points, seen, labels, f"the {label} markers", source)
+        _refuse_lines(points, present, labels, f"the {label} markers", source)
 
     u, _, vt = np.linalg.svd(np.einsum("nmi,nmj->nij", p_centred, r_centred))
     u[:, :, 2] *= np.sign(np.linalg.det(u @ vt))[:, None]
@@ -155,19 +155,19 @@ def mean_cluster(markers: MarkerTrajectories, names: Sequence[str]) -> dict[str,
     return dict(zip(names, shape, strict=True))
 
 
-def spans_plane(points: NDArray[np.float64], seen: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def spans_plane(points: NDArray[np.float64], present: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Which frames (n,) have three or more points (n, m, 3) that are seen (n, m) and not collinear."""
-    count = np.maximum(seen.sum(axis=1), 1)[:, None, None]
-    there = np.where(seen[:, :, None], points, 0.0)
-    centred = np.where(seen[:, :, None], there - there.sum(axis=1, keepdims=True) / count, 0.0)
-    spread = np.linalg.eigvalsh(np.einsum("nmi,nmj->nij", centred, centred))  # ascending, squared lengths
-    return np.asarray(spread[:, 1] > _COLLINEAR**2 * spread[:, 2], dtype=np.bool_)
+    count = np.maximum(present.sum(axis=1), 1)[:, None, None]
+    there = np.where(present[:, :, None], points, 0.0)
+    centred = np.where(present[:, :, None], there - there.sum(axis=1, keepdims=True) / count, 0.0)
+    eigenvalues = np.linalg.eigvalsh(np.einsum("nmi,nmj->nij", centred, centred))  # ascending, squared lengths
+    return np.asarray(eigenvalues[:, 1] > _COLLINEAR**2 * eigenvalues[:, 2], dtype=np.bool_)
 
 
 def _refuse_lines(
-    centred: NDArray[np.float64], seen: NDArray[np.bool_], labels: Sequence[str], what: str, source: str
+    centred: NDArray[np.float64], present: NDArray[np.bool_], labels: Sequence[str], what: str, source: str
 ) -> None:
-    if (bad := np.flatnonzero(~spans_plane(centred, seen))).size:
-        used = [label for label, there in zip(labels, seen[bad[0]], strict=True) if there]
+    if (bad := np.flatnonzero(~spans_plane(centred, present))).size:
+        used = [label for label, there in zip(labels, present[bad[0]], strict=True) if there]
         found = f"{what} {shortened_list(used)} lie on a line in frames {shortened_list(bad + 1)} (from 1)"
         raise InputError(found, where=source, expected="at least three markers that span a plane")

@@ -14,7 +14,7 @@ from pftwin.base.text_files import refuse_repeated
 from pftwin.files.mocap.tables import Sampled, uniform_times, unknown_name
 
 # [m] Plausible extent of all markers: from the size of a marker cluster to that of a large laboratory.
-_SMALLEST_SPREAD, _LARGEST_SPREAD = 0.01, 50.0
+_SMALLEST_EXTENT, _LARGEST_EXTENT = 0.01, 50.0
 # [m] Markers are balls of 6 to 14 mm, and cameras merge two that nearly touch; six markers are on two or more segments.
 # If centimetres are labelled as millimetres, nearest neighbours are 4 to 9 "mm" apart.
 _NEAREST, _SMALLEST_OF_SIX = 0.012, 0.1
@@ -80,7 +80,7 @@ def from_file(
     positions: NDArray[np.float64],
     *,
     path: str | os.PathLike[str],
-    told: bool,
+    unit_given: bool,
 ) -> MarkerTrajectories:
     """Makes and checks the markers of a file; positions that are exactly 0 0 0 are missing.
 
@@ -91,49 +91,49 @@ def from_file(
         names: m markers.
         positions: (n, m, 3) metres; NaN where missing.
         path: of the file, for messages.
-        told: whether the caller gave the unit; then unusual distances are accepted.
+        unit_given: whether the caller gave the unit; then unusual distances are accepted.
 
     Raises:
         InputError: as `MarkerTrajectories`. All markers together span more than 50 m, or two or more of them less than
-            10 mm. Unless `told`: most markers are less than 12 mm from the nearest other one, or six or more span less
-            than 100 mm in most frames. A marker moves faster than 100 m/s between two frames in which it is present,
+            10 mm. Unless `unit_given`: most markers are less than 12 mm from the nearest other one, or six or more span
+            less than 100 mm in most frames. A marker moves faster than 100 m/s between two frames in which it is present,
             for instance because of a number that encodes "missing".
     """
     positions = np.where((positions == 0).all(axis=-1, keepdims=True), np.nan, positions)
-    _check_spread(positions, where=path, told=told)
+    _check_extent(positions, where=path, unit_given=unit_given)
     markers = MarkerTrajectories(times, tuple(names), positions, source=str(path))
     _check_jumps(markers)
     return markers
 
 
-def _check_spread(positions: NDArray[np.float64], *, where: object, told: bool) -> None:
+def _check_extent(positions: NDArray[np.float64], *, where: object, unit_given: bool) -> None:
     present = positions[np.isfinite(positions).all(axis=-1)]
     if not len(present):
         return
-    spread = float(np.max(present.max(axis=0) - present.min(axis=0)))
+    extent = float(np.max(present.max(axis=0) - present.min(axis=0)))
     several = positions.shape[1] > 1
-    if spread > _LARGEST_SPREAD or (several and spread < _SMALLEST_SPREAD):
+    if extent > _LARGEST_EXTENT or (several and extent < _SMALLEST_EXTENT):
         raise InputError(
-            f"the markers span {spread:.4g} m in the file's unit: that unit looks wrong",
+            f"the markers span {extent:.4g} m in the file's unit: that unit looks wrong",
             where=where,
-            expected=f"a spread between {_SMALLEST_SPREAD} m and {_LARGEST_SPREAD:g} m",
+            expected=f"an extent between {_SMALLEST_EXTENT} m and {_LARGEST_EXTENT:g} m",
             remedy="the true unit as argument: units='mm' (or 'm', 'cm')",
         )
-    if not told and several:
+    if not unit_given and several:
         _check_distances(positions, where)
 
 
 def _check_distances(positions: NDArray[np.float64], where: object) -> None:
     some = positions[:: max(1, len(positions) // 20)]  # about twenty frames
     distances = np.linalg.norm(some[:, :, None] - some[:, None], axis=-1)
-    apart = distances[np.isfinite(distances) & (distances > 0)]  # virtual markers may coincide
-    if not apart.size:
+    positive = distances[np.isfinite(distances) & (distances > 0)]  # virtual markers may coincide
+    if not positive.size:
         return
     distances[~(distances > 0)] = np.inf
     nearest = distances.min(axis=2)
     near = float(np.median(nearest[np.isfinite(nearest)]))
-    seen = np.asarray(np.isfinite(some).all(axis=2), dtype=np.bool_)
-    across = [float(np.ptp(p[s], axis=0).max()) for p, s in zip(some, seen, strict=True) if s.sum() >= 6]
+    present = np.asarray(np.isfinite(some).all(axis=2), dtype=np.bool_)
+    across = [float(np.ptp(p[s], axis=0).max()) for p, s in zip(some, present, strict=True) if s.sum() >= 6]
     size = float(np.median(across)) if across else np.inf
     if near >= _NEAREST and size >= _SMALLEST_OF_SIX:
         return

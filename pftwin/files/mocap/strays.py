@@ -22,7 +22,7 @@ from pftwin.files.mocap.bones import Frames, coasts, in_words, out_of_line
 from pftwin.files.mocap.frames import cluster_poses, spans_plane
 from pftwin.files.mocap.markers import MarkerTrajectories
 
-_APART = 8e-3  # [m] relative motion of markers by skin and noise that is always allowed, or, if larger,
+_ALLOWANCE = 8e-3  # [m] relative motion of markers by skin and noise that is always allowed, or, if larger,
 _STEPS = 5.0  # this multiple of their usual step between frames (lower quartile); in addition
 _SPEED, _DRIFT = 0.15, 0.04  # [m/s] speeds of skin, for a few frames, and for longer times
 _CLEARER = 3.0  # factor by which an explanation must fit better than the next one of its kind
@@ -67,9 +67,9 @@ def mended_cluster(
     names = list(reference)
     chosen = markers.select(names)
     places = np.array([*reference.values()], dtype=np.float64)
-    seen = ~chosen.missing
+    present = ~chosen.missing
     known = np.broadcast_to(places, chosen.positions.shape)
-    usable = np.flatnonzero(spans_plane(chosen.positions, seen) & spans_plane(known, seen))
+    usable = np.flatnonzero(spans_plane(chosen.positions, present) & spans_plane(known, present))
     if usable.size < 2:
         return chosen, []
     cluster = _Cluster(chosen.positions[usable], chosen.times[usable], places)
@@ -80,7 +80,7 @@ def mended_cluster(
         if kind != "in place":
             found[kind, tuple(names[i] for i in at)].append(int(usable[k]))
             positions[usable[k]] = moved
-    every = np.arange(len(seen))
+    every = np.arange(len(present))
     strays = [Stray(which, kind, np.isin(every, frames)) for (kind, which), frames in found.items()]
     return chosen.with_positions(positions), strays
 
@@ -95,7 +95,7 @@ class _Cluster:
         steps = self._moved(np.arange(times.size - 1), np.arange(1, times.size))
         self.usual_step = float(np.quantile(steps, 0.25))
         self.coasting = coasts(times)
-        self.apart = max(_APART, _STEPS * self.usual_step)
+        self.allowance = max(_ALLOWANCE, _STEPS * self.usual_step)
 
         def reached(earlier: Frames, later: Frames | int, passed: Floats) -> NDArray[np.bool_]:
             return self._moved(earlier, later) <= self._room(passed)
@@ -104,7 +104,7 @@ class _Cluster:
 
     def _room(self, passed: Floats) -> Floats:
         """Relative motion of markers [m] that is allowed in some seconds."""
-        return self.apart + _SPEED * np.minimum(passed, self.coasting) + _DRIFT * passed
+        return self.allowance + _SPEED * np.minimum(passed, self.coasting) + _DRIFT * passed
 
     def _moved(self, one: Frames, other: Frames | int) -> Floats:
         """Largest motion of a marker in the cluster's frame between frames [m]."""
@@ -115,8 +115,8 @@ class _Cluster:
         """Explanation of a frame: its kind, the markers concerned, and all markers' repaired positions (m, 3) [m]."""
         good = np.flatnonzero(~self.odd)
         room = float(self._room(np.abs(self.times[good] - self.times[k]).min()))
-        shape, seen = self._shape(k, good), np.flatnonzero(np.isfinite(self.positions[k]).all(axis=1))
-        for kind, at, measured in _explanations(self.positions[k], seen):
+        shape, present = self._shape(k, good), np.flatnonzero(np.isfinite(self.positions[k]).all(axis=1))
+        for kind, at, measured in _explanations(self.positions[k], present):
             usable = spans_plane(measured, ~np.isnan(measured[..., 0]))
             if not usable.any():
                 continue
@@ -130,9 +130,9 @@ class _Cluster:
             if misfit[best] <= room and clear:
                 which = [a for a, there in zip(at, usable, strict=True) if there][best]
                 put = np.where(np.isnan(measured[best]), fitted[best], measured[best])
-                put[~np.isin(np.arange(len(put)), seen)] = np.nan  # not seen in this frame
+                put[~np.isin(np.arange(len(put)), present)] = np.nan  # not seen in this frame
                 return kind, which, put
-        return "unexplained", seen.tolist(), self.positions[k]
+        return "unexplained", present.tolist(), self.positions[k]
 
     def _shape(self, k: int, good: Frames) -> Floats:
         """Positions (m, 3) in the cluster's frame, interpolated between the good frames around [m]."""
@@ -144,18 +144,18 @@ class _Cluster:
         return shape
 
 
-def _explanations(points: Floats, seen: Frames) -> Iterator[tuple[Kind, list[tuple[int, ...]], Floats]]:
+def _explanations(points: Floats, present: Frames) -> Iterator[tuple[Kind, list[tuple[int, ...]], Floats]]:
     """Hypotheses of each kind, simplest first: the markers concerned, and positions (h, m, 3) without the mistake."""
     yield "in place", [()], points[None]
-    if seen.size < 4:
+    if present.size < 4:
         return
-    pairs = list(combinations(seen.tolist(), 2))
+    pairs = list(combinations(present.tolist(), 2))
     exchanged = np.repeat(points[None], len(pairs), axis=0)
     for h, (i, j) in enumerate(pairs):
         exchanged[h, [i, j]] = points[[j, i]]
     yield "exchanged", pairs, exchanged
-    for out in [(i,) for i in seen.tolist()], pairs:
-        if seen.size - len(out[0]) >= 3:
+    for out in [(i,) for i in present.tolist()], pairs:
+        if present.size - len(out[0]) >= 3:
             without = np.repeat(points[None], len(out), axis=0)
             for h, which in enumerate(out):
                 without[h, list(which)] = np.nan

@@ -179,8 +179,8 @@ def unknown_name(kind: str, name: str, known: Iterable[str], *, where: object) -
     close = [by_lower[c] for c in difflib.get_close_matches(name.lower(), list(by_lower), n=3, cutoff=0.5)]
     shown = close or known[:12]
     listed = ", ".join(repr(k) for k in shown) + (", ..." if not close and len(known) > len(shown) else "")
-    lead = "did you mean " + listed + "?" if close else "one of " + (listed or "(none there)")
-    return InputError(f"no {kind} called {name!r}", where=where, expected=lead)
+    expected = "did you mean " + listed + "?" if close else "one of " + (listed or "(none there)")
+    return InputError(f"no {kind} called {name!r}", where=where, expected=expected)
 
 
 def runs(mask: NDArray[np.bool_]) -> NDArray[np.intp]:

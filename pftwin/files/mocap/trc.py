@@ -51,7 +51,7 @@ def read_trc(path: str | os.PathLike[str], *, units: str | None = None) -> Marke
         warnings.warn(message, PftwinWarning, stacklevel=2)
 
     positions *= length_factor(header.get("units"), units, where=f"{path}, header field Units")
-    markers = from_file(times, names, positions, path=path, told=units is not None)
+    markers = from_file(times, names, positions, path=path, unit_given=units is not None)
     _check_frames(frames, path)
     for message in _disagreements(header, markers):
         warnings.warn(f"{path}: {message}", PftwinWarning, stacklevel=2)

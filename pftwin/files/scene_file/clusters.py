@@ -39,8 +39,8 @@ class ClusterFits:
         """
         assert poses.residual_rms is not None
         place = np.array(list(cluster.values()))
-        seen = markers.select(list(cluster)).positions
-        mirrored = cluster_poses(seen, place * [1.0, -1.0, 1.0], markers.times).residual_rms
+        measured = markers.select(list(cluster)).positions
+        mirrored = cluster_poses(measured, place * [1.0, -1.0, 1.0], markers.times).residual_rms
         assert mirrored is not None
         own, other = (1e3 * float(np.median(r)) for r in (poses.residual_rms, mirrored))
         if own > 1e3 * MISFIT and other < min(SHARE * own, 1e3 * MIRROR_FITS):
@@ -49,7 +49,7 @@ class ClusterFits:
                 expected="places of the markers on this side of the body",
                 remedy="measure the cluster on this knee, or change the signs of its medial-lateral coordinates",
             )
-        swap = self._swaps[name] = _swap(list(cluster), seen, place) if own > 1e3 * COMPARED else ""
+        swap = self._swaps[name] = _swap(list(cluster), measured, place) if own > 1e3 * COMPARED else ""
         frame = int(np.argmax(poses.residual_rms))
         worst = float(poses.residual_rms[frame])
         if 1e3 * worst > (most := self.limits.most_marker_residual_mm):
@@ -57,7 +57,7 @@ class ClusterFits:
             found = f"markers fit a rigid body within {1e3 * worst:.1f} mm rms in {where}: names swapped?{swap}"
             raise beyond("most_marker_residual_mm", most, found, 1e3 * worst)
         fitted = poses.positions[:, None] + np.einsum("nij,mj->nmi", poses.matrices(), place)
-        each = 1e3 * np.sqrt(np.nanmean(np.sum((seen - fitted) ** 2, axis=2), axis=0))
+        each = 1e3 * np.sqrt(np.nanmean(np.sum((measured - fitted) ** 2, axis=2), axis=0))
         listed = ", ".join(f"{marker} {rms:.2f}" for marker, rms in zip(cluster, each, strict=True))
         self.notes.append(
             f"{name}: markers fit a rigid body within {1e3 * worst:.2f} mm rms; over the motion {listed} mm rms"
@@ -100,10 +100,10 @@ class ClusterFits:
         return f'side = "{side}" is taken as given: nothing in the files tells a left knee from a right one'
 
 
-def _swap(names: Sequence[str], seen: Floats, place: Floats) -> str:
-    """The two markers of `seen` (n, m, 3) [m] whose exchange fits the places (m, 3) [m] clearly best, in words; empty
-    if there are none."""
-    whole = seen[np.isfinite(seen).all(axis=(1, 2))]
+def _swap(names: Sequence[str], measured: Floats, place: Floats) -> str:
+    """The two markers of `measured` (n, m, 3) [m] whose exchange fits the places (m, 3) [m] clearly best, in words, or
+    an empty text."""
+    whole = measured[np.isfinite(measured).all(axis=(1, 2))]
     if not len(whole):
         return ""
     some = whole[:: max(1, len(whole) // FRAMES)]

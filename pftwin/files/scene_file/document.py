@@ -85,8 +85,8 @@ class Document:
         own = {key: value for key, value in old.items() if key not in (*_OF_ONE_RECORDING, "poses", "markers")}
         data = {**self.data, "motion": {**own, kind: str(given), **({} if rate is None else {"rate_Hz": rate})}}
         if "measured" in data:
-            kept = ("patella", "markers") if kind == "markers" else ("patella",)
-            data["measured"] = {key: value for key, value in self.data["measured"].items() if key in kept}
+            stays = ("patella", "markers") if kind == "markers" else ("patella",)
+            data["measured"] = {key: value for key, value in self.data["measured"].items() if key in stays}
             if not data["measured"] and "markers" in self.data["measured"]:
                 del data["measured"]
         return replace(self, data=data, given=given)
@@ -181,15 +181,15 @@ def _spelled(place: Sequence[str | int], data: dict[str, Any]) -> str:
         name = entry.get("name") if isinstance(entry, dict) else None
         first, rest = f"[[{place[0]}]] number {place[1] + 1}", place[2:]
         first += f" ({name[:60]})" if isinstance(name, str) and name[:60].isprintable() else ""
-        lead = ", "
+        separator = ", "
     elif isinstance(head, dict):
-        first, rest, lead = f"[{place[0]}]", place[1:], " "
+        first, rest, separator = f"[{place[0]}]", place[1:], " "
     else:
-        first, rest, lead = str(place[0]), place[1:], ""
+        first, rest, separator = str(place[0]), place[1:], ""
     text = ""
     for part in rest:
         text += f" number {part + 1}" if isinstance(part, int) else f".{part}" if text else str(part)
-    return first + (lead + text if text else "")
+    return first + (separator + text if text else "")
 
 
 def _too_deep(file: Path) -> InputError:

@@ -159,7 +159,7 @@ class Layout(NamedTuple):
     effect: Callable[..., Effect]
     numbers: dict[str, str]  # fields of numbers, and the effect's names
     points: dict[str, tuple[str, str]]  # fields of points, and the effect's names and frames
-    plain: list[str]  # fields that are passed unchanged
+    unchanged: list[str]  # fields that are passed unchanged
     obstacles: list[str]  # tables of wrapping obstacles
 
 
@@ -173,9 +173,9 @@ class DeclaredSection(EffectSection):
 
     def build(self, setting: Setting) -> Effect:
         """The effect, or a group of them."""
-        effect, numbers, points, plain, obstacles = self._layout
+        effect, numbers, points, unchanged, obstacles = self._layout
         n = group_size(self, *numbers, *points)
-        values: dict[str, Any] = {name: getattr(self, name) for name in plain}
+        values: dict[str, Any] = {name: getattr(self, name) for name in unchanged}
         for label, name in numbers.items():
             values[name] = number(member_values(np.asarray(getattr(self, label), dtype=float), n))
         for label, (name, frame) in points.items():
@@ -188,7 +188,7 @@ class DeclaredSection(EffectSection):
         return effect(**values, name=self.label)
 
 
-_PLAIN = {"bool": bool, "int": int, "float": float, "str": str}  # types of fields that are not parameters
+_STATIC_TYPES = {"bool": bool, "int": int, "float": float, "str": str}  # types of fields that are not parameters
 
 
 def declared_table(
@@ -226,7 +226,7 @@ def declared_table(
         default: Any = {} if f.default is dataclasses.MISSING else {"default": f.default}
         if declared is None:
             fields[f.name] = _static(effect, f.name, f.type, default)
-            layout.plain.append(f.name)
+            layout.unchanged.append(f.name)
             continue
         suffix = declared.unit.replace("/", "_per_").replace(" ", "_").replace("^", "")  # N_s_per_m
         label = f"{f.name}_{suffix}" if suffix else f.name
@@ -260,10 +260,10 @@ def _static(effect: type[Effect], name: str, kind: Any, default: dict[str, Any])
     """Type and `Field` for a static field of the effect."""
     if name == "body":
         return Body, Field(description="body at the other end", **default)
-    plain = _PLAIN.get(getattr(kind, "__name__", str(kind)))
-    if plain is None:
+    static_type = _STATIC_TYPES.get(getattr(kind, "__name__", str(kind)))
+    if static_type is None:
         raise _unreadable(effect, name, "quantity(unit), or a static bool, int, float or str")
-    return plain, Field(description=name.replace("_", " "), **default)
+    return static_type, Field(description=name.replace("_", " "), **default)
 
 
 def _unreadable(effect: type[Effect], name: str, expected: str) -> InputError:

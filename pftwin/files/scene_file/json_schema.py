@@ -59,5 +59,5 @@ def _scaled(schema: Any, factor: float) -> Any:
         return [_scaled(inner, factor) for inner in schema]
     if not isinstance(schema, dict):
         return schema
-    kept = {key: value for key, value in schema.items() if key != "default"}
-    return {key: factor * value if key in _BOUNDS else _scaled(value, factor) for key, value in kept.items()}
+    fields = {key: value for key, value in schema.items() if key != "default"}
+    return {key: factor * value if key in _BOUNDS else _scaled(value, factor) for key, value in fields.items()}

@@ -79,7 +79,7 @@ class ViscoelasticTendonSection(DeclaredSection):
             "slack_length_m": "slack_length",
         },
         points={"insertion_m": ("insertion", "patella"), "origin_m": ("origin", "body")},
-        plain=["body"],
+        unchanged=["body"],
         obstacles=["wrap"],
     )
     body: Body = Field(description="body at the other end")

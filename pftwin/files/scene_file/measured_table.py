@@ -116,19 +116,19 @@ class MeasuredSection(Section):
         if not self.markers:
             return {}
         document = bones.recording.document
-        seen = bones.recording.points([*self.markers.values()], "measured", "markers")
+        recorded = bones.recording.points([*self.markers.values()], "measured", "markers")
         with document.naming("measured", "markers"):
             for name in self.markers:
                 for axis in _AXES:
                     scene.reported(f"{name}.{axis}")
             times = scene.motion.times
-            if seen.times.size != times.size or np.abs(seen.times - times).max() > 1e-6 * np.ptp(times):
+            if recorded.times.size != times.size or np.abs(recorded.times - times).max() > 1e-6 * np.ptp(times):
                 raise InputError(
-                    f"{seen.times.size} frames from {seen.times[0]:g} s on",
-                    where=seen.source,
+                    f"{recorded.times.size} frames from {recorded.times[0]:g} s on",
+                    where=recorded.source,
                     expected=f"those of the motion, {times.size} from {times[0]:g} s on",
                 )
-        places = bones.points_in_femur(bones.side.points("world", seen.positions))
+        places = bones.points_in_femur(bones.side.points("world", recorded.positions))
         return {
             f"{name}.{axis}": places[:, i, k] for i, name in enumerate(self.markers) for k, axis in enumerate(_AXES)
         }

@@ -92,9 +92,9 @@ class SegmentRecording:
         if tibia.body is not None and (thigh is None or femur.body is not None):
             odd["femur and tibia jump against each other"] = knee_jumps(in_femur(shin), **self._fastest)
         if start is not None:
-            cap = self.poses(start, "patella", "start")
-            if cap.times.size == shin.times.size:  # if not, the start is refused
-                odd["the patella jumps"] = jumps(in_femur(cap))
+            patella = self.poses(start, "patella", "start")
+            if patella.times.size == shin.times.size:  # if not, the start is refused
+                odd["the patella jumps"] = jumps(in_femur(patella))
         first = int(np.argmin(np.any([*odd.values()], axis=0))) if odd else 0
         time = float(shin.times[first])
         if first == 0 or time - shin.times[0] > self.motion.max_gap_s * (1 + 1e-6):
@@ -136,23 +136,23 @@ class SegmentRecording:
             markers = self._filtered(names, keep_long=True)
         return self._in_time(markers.select(names))
 
-    def _in_time(self, seen: Recorded) -> Recorded:
+    def _in_time(self, recorded: Recorded) -> Recorded:
         """Restricts a recording to the time range of the scene."""
         start, end = self.motion.start_time_s, self.motion.end_time_s
         if start is None and end is None:
-            return seen
-        low = float(seen.times[0]) if start is None else start
-        high = float(seen.times[-1]) if end is None else end
+            return recorded
+        low = float(recorded.times[0]) if start is None else start
+        high = float(recorded.times[-1]) if end is None else end
         slack = 1e-6 * max(1.0, abs(low), abs(high))
-        for key, asked, inside in (("start_time_s", low, seen.times[0]), ("end_time_s", high, seen.times[-1])):
+        for key, asked, inside in (("start_time_s", low, recorded.times[0]), ("end_time_s", high, recorded.times[-1])):
             if (asked < inside - slack) if key == "start_time_s" else (asked > inside + slack):
                 raise InputError(
                     f"found {asked:g}",
                     where=self.document.where("motion", key),
-                    expected=f"a time within the recording, {seen.times[0]:g} s to {seen.times[-1]:g} s",
+                    expected=f"a time within the recording, {recorded.times[0]:g} s to {recorded.times[-1]:g} s",
                 )
         with self.document.naming("motion"):
-            return seen.between(low, high)
+            return recorded.between(low, high)
 
     def _body(self, name: str) -> PoseSeries:
         file = self.motion.poses
@@ -177,19 +177,19 @@ class SegmentRecording:
         motion, recorded = self.motion, self._recorded()
         still = {name: np.array(motion.fixed_points_m[name]) for name in names if name in motion.fixed_points_m}
         more = {**still, **{name: self._center(name) for name in names if name in motion.joint_centers}}
-        seen = [name for name in names if name not in more]
+        filtered = [name for name in names if name not in more]
         added = [np.broadcast_to(path, (recorded.times.size, 3))[:, None] for path in more.values()]
-        positions = np.concatenate([recorded.select(seen).positions, *added], axis=1)
-        whole = MarkerTrajectories(recorded.times, (*seen, *more), positions, recorded.source)
+        positions = np.concatenate([recorded.select(filtered).positions, *added], axis=1)
+        whole = MarkerTrajectories(recorded.times, (*filtered, *more), positions, recorded.source)
         if cluster is not None:
             whole, strays = mended_cluster(whole, cluster)
             self.notes.extend(w for s in strays if (w := s.in_words()) not in self.notes)  # the patella is read twice
-        markers, gaps = fill_gaps(whole.select(seen), max_gap_s=motion.max_gap_s, keep_long=keep_long)
+        markers, gaps = fill_gaps(whole.select(filtered), max_gap_s=motion.max_gap_s, keep_long=keep_long)
         self.notes.extend(f"{g.marker}: {'filled' if g.filled else 'no'} {g.in_words()}" for g in gaps)
         if motion.cutoff_Hz is not None:
             markers = self._low_passed(markers, motion.cutoff_Hz)
         positions = np.concatenate([markers.positions, whole.select([*more]).positions], axis=1)
-        return MarkerTrajectories(markers.times, (*seen, *more), positions, markers.source)
+        return MarkerTrajectories(markers.times, (*filtered, *more), positions, markers.source)
 
     def _shaped(self, names: list[str]) -> MarkerTrajectories:
         """Markers of a segment without given positions, repaired by their mean shape if they have one."""
@@ -243,7 +243,7 @@ class SegmentRecording:
         motion, rate, filtered = self.motion, markers.rate, np.full_like(markers.positions, np.nan)
         shortest = samples_needed(rate, cutoff, motion.filter_order) if markers.missing.any() else 0
         with self.document.naming("motion", "cutoff_Hz"):
-            for first, last, columns in _seen_together(markers.missing):
+            for first, last, columns in _runs_without_gaps(markers.missing):
                 if last - first < shortest:
                     name = markers.names[columns[0]]
                     self.notes.append(f"{name}: frames {first + 1} to {last} left out, too few for the filter")
@@ -255,7 +255,7 @@ class SegmentRecording:
         return markers.with_positions(filtered)
 
 
-def _seen_together(missing: NDArray[np.bool_]) -> Iterator[tuple[int, int, NDArray[np.intp]]]:
+def _runs_without_gaps(missing: NDArray[np.bool_]) -> Iterator[tuple[int, int, NDArray[np.intp]]]:
     """First frame, frame after the last, and markers, of runs without gaps; markers without any gap together."""
     whole = ~missing.any(axis=0)
     if whole.any():

@@ -135,14 +135,14 @@ class JointCenterSection(Section):
             return frame.positions + rotations @ np.array(self.point_m)
         local = np.einsum("nji,nmj->nmi", rotations, turning.positions - frame.positions[:, None])
         found = sphere_center(local, source=turning.source)
-        markers, reach = ", ".join(turning.names), np.degrees(found.reach)
+        markers, angle = ", ".join(turning.names), np.degrees(found.reach)
         if 1e3 * found.deviation > (most := limits.most_center_deviation_mm):
-            told = f"to {1e3 * found.deviation:.3g} mm only" if np.isfinite(found.deviation) else "not at all, some way"
-            words = f"{markers} turn about it by up to {reach:.2g} deg from their mean, which determines it {told}"
+            accuracy = f"to {1e3 * found.deviation:.3g} mm only" if np.isfinite(found.deviation) else "not on all axes"
+            words = f"{markers} turn about it by up to {angle:.2g} deg from their mean, which determines it {accuracy}"
             raise beyond("most_center_deviation_mm", most, words, 1e3 * found.deviation)
         notes.append(
-            f"{name}: {markers} turn about it by up to {reach:.0f} deg from their mean and keep their distance "
-            f"within {1e3 * found.residual_rms:.2f} mm rms: told to {1e3 * found.deviation:.2f} mm (standard deviation)"
+            f"{name}: {markers} turn about it by up to {angle:.0f} deg from their mean and keep their distance "
+            f"within {1e3 * found.residual_rms:.2f} mm rms; its standard deviation is {1e3 * found.deviation:.2f} mm"
         )
         return frame.positions + rotations @ found.point
 

@@ -25,7 +25,7 @@ from pftwin.dynamics.equilibrium import Solution
 from pftwin.dynamics.equilibrium_report import Start, start_offset
 from pftwin.dynamics.frame_states import starting_equilibrium
 from pftwin.dynamics.integrators import BDF2
-from pftwin.dynamics.observe import observe_on_the_way
+from pftwin.dynamics.observe import observe_during_run
 from pftwin.dynamics.status import FLAGS, Status
 from pftwin.model.scene import Scene
 
@@ -53,7 +53,7 @@ class Recipe(NamedTuple):
     def observed(self, scene: Scene, substeps: Array, start: Solution | None = None) -> tuple[CourseFrame, Array]:
         """The variant's observations (frames,) and their status; `start`: its equilibrium, by default solved for."""
         options: Any = {"substeps": substeps, "integrator": _INTEGRATOR, "start": start}
-        frames, status, _ = observe_on_the_way(scene, lambda frame: CourseFrame.of(scene, frame), **options)
+        frames, status, _ = observe_during_run(scene, lambda frame: CourseFrame.of(scene, frame), **options)
         return frames, status
 
     def course(self, scene: Scene) -> Course:

@@ -25,7 +25,7 @@ from pftwin.model.scene import Scene
 
 _NEUTRAL = 1e-6  # fraction of the largest eigenvalue below which a direction counts as neutral
 _OVERLAP = 1e-3  # indentation at the recorded start above which it is named; loads in extension give less [m]
-Seen = Mapping[str, Mapping[str, Any]]
+Reports = Mapping[str, Mapping[str, Any]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,13 +51,14 @@ class EquilibriumReport:
 
     @staticmethod
     def build(
-        scene: Scene, solution: Solution, relaxed: bool, *, there: tuple[Pose, Seen, Any] | None = None
+        scene: Scene, solution: Solution, relaxed: bool, *, there: tuple[Pose, Reports, Any] | None = None
     ) -> EquilibriumReport:
         """Builds the report on a solution, which need not have converged: see `converged` and `description`.
 
         `there` contains the patella's pose in the femur, observables and the frame's status; computed by default.
         """
-        pose, seen, status = on_host(_observe_at(at_start(scene.unnamed()), solution.pose) if there is None else there)
+        there = _observe_at(at_start(scene.unnamed()), solution.pose) if there is None else there
+        pose, reports, status = on_host(there)
         # Plain NumPy from here on, so that JAX does not compile programs for a few numbers.
         solution, guess, com = on_host((solution, scene.start, scene.patella.center_of_mass))
         turn = host_array(guess.orientation)
@@ -71,12 +72,12 @@ class EquilibriumReport:
             iterations=int(solution.iterations),
             relaxed=bool(relaxed),
             eigenvalues=_eigenvalues(np.asarray(solution.stiffness, dtype=np.float64)),
-            facets=_loaded_facets(seen),
+            facets=_loaded_facets(reports),
             moved=float(np.linalg.norm(host_array(solution.pose.position) - start)),
             turned=2 * float(np.arccos(min(1.0, cosine))),
             effects={
                 name: {key: np.asarray(value, dtype=np.float64) for key, value in report.items()}
-                for name, report in seen.items()
+                for name, report in reports.items()
             },
             lines=Status(int(status)) & Status.END_WITHIN_WRAP,
         )
@@ -150,9 +151,9 @@ def _observe_at(scene: Scene, pose: Pose) -> tuple[Pose, dict[str, dict[str, Any
     system, guide = System.of(scene), first_guide(scene)
     now = patella_at_rest(guide, pose)
     memories = system.remember(now)
-    seen = {e.name: e.observe(now, m) for e, m in zip(system.effects, memories, strict=True)}
+    reports = {e.name: e.observe(now, m) for e, m in zip(system.effects, memories, strict=True)}
     frame = instant_and_frame(scene, system.at_rest(pose, memories), guide)[1]
-    return frame, seen, status_of_lines(system, now)
+    return frame, reports, status_of_lines(system, now)
 
 
 def on_host(tree: Any) -> Any:
@@ -214,20 +215,20 @@ def start_overlap(scene: Scene) -> str:
     return "".join(_overlap_at_start(scene)) if on_meshes and scene.limits is not None else ""
 
 
-def largest_indentation(seen: Seen) -> float:
+def largest_indentation(reports: Reports) -> float:
     """Largest penetration among effects' observables [m]; 0 if nothing touches, NaN without a finite depth."""
-    depths = [np.asarray(v) for report in seen.values() for key, v in report.items() if key.startswith("indentation")]
+    depths = [np.asarray(v) for r in reports.values() for key, v in r.items() if key.startswith("indentation")]
     finite = [d[np.isfinite(d)] for d in depths]
     return max((float(d.max(initial=0.0)) for d in finite if d.size), default=float("nan"))
 
 
 def _overlap_at_start(scene: Scene) -> tuple[str, ...]:
     """A message if a contact is deeper than `_OVERLAP` where the patella was recorded, or too deep to be found."""
-    seen = on_host(_observe_at(at_start(scene.unnamed()), scene.center_of_mass_pose())[1])
-    deepest = largest_indentation(seen)
+    reports = on_host(_observe_at(at_start(scene.unnamed()), scene.center_of_mass_pose())[1])
+    deepest = largest_indentation(reports)
     if deepest > _OVERLAP:
         depth = f"{1e3 * deepest:.1f} mm"
-    elif any(np.any(report.get("too_deep", 0.0) > 0) for report in seen.values()):
+    elif any(np.any(report.get("too_deep", 0.0) > 0) for report in reports.values()):
         depth = "more than the contact search can measure"
     else:
         return ()
@@ -241,7 +242,7 @@ def _eigenvalues(stiffness: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.sort(np.asarray(found, dtype=np.float64))
 
 
-def _loaded_facets(seen: Seen) -> tuple[str, ...]:
+def _loaded_facets(reports: Reports) -> tuple[str, ...]:
     return tuple(
-        side for side in ("medial", "lateral") if any(np.any(r.get(f"force_{side}", 0.0) > 0) for r in seen.values())
+        side for side in ("medial", "lateral") if any(np.any(r.get(f"force_{side}", 0.0) > 0) for r in reports.values())
     )

@@ -38,11 +38,11 @@ class Course(NamedTuple):
     lateral: Any
 
     @classmethod
-    def of(cls, seen: Observation, contact: str | None) -> Course:
+    def of(cls, observation: Observation, contact: str | None) -> Course:
         """From observations, on the host; `contact` is the name of the scene's contact, None without one."""
-        center, turn = host_array(seen.center), host_array(seen.patella.orientation)
+        center, turn = host_array(observation.center), host_array(observation.patella.orientation)
         nothing = np.zeros(center.shape[:-1])
-        report: dict[str, Any] = {} if contact is None else seen.effects[contact]
+        report: dict[str, Any] = {} if contact is None else observation.effects[contact]
         force = host_array(Vec3(*(report.get(f"force_{axis}", nothing) for axis in "xyz")))
         facets = (np.asarray(report.get(f"force_{facet}", nothing), float) for facet in ("medial", "lateral"))
         return cls(center, turn, force, *facets)
@@ -124,11 +124,11 @@ def error_of(run: Course, other: Course, order: float, ratio: Any, xp: Any = np)
 
     `ratio` is the other's step over the run's: 2 if the other has half as many steps, 1/2 if it has twice as many.
     """
-    found = apart(run, other, xp)
+    found = course_difference(run, other, xp)
     return found.times(1 / abs(ratio ** path_power(order) - 1), 1 / abs(ratio**FORCE_POWER - 1))
 
 
-def apart(a: Course, b: Course, xp: Any = np) -> ErrorEstimate:
+def course_difference(a: Course, b: Course, xp: Any = np) -> ErrorEstimate:
     """Difference of a run from another at every frame; infinite where one is not finite."""
     with np.errstate(over="ignore", invalid="ignore"):
         moved = _length(a.center - b.center, xp)

@@ -33,7 +33,7 @@ class FrameStates(eqx.Module):
     ledger: Ledger | None
     start: Solution  # initial equilibrium
     step: Scalar  # [s]
-    integrator: Integrator = eqx.field(static=True, default=LinearImplicit())  # interprets `states.carried`
+    integrator: Integrator = eqx.field(static=True, default=LinearImplicit())  # interprets `states.solver_state`
 
 
 def substeps_for(interval: float, dt: float) -> int:
@@ -100,7 +100,13 @@ def starting_state(scene: Scene, start: Solution) -> State:
 def _parts(now: Carry) -> tuple[Any, Any]:
     """The stored values of a frame in two parts, of which the second is not computed where only poses are used."""
     state, books = now
-    return (state.position, state.orientation), (state.velocity, state.spin, state.memories, state.carried, books)
+    return (state.position, state.orientation), (
+        state.velocity,
+        state.spin,
+        state.memories,
+        state.solver_state,
+        books,
+    )
 
 
 def frame_states(

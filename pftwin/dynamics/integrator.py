@@ -32,7 +32,7 @@ class Integrator(ABC):
     """Base class of integrators. Instances hold options, and can be compared and hashed.
 
     A subclass implements `advance` and `order` (class attribute or property), and `begin` if a step needs more from the
-    previous one than the state contains, which it stores in `State.carried`. Fields of `State.carried` with names from
+    previous one than the state contains, which it stores in `State.solver_state`. Its fields with names from
     `Diagnostics` are reported.
     """
 
@@ -59,12 +59,12 @@ class Integrator(ABC):
         """
 
     def begin(self, system: System, state: State, guide: Guide, step: Scalar) -> State:
-        """The state before the first step, with `State.carried` initialised."""
+        """The state before the first step, with `State.solver_state` initialised."""
         return state
 
     def diagnostics(self, state: State) -> Diagnostics:
-        """Diagnostics: the fields of these names in `State.carried`."""
-        return Diagnostics(*(getattr(state.carried, name, None) for name in Diagnostics._fields))
+        """Diagnostics: the fields of these names in `State.solver_state`."""
+        return Diagnostics(*(getattr(state.solver_state, name, None) for name in Diagnostics._fields))
 
     @property
     def text(self) -> str:
@@ -101,9 +101,9 @@ class Integrator(ABC):
         return eqx.tree_at(lambda s: self.diagnostics(s).residual, state, left)
 
 
-def with_carried(state: State, carried: Any) -> State:
-    """The state with `State.carried` replaced."""
-    return eqx.tree_at(lambda s: s.carried, state, carried, is_leaf=lambda x: x is None)
+def with_solver_state(state: State, solver_state: Any) -> State:
+    """The state with `State.solver_state` replaced."""
+    return eqx.tree_at(lambda s: s.solver_state, state, solver_state, is_leaf=lambda x: x is None)
 
 
 def _written(value: Any) -> str:

@@ -37,8 +37,8 @@ class Powers(NamedTuple):
     inner: Scalar  # heat inside effects, as its mean over the step [W]
 
     @staticmethod
-    def of(loads: Sequence[Load], looked: Twist, velocity: Twist) -> Powers:
-        """Powers of loads at the twist `velocity` of the patella; `looked` is the twist at which they were computed."""
+    def of(loads: Sequence[Load], trial: Twist, velocity: Twist) -> Powers:
+        """Powers of loads at the twist `velocity` of the patella; `trial` is the twist at which they were computed."""
         zero = jnp.zeros_like(velocity.linear.x)
         work, heat, lossy, inner, potential = zero, zero, zero, zero, _no_load(zero)
         for load in loads:
@@ -49,21 +49,21 @@ class Powers(NamedTuple):
                 work, lossy = work + power, lossy + power
             if load.drag is not None:
                 drag = load.drag
-                medium = looked.plus(-1.0, Twist(drag.velocity, drag.spin))
+                medium = trial.plus(-1.0, Twist(drag.velocity, drag.spin))
                 through = velocity.plus(-1.0, medium)
                 pull = eqx.tree_at(lambda d: (d.velocity, d.spin), drag, (through.linear, through.angular)).wrench()
                 work, lossy = work + pull.power(medium), lossy + pull.power(velocity)
                 heat = heat - pull.power(through)
             if load.bed is not None:
                 bed = load.bed
-                under = looked.plus(-1.0, Twist(bed.velocity, bed.spin))
+                under = trial.plus(-1.0, Twist(bed.velocity, bed.spin))
                 elastic, damped = (_wrench(w) for w in (bed.elastic, bed.force - bed.elastic))
                 work, lossy = work + bed.wrench().power(under), lossy + damped.power(velocity)
                 heat, potential = heat - damped.power(velocity.plus(-1.0, under)), potential + elastic
             if load.heat is not None:
                 inner = inner + load.heat
             for term in load.stiff:
-                driven = term.rate + term.direction.dot(looked.linear) + term.moment.dot(looked.angular)
+                driven = term.rate + term.direction.dot(trial.linear) + term.moment.dot(trial.angular)
                 along = term.direction.dot(velocity.linear) + term.moment.dot(velocity.angular)
                 damped = term.force - term.elastic
                 work, lossy = work + jnp.sum(term.force * driven), lossy + jnp.sum(damped * along)
@@ -89,15 +89,15 @@ class Ledger(eqx.Module):
         return Ledger(zero, zero, zero, Powers(zero, zero, zero, _no_load(zero), zero), zero, zero)
 
     def entered(
-        self, before: State, after: State, loads: Sequence[Load], step: Scalar, looked: Twist | None = None
+        self, before: State, after: State, loads: Sequence[Load], step: Scalar, trial: Twist | None = None
     ) -> Ledger:
         """The ledger after one more step of length `step` [s], from the loads at its end.
 
-        `looked` is the twist of the patella at which the loads were computed, by default that of `after`.
+        `trial` is the twist of the patella at which the loads were computed, by default that of `after`.
         """
         end = Twist(after.velocity, after.spin)
-        looked = end if looked is None else looked
-        now = Powers.of(loads, looked, end)
+        trial = end if trial is None else trial
+        now = Powers.of(loads, trial, end)
         turn = (before.orientation.conjugate() * after.orientation).rotation_vector()
         moved = Twist(after.position - before.position, turn)
 
@@ -106,11 +106,11 @@ class Ledger(eqx.Module):
         done = step * mean.lossy + mean.potential.power(moved)
         heat = step * (mean.heat + now.inner)
         sums = (self.work + step * mean.work, self.heat + heat, self.done + done)
-        return Ledger(*sums, now, jnp.ones_like(known), self.approach_until(before, loads, looked))
+        return Ledger(*sums, now, jnp.ones_like(known), self.approach_until(before, loads, trial))
 
-    def approach_until(self, before: State, loads: Sequence[Load], looked: Twist) -> Scalar:
+    def approach_until(self, before: State, loads: Sequence[Load], trial: Twist) -> Scalar:
         """`approach` after one more step, from the velocities at its start. Arguments as in `entered`."""
-        lost = looked.plus(-1.0, Twist(before.velocity, before.spin))
+        lost = trial.plus(-1.0, Twist(before.velocity, before.spin))
         fastest = jnp.zeros_like(lost.linear.x)
         for term in (term for load in loads for term in load.stiff if term.unilateral):
             rate = term.rate + term.direction.dot(lost.linear) + term.moment.dot(lost.angular)

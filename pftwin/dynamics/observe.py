@@ -41,37 +41,37 @@ def observe(scene: Scene, path: FrameStates) -> Observation:
     look, guides = _frame_observer(scene, path.integrator)
     diagnostics = path.integrator.diagnostics(path.states)
     # A loop compiles as fast as a single frame.
-    seen = map_rows(lambda at: look(at[0], at[1], path.step), (path.states, guides))
+    observation = map_rows(lambda at: look(at[0], at[1], path.step), (path.states, guides))
     energies = None
     if path.ledger is not None:
-        energies = seen.kinetic_energy, seen.potential_energy, path.ledger.work
-    flags = status_of_all(seen.status, path.start, energies, path.step, diagnostics.snaps)
-    return replace(seen, status=flags, drift=diagnostics.drift)
+        energies = observation.kinetic_energy, observation.potential_energy, path.ledger.work
+    flags = status_of_all(observation.status, path.start, energies, path.step, diagnostics.snaps)
+    return replace(observation, status=flags, drift=diagnostics.drift)
 
 
-def observe_on_the_way(
+def observe_during_run(
     scene: Scene,
-    kept: Callable[[Observation], Any],
+    select: Callable[[Observation], Any],
     *,
     integrator: Integrator = LinearImplicit(),
     substeps: int | Scalar = 10,
     start: Solution | None = None,
     ledger: bool = False,
 ) -> tuple[Any, Array, Solution]:
-    """Simulates and stores only what `kept` returns from the observation of each frame, which halves a batch's time.
+    """Simulates and stores only what `select` returns from the observation of each frame, which halves a batch's time.
 
     A pure function. See `frame_states` for the other arguments.
 
     Returns:
-        The values of `kept` (n_frames, ...), the status (n_frames,), and the initial equilibrium.
+        The values of `select` (n_frames, ...), the status (n_frames,), and the initial equilibrium.
     """
     look, guides = _frame_observer(scene, integrator)
     step = scene.motion.frame_interval / jnp.maximum(substeps, 1).astype(float)
 
     def at(state: State, books: Ledger | None, index: Scalar) -> tuple[Any, Array, Any, Any]:
-        seen = look(state, jax.tree.map(lambda a: a[index], guides), step)
-        energies = None if books is None else (seen.kinetic_energy, seen.potential_energy, books.work)
-        return kept(seen), seen.status, energies, integrator.diagnostics(state).snaps
+        observation = look(state, jax.tree.map(lambda a: a[index], guides), step)
+        energies = None if books is None else (observation.kinetic_energy, observation.potential_energy, books.work)
+        return select(observation), observation.status, energies, integrator.diagnostics(state).snaps
 
     (found, status, energies, snaps), start, step = scan_observations(
         scene, at, integrator=integrator, substeps=substeps, start=start, ledger=ledger
@@ -106,12 +106,12 @@ def _frame_observer(scene: Scene, chosen: Integrator) -> tuple[Callable[[State, 
 
     def look(state: State, guide: Guide, step: Scalar) -> Observation:
         now, patella, center = instant_and_frame(scene, state, guide)
-        reports = {e.name: e.report(now, m) for e, m in zip(system.effects, state.memories, strict=True)}
-        seen = {name: shown for name, (shown, _) in reports.items()}
-        stored = {name: energy for name, (_, energy) in reports.items() if energy is not None}
-        status = status_of_frame(scene, seen, state, step, chosen.diagnostics(state).residual)
+        found = {e.name: e.report(now, m) for e, m in zip(system.effects, state.memories, strict=True)}
+        reports = {name: report for name, (report, _) in found.items()}
+        stored = {name: energy for name, (_, energy) in found.items() if energy is not None}
+        status = status_of_frame(scene, reports, state, step, chosen.diagnostics(state).residual)
         status = status | status_of_lines(system, now)
         kinetic = system.kinetic_energy(state) if chosen.inertia else jnp.zeros_like(step)
-        return Observation(patella, center, seen, kinetic, stored, status)
+        return Observation(patella, center, reports, kinetic, stored, status)
 
     return look, Guide.sample(scene.motion, times)

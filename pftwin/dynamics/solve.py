@@ -102,7 +102,7 @@ def inverse_with_pivots(matrix: Array) -> tuple[Array, Scalar]:
     """
     n = matrix.shape[0]
 
-    def sweep(_: int, now: tuple[Array, Array, Scalar]) -> tuple[Array, Array, Scalar]:
+    def eliminate_pivot(_: int, now: tuple[Array, Array, Scalar]) -> tuple[Array, Array, Scalar]:
         a, used, positive = now
         size = jnp.where(used, -1.0, jnp.abs(jnp.diagonal(a)))
         here = jnp.arange(n) == jnp.argmax(size)
@@ -115,7 +115,7 @@ def inverse_with_pivots(matrix: Array) -> tuple[Array, Scalar]:
         return rest - column[:, None] * row[None, :], used | here, positive & (pivot > 0)
 
     start = matrix, jnp.zeros(n, bool), jnp.isfinite(matrix).all()
-    inverse, _, positive = jax.lax.fori_loop(0, n, sweep, start)
+    inverse, _, positive = jax.lax.fori_loop(0, n, eliminate_pivot, start)
     return inverse, positive
 
 

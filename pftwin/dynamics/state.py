@@ -22,7 +22,7 @@ class State(eqx.Module):
     velocity: Vec3  # world [m/s]
     spin: Vec3  # patella axes [rad/s]
     memories: tuple[Any, ...]
-    carried: Any = None  # memory of the integrator, if any
+    solver_state: Any = None  # memory of the integrator, if any
 
     def patella(self) -> Patella:
         """The patella as effects use it."""
@@ -129,10 +129,10 @@ def acceleration(system: System, spin: Vec3, loads: list[Load]) -> Twist:
 def displaced_state(state: State, displacement: Twist, velocity: Twist) -> State:
     """The state displaced, with new velocities and unchanged memories."""
     position, orientation = state.position + displacement.linear, state.orientation.turned(displacement.angular)
-    return State(position, orientation, velocity.linear, velocity.angular, state.memories, state.carried)
+    return State(position, orientation, velocity.linear, velocity.angular, state.memories, state.solver_state)
 
 
 def advance(state: State, velocity: Vec3, spin: Vec3, step: Scalar, memories: tuple[Any, ...]) -> State:
     """The state after moving for a step [s] with the given velocities."""
     position, orientation = state.position + step * velocity, state.orientation.turned(step * spin)
-    return State(position, orientation, velocity, spin, memories, state.carried)
+    return State(position, orientation, velocity, spin, memories, state.solver_state)

@@ -60,8 +60,8 @@ _WORDS = {
     Status.NO_CONTACT: "the button touches nothing",
     Status.LEFT_PATCH: "a loaded contact lies outside the fitted surface (extrapolated), or"
     " reaches over the rim of the mesh",
-    Status.DEEP_INDENTATION: f"indentation above {DEEPEST:.0%} of the button's radius, or beyond the reach of the"
-    " search: the step is too long or the contact law too soft",
+    Status.DEEP_INDENTATION: f"indentation above {DEEPEST:.0%} of the button's radius, or deeper than the"
+    " search measures: the step is too long or the contact law too soft",
     Status.NOT_FINITE: "not finite: the step is too long, or a load could not be computed",
     Status.STEP_TOO_LONG: "the patella moves or turns too far within one step, or a step is unstable or did not"
     " converge: take shorter steps",
@@ -154,9 +154,9 @@ def _created(kinetic: Scalar, stored: dict[str, Scalar], work: Scalar, step: Sca
 
 
 def status_of_frame(
-    scene: Scene, seen: dict[str, dict[str, Array]], state: State, step: Scalar, residual: Scalar | None
+    scene: Scene, reports: dict[str, dict[str, Array]], state: State, step: Scalar, residual: Scalar | None
 ) -> Array:
-    """Flags of one frame alone, () int, bits of `Status`; `seen` contains the reports of the effects by name.
+    """Flags of one frame alone, () int, bits of `Status`; `reports` contains the reports of the effects by name.
 
     `residual` is that of the step's equations, if the integrator reports it.
     """
@@ -165,7 +165,7 @@ def status_of_frame(
         too_long = too_long | (residual > 0)
     flags, touching = jnp.where(too_long, int(Status.STEP_TOO_LONG), 0), []
     for effect in scene.effects:
-        report = seen[effect.name]
+        report = reports[effect.name]
         flags = flags | reservations(report)
         contact = effect.contact_role()
         if contact is None:

@@ -145,32 +145,32 @@ def _computed(
 ) -> Trajectory:
     start = starting_equilibrium(scene) if start is None else start
     states = frame_states(scene, integrator=integrator, substeps=substeps, start=start, ledger=energy_budget)
-    seen, books = observe(scene, states), states.ledger
+    observation, books = observe(scene, states), states.ledger
     times, contact = scene.motion.frame_times(), scene.contact
-    nothing = jnp.zeros_like(seen.center.x)
-    report = {} if contact is None else seen.effects[contact.name]
+    nothing = jnp.zeros_like(observation.center.x)
+    report = {} if contact is None else observation.effects[contact.name]
     lines = [e.name for e in scene.effects if e.line_element() is not None]
     return Trajectory(
         times=times,
-        center=seen.center,
-        patella=seen.patella,
+        center=observation.center,
+        patella=observation.patella,
         knee=knee_angles(scene),
-        effects=seen.effects,
+        effects=observation.effects,
         contact_force=Vec3(*(report.get(f"force_{axis}", nothing) for axis in "xyz")),
         contact_force_medial=report.get("force_medial", nothing),
         contact_force_lateral=report.get("force_lateral", nothing),
         tensions={  # (n,) from (n,) or (n, lines)
-            n: seen.effects[n]["tension"].reshape(len(times), -1).sum(axis=1)
+            n: observation.effects[n]["tension"].reshape(len(times), -1).sum(axis=1)
             for n in lines
-            if "tension" in seen.effects[n]
+            if "tension" in observation.effects[n]
         },
-        lengths={n: seen.effects[n]["length"] for n in lines if "length" in seen.effects[n]},
-        kinetic_energy=seen.kinetic_energy,
-        stored_energy=seen.potential_energy,
+        lengths={n: observation.effects[n]["length"] for n in lines if "length" in observation.effects[n]},
+        kinetic_energy=observation.kinetic_energy,
+        stored_energy=observation.potential_energy,
         work=None if books is None else books.work,
         heat=None if books is None else books.heat,
-        numerical_dissipation=None if books is None else books.numerical_dissipation(seen.kinetic_energy),
-        flags=seen.status,
+        numerical_dissipation=None if books is None else books.numerical_dissipation(observation.kinetic_energy),
+        flags=observation.status,
         start_residual=start.residual,
     )
 

@@ -99,4 +99,4 @@ def _seen_by(scene: Scene, whole: Scene, path: State) -> State:
     """The path's states with the memories of those effects that the scene has."""
     memories = {e.name: m for e, m in zip(whole.effects, path.memories, strict=True)}
     own = tuple(memories.get(e.name) for e in scene.effects)
-    return State(path.position, path.orientation, path.velocity, path.spin, own, path.carried)
+    return State(path.position, path.orientation, path.velocity, path.spin, own, path.solver_state)

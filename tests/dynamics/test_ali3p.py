@@ -111,9 +111,9 @@ def followed(held):
 
 def test_constraints_hold(held, states, followed):
     """Not those of the step alone: the recorded frames, and lengths and angles, are what they have to be."""
-    motion, q = held[0].motion, np.asarray(states.carried.place)
-    assert np.abs(jax.vmap(constraints)(states.carried.place, followed)).max() < 1e-15
-    assert 0 < float(states.carried.drift.max()) < 1e-15
+    motion, q = held[0].motion, np.asarray(states.solver_state.place)
+    assert np.abs(jax.vmap(constraints)(states.solver_state.place, followed)).max() < 1e-15
+    assert 0 < float(states.solver_state.drift.max()) < 1e-15
     axes = q[..., 3:].reshape(*q.shape[:2], 3, 3) / LENGTH
     np.testing.assert_allclose(axes @ np.swapaxes(axes, 2, 3), np.broadcast_to(np.eye(3), axes.shape), atol=1e-13)
     femur, tibia = motion.frames(motion.times)
@@ -126,7 +126,7 @@ def test_constraints_hold(held, states, followed):
 
 def test_velocities_and_accelerations_are_projected(states, followed):
     """To rounding, after the first step: that starts from what is not known of the guided bodies."""
-    now = states.carried
+    now = states.solver_state
     j = jax.vmap(jacobian)(now.place, followed)
     rate = jnp.einsum("tnki,tni->tnk", j, now.rate) - jax.vmap(rates_wanted)(now.place, followed)
     second = jax.vmap(second_rates_wanted)(now.place, now.rate, followed)
@@ -151,7 +151,7 @@ def test_multipliers_are_what_drives_the_guided_bodies(held):
     scene, start = held
     path, seen = moved(scene, start, J(40))
     i, (mass, inertia) = 5, (float(scene.patella.mass), np.asarray(scene.patella.inertia.array()))
-    place, frames = np.asarray(path.carried.place), scene.motion.frames
+    place, frames = np.asarray(path.solver_state.place), scene.motion.frames
     h, t = 1e-5, scene.motion.times[i]
     before, tibia, after = (frames(t + k * h)[1] for k in (-1, 0, 1))
     turn = np.asarray(tibia.rotation.array())
@@ -166,7 +166,7 @@ def test_multipliers_are_what_drives_the_guided_bodies(held):
     line = end - place[i, 1, :3] - arm
     pull = float(seen.effects["patellar_tendon"]["tension"][i]) * line / np.linalg.norm(line)
 
-    multipliers = np.asarray(path.carried.multipliers)[i, 1]
+    multipliers = np.asarray(path.solver_state.multipliers)[i, 1]
     force, moment = -multipliers[6:9], -LENGTH * multipliers[9:]
     inertial = inertia * turning + np.cross(spin, inertia * spin)
     np.testing.assert_allclose(force, mass * rate - pull, atol=1e-3 * np.linalg.norm(pull))
@@ -177,7 +177,7 @@ def test_multipliers_are_what_drives_the_guided_bodies(held):
 
 def test_driving_forces_and_weight_make_the_momentum_of_all(states):
     """With a femur that moves; every reaction has its counterpart."""
-    now = states.carried
+    now = states.solver_state
     if now.place.shape[1] < 3:
         pytest.skip("the world takes what acts on a fixed femur")
     force = -np.asarray(now.multipliers)[1:, :, 6:9].sum(1) + [0, 0, -MASS * G]
@@ -239,7 +239,7 @@ def test_on_meshes(toy: Path):
     start = settled(scene)
     (one, seen), (two, _) = (moved(scene, start, J(10), i) for i in (ALI3P(), Newmark()))
     assert not np.asarray(seen.status).any()
-    assert float(one.carried.drift.max()) < 1e-15
+    assert float(one.solver_state.drift.max()) < 1e-15
     assert 1e3 * np.abs(one.position.array() - two.position.array()).max() < 2e-4
     assert np.asarray(seen.effects["mesh_contact"]["force"]).min() > 1
 
@@ -289,7 +289,7 @@ def test_derivatives_by_the_guided_motion(fixed):
         cubics, stiffness = where(scene)
         changed = eqx.tree_at(where, scene, [cubics.at[2, :, 0].add(1e-2 * theta[0]), stiffness * (1 + theta[1])])
         states = frame_states(changed, integrator=ALI3P(), substeps=4, start=start).states
-        return jnp.concatenate([1e3 * states.position.array()[-1], states.carried.multipliers[-1, 1, 6:9]])
+        return jnp.concatenate([1e3 * states.position.array()[-1], states.solver_state.multipliers[-1, 1, 6:9]])
 
     value = jax.jit(shown, compiler_options=OPTIMISED)
     zero, h = jnp.zeros(2), 1e-5
@@ -315,7 +315,7 @@ def test_derivatives_of_a_top_on_a_tendon_are_difference_quotients(mode):
             return ALI3P().advance(top, now, still_guide_at, J(2e-3), None)[0], None
 
         after = jax.lax.scan(one, state, None, length=5)[0]
-        held = after.carried.multipliers[0, :6]
+        held = after.solver_state.multipliers[0, :6]
         found = jnp.concatenate([1e2 * after.position.array(), after.spin.array(), held])
         return found, found
 
@@ -336,7 +336,7 @@ def test_the_penalty_changes_nothing_but_the_iterations():
     start = state_at(top, (0, 0, 0), spin=(0.3, 12.0, 0.2))
     usual, soft = (march(top, start, 0.1, 100, i) for i in (ALI3P(), ALI3P(penalty=1e3)))
     np.testing.assert_allclose(soft.spin.array(), usual.spin.array(), rtol=1e-7)
-    assert float(soft.carried.drift) < 1e-11
+    assert float(soft.solver_state.drift) < 1e-11
     assert float(soft.spin.x) != float(usual.spin.x)
 
 
@@ -345,7 +345,7 @@ def test_a_step_that_is_not_solved_says_so():
     top = system(inertia=(2e-5, 5e-5, 6e-5))
     states, _ = record(top, state_at(top, (0, 0, 0), spin=(30.0, 90.0, 10.0)), J(5e-2), 40, ALI3P())
     assert np.isfinite(states.orientation.array()).all()
-    assert (np.asarray(states.carried.residual) > 0).any()
+    assert (np.asarray(states.solver_state.residual) > 0).any()
 
 
 @pytest.mark.slow
@@ -366,6 +366,6 @@ def test_single_precision_is_close(fixed):
         states, seen = moved(*small, jnp.asarray(10, jnp.int32))
         assert {a.dtype for a in jax.tree.leaves(states) if eqx.is_inexact_array(a)} == {np.dtype(np.float32)}
         assert not np.asarray(seen.status).any()
-        assert float(states.carried.drift.max()) < 1e-7
+        assert float(states.solver_state.drift.max()) < 1e-7
         single = np.asarray(states.position.array(), np.float64)
     assert 1e3 * np.abs(single - double).max() < 0.02

@@ -31,8 +31,8 @@ def share_after(linear, angular):
     """The share that the next step has of this one, which falls freely, after one whose velocities changed so."""
     start = BDF2().begin(FREE, state_at(FREE, (0, 0, 1)), still_guide(), J(STEP))
     change = Twist(*(jax.tree.unflatten(jax.tree.structure(start.velocity), list(a)) for a in (linear, angular)))
-    start = eqx.tree_at(lambda s: s.carried.change, start, change)
-    return BDF2().advance(FREE, start, still_guide_at, J(STEP), None)[0].carried.share
+    start = eqx.tree_at(lambda s: s.solver_state.change, start, change)
+    return BDF2().advance(FREE, start, still_guide_at, J(STEP), None)[0].solver_state.share
 
 
 @pytest.mark.parametrize(
@@ -55,9 +55,9 @@ def test_a_change_by_less_than_half_is_no_impact():
     heavy = system(eqx.tree_at(lambda g: g.acceleration, gravity(), vec(0, 0, -1e3)))
     for before, share in ((-0.6e3, 1 / 3), (-0.4e3, 0)):  # 400 and 600 m/s^2 of 1000
         start = BDF2().begin(heavy, state_at(heavy, (0, 0, 1)), still_guide(), J(STEP))
-        start = eqx.tree_at(lambda s: s.carried.change.linear.z, start, J(before * STEP))
+        start = eqx.tree_at(lambda s: s.solver_state.change.linear.z, start, J(before * STEP))
         after = BDF2().advance(heavy, start, still_guide_at, J(STEP), None)[0]
-        assert float(after.carried.share) == pytest.approx(share)
+        assert float(after.solver_state.share) == pytest.approx(share)
 
 
 def test_a_fresh_step_forgets_the_past():
@@ -66,8 +66,8 @@ def test_a_fresh_step_forgets_the_past():
     start = state_at(FREE, (0, 0, 1), (v, 0, 0))
     begun = BDF2().begin(FREE, start, still_guide(), J(STEP))
     past = Twist(vec(-5.0, 4.0, 3.0), vec(1.0, 2.0, 3.0))
-    carried = eqx.tree_at(lambda s: (s.carried.displacement, s.carried.change), begun, (past, past))
-    for state in (begun, carried):
+    solver_state = eqx.tree_at(lambda s: (s.solver_state.displacement, s.solver_state.change), begun, (past, past))
+    for state in (begun, solver_state):
         after = BDF2().advance(FREE, state, still_guide_at, J(STEP), None)[0]
         np.testing.assert_allclose(after.position.array(), [v * STEP, 0, 1 - G * STEP**2], rtol=1e-12)
         np.testing.assert_allclose(after.velocity.array(), [v, 0, -G * STEP], rtol=1e-12, atol=1e-15)

@@ -67,7 +67,7 @@ def test_it_comes_to_newmarks_motion_and_closes_the_budget(held):
     other, _ = looked_at(scene, start, J(250), Newmark())
     apart = path.states.position.array() - other.states.position.array()
     assert 1e3 * float(jnp.abs(apart).max()) < 1e-4
-    assert not np.asarray(path.states.carried.residual).any()
+    assert not np.asarray(path.states.solver_state.residual).any()
     whole = seen.kinetic_energy + sum(seen.potential_energy.values())
     left = whole[-1] - whole[0] - path.ledger.work[-1] + path.ledger.heat[-1]
     assert float(path.ledger.heat[-1]) > 1e-6

@@ -252,8 +252,8 @@ def test_what_an_integrator_carries_it_knows(held):
     for name in (*NAMES, "quasi_static", "diffrax:Tsit5"):
         chosen = integrator_from_text(name)
         state = eqx.filter_eval_shape(begun, chosen, *held)
-        carried, told = state.carried, eqx.filter_eval_shape(chosen.diagnostics, state)
-        fields = set(getattr(carried, "_fields", ())) & set(Diagnostics._fields)
+        solver_state, told = state.solver_state, eqx.filter_eval_shape(chosen.diagnostics, state)
+        fields = set(getattr(solver_state, "_fields", ())) & set(Diagnostics._fields)
         assert {n for n, value in told._asdict().items() if value is not None} == fields
         assert chosen.inertia is (name != "quasi_static")
 
@@ -261,7 +261,7 @@ def test_what_an_integrator_carries_it_knows(held):
 def test_a_frame_tells_of_the_worst_of_its_steps(held):
     chosen = integrator_from_text("newmark")
     state = eqx.filter_jit(begun)(chosen, *held)
-    bad = eqx.tree_at(lambda s: s.carried.residual, state, J(0.3))
+    bad = eqx.tree_at(lambda s: s.solver_state.residual, state, J(0.3))
     assert float(chosen.diagnostics(chosen.with_worst_residual(state, bad)).residual) == 0.3
     assert float(chosen.diagnostics(chosen.with_residual_cleared(bad)).residual) == 0
     alone = integrator_from_text("linear_implicit")

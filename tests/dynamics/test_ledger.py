@@ -34,7 +34,7 @@ def swinging(damping: float, steps: int, integrator):
     sys = system(gravity(), tendon(K, SLACK, damping))
     start = state_at(sys, (0, 0, 0.1 - SLACK - MASS * G / K + THROWN))
     states, ledger = record(sys, start, J(DURATION / steps), steps, integrator)
-    states = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), start, replace(states, carried=None))
+    states = jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), start, replace(states, solver_state=None))
     kinetic = np.asarray(jax.vmap(sys.kinetic_energy)(states))
     total = np.asarray(energies(sys, states))
     taken = np.asarray(ledger.done) - kinetic[1:]

@@ -249,7 +249,7 @@ def test_members_of_a_batch_snap_on_their_own(over_the_ridge):
 
 
 def observed(found):
-    return found.states.position.array(), found.states.carried.snaps
+    return found.states.position.array(), found.states.solver_state.snaps
 
 
 @pytest.fixture(scope="module")

@@ -82,4 +82,4 @@ def test_forces_without_a_potential_are_followed_and_not_left():
     left = np.exp(-k * duration / c)
     np.testing.assert_allclose(float(end.position.y), left * y0, rtol=1e-3)
     np.testing.assert_allclose(float(end.position.x), -left * a * duration / c * y0, rtol=1e-3)
-    assert float(end.carried.snaps) == 0
+    assert float(end.solver_state.snaps) == 0

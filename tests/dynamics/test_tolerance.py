@@ -12,7 +12,7 @@ from scenes import OPTIMISED, knee
 from pftwin import rig
 from pftwin.base.errors import InputError, PftwinWarning
 from pftwin.dynamics.batch.batched import batched
-from pftwin.dynamics.error_estimate import Course, apart
+from pftwin.dynamics.error_estimate import Course, course_difference
 from pftwin.dynamics.frame_states import frame_states
 from pftwin.dynamics.integrators import BDF2, LinearImplicit, Newmark
 from pftwin.dynamics.simulate import simulate
@@ -34,7 +34,7 @@ def course(center, quaternion) -> Course:
 
 def distance(a: Course, b: Course) -> float:
     """Root of the mean square over the frames of how far they are apart [m]."""
-    return METRES.measure(apart(a, b))
+    return METRES.measure(course_difference(a, b))
 
 
 def varied(scene: Scene, factors: jax.Array) -> Scene:

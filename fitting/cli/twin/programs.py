@@ -23,7 +23,7 @@ from pftwin.base.spatial import Pose, Quaternion, Vec3
 from pftwin.dynamics.error_estimate import Course, after_halving, error_of
 from pftwin.dynamics.frame_states import relaxed_start, start_before_search, starting_equilibrium, substeps_for
 from pftwin.dynamics.integrators import BDF2
-from pftwin.dynamics.observe import Observation, observe_on_the_way
+from pftwin.dynamics.observe import Observation, observe_during_run
 from pftwin.dynamics.relaxation import THROWN
 from pftwin.dynamics.status import Status
 from pftwin.dynamics.tolerance import HALVINGS, UNCONFIRMED
@@ -89,7 +89,7 @@ def programs(knobs: Knobs) -> Programs:
     def motion(values: Array, leaves: list[Array], substeps: Array) -> dict[str, Array]:
         treated, found = changed(values), jax.tree.unflatten(jax.tree.structure(start), leaves)
         options: Any = {"integrator": _INTEGRATOR, "substeps": substeps, "start": found, "ledger": True}
-        frames, status, _ = observe_on_the_way(treated, partial(_frame_record, contact), **options)
+        frames, status, _ = observe_during_run(treated, partial(_frame_record, contact), **options)
         return {**frames, "status": status}
 
     three, each = jnp.zeros((n, 3)), jnp.zeros(n)

@@ -78,7 +78,7 @@ class Bodies(eqx.Module):
         turn = Quaternion.from_rotation(axes).array()
         sign = jnp.where(turn @ last.orientation.array() < 0, -1.0, 1.0).astype(q.dtype)
         turn = Quaternion.from_array(sign * turn)
-        return State(Vec3.from_array(q[0, :3]), turn, twist.linear, twist.angular, self.memories, last.carried)
+        return State(Vec3.from_array(q[0, :3]), turn, twist.linear, twist.angular, self.memories, last.solver_state)
 
     def forces(self, q: Array, dq: Array) -> tuple[Array, list[Load], tuple[Any, ...]]:
         """Generalised forces (n, 12) on all bodies, the loads, and the memories after them.
@@ -89,11 +89,11 @@ class Bodies(eqx.Module):
         """
         own, *others = (twist_of(a, b) for a, b in zip(q, dq, strict=True))
 
-        def looked(others: list[Twist]) -> tuple[list[Array], tuple[list[Load], tuple[Any, ...]]]:
+        def rates_and_loads(others: list[Twist]) -> tuple[list[Array], tuple[list[Load], tuple[Any, ...]]]:
             loads, memories = self.system.loads(self.instant(q, [own, *others]), self.memories)
             return [flow for load in loads for flow in _rates_of_parts(load)], (loads, memories)
 
-        flows, react, (loads, memories) = jax.vjp(looked, others, has_aux=True)
+        flows, react, (loads, memories) = jax.vjp(rates_and_loads, others, has_aux=True)
         efforts = [effort for load in loads for effort in _forces_of_parts(load)]
         (pulled,) = react([-jnp.broadcast_to(e, f.shape) for e, f in zip(efforts, flows, strict=True)])
         total = sum((load.total() for load in loads), start=Wrench.zero())
@@ -138,5 +138,5 @@ def _rates_of_parts(load: Load) -> list[Array]:
 def _forces_of_parts(load: Load) -> list[Array]:
     """Forces conjugate to `_rates_of_parts`, in the same order."""
     wrenches = [part.wrench() for part in (load.bed, load.drag) if part is not None]
-    pushes = [-jnp.concatenate([w.force.array(), w.moment.array()]) for w in wrenches]
-    return [term.force for term in load.stiff] + pushes
+    forces = [-jnp.concatenate([w.force.array(), w.moment.array()]) for w in wrenches]
+    return [term.force for term in load.stiff] + forces

@@ -59,8 +59,8 @@ def constrained(metric: Array, jac: Array, scale: Array, right: Array, wanted: A
     sigma = jnp.zeros_like(wanted)
     x = jnp.zeros_like(right)
     for _ in range(TURNS):
-        push = jnp.einsum("nki,nk->ni", jac, scale * wanted - sigma)
-        x = cho_solve((factor, True), (right + push)[..., None])[..., 0]
+        constraint_force = jnp.einsum("nki,nk->ni", jac, scale * wanted - sigma)
+        x = cho_solve((factor, True), (right + constraint_force)[..., None])[..., 0]
         sigma = sigma + scale * (jnp.einsum("nki,ni->nk", jac, x) - wanted)
     return x, sigma
 

@@ -34,7 +34,7 @@ from pftwin.dynamics.ali3p.natural_coordinates import (
     second_rates_wanted,
 )
 from pftwin.dynamics.ali3p.newton import BETA, GAMMA, PENALTY, Predicted, constrained, solved_step
-from pftwin.dynamics.integrator import Books, Carry, Integrator, with_carried
+from pftwin.dynamics.integrator import Books, Carry, Integrator, with_solver_state
 from pftwin.dynamics.state import Guide, GuideAt, State, System
 
 
@@ -87,11 +87,11 @@ class ALI3P(Integrator):
         scale, wanted = PENALTY[str(step.dtype)] * system.mass, second_rates_wanted(place, rate, to)
         second_rate, multipliers = constrained(metric, jacobian(place, to), scale, forces, wanted)
         nothing = jnp.zeros_like(state.position.x)
-        return with_carried(state, ALI3PStep(place, rate, second_rate, multipliers, nothing, nothing))
+        return with_solver_state(state, ALI3PStep(place, rate, second_rate, multipliers, nothing, nothing))
 
     def advance(self, system: System, state: State, guide_at: GuideAt, step: Scalar, ledger: Books = None) -> Carry:
         """See `Integrator`."""
-        last: ALI3PStep = state.carried
+        last: ALI3PStep = state.solver_state
         to = driven_targets(guide_at, step)
         factor = self.penalty or PENALTY[str(step.dtype)]
         given = Predicted(
@@ -122,9 +122,9 @@ class ALI3P(Integrator):
 
         rate = projected(rate, rates_wanted(place, to))
         second_rate = projected(second_rate, second_rates_wanted(place, rate, to))
-        carried = ALI3PStep(place, rate, second_rate, multipliers, drift, residual)
+        solver_state = ALI3PStep(place, rate, second_rate, multipliers, drift, residual)
         after = given.bodies.state(place, rate, state)
-        after = eqx.tree_at(lambda s: (s.memories, s.carried), after, (memories, carried))
+        after = eqx.tree_at(lambda s: (s.memories, s.solver_state), after, (memories, solver_state))
         if ledger is not None:
             ledger = ledger.entered(state, after, loads, step)
         return after, ledger

@@ -98,11 +98,11 @@ def dataset(groups: list[Group], parts: list[Found], values: Any, settings: dict
 def summed_up(found: Dataset) -> dict[str, Any]:
     """Attributes of a batch's dataset that count variants."""
     names = list(dict.fromkeys(found["scene"].values.tolist()))
-    again = found["recomputed"].values
+    recomputed = found["recomputed"].values
     return {
-        "title": f"batch of {len(again)}: {shortened_list(names, 3)}",
-        "recomputed_members": int((again > 0).sum()),
-        "recomputed_in_vain": int((again == WAYS.index("in_vain")).sum()),
+        "title": f"batch of {len(recomputed)}: {shortened_list(names, 3)}",
+        "recomputed_members": int((recomputed > 0).sum()),
+        "recomputed_in_vain": int((recomputed == WAYS.index("in_vain")).sum()),
     }
 
 

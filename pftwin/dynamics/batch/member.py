@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any, NamedTuple, TypeVar
 
 import equinox as eqx
@@ -19,7 +20,7 @@ from pftwin.dynamics.equilibrium_report import start_offset
 from pftwin.dynamics.error_estimate import Course, ErrorEstimate, error_of
 from pftwin.dynamics.frame_states import frame_states, relaxed_start, starting_equilibrium
 from pftwin.dynamics.integrator import Integrator
-from pftwin.dynamics.observe import Observation, observe, observe_on_the_way
+from pftwin.dynamics.observe import Observation, observe, observe_during_run
 from pftwin.dynamics.relaxation import THROWN
 from pftwin.dynamics.status import FLAGS
 from pftwin.model.scene import Scene
@@ -59,24 +60,23 @@ def member_motion(task: Task, row: Any, start: Solution) -> dict[str, Any]:
     scene = task.change(task.scene, row)
     options: Any = {"integrator": task.integrator, "start": start, "ledger": task.energy}
 
-    def run(substeps: Array) -> tuple[_Kept, Array, Observation | None]:  # traced, so that one program serves all steps
+    # The number of substeps is traced, so that one program serves all steps.
+    def run(substeps: Array) -> tuple[_Recorded, Array, Observation | None]:
         if task.outcome is None:
-            seen, status, _ = observe_on_the_way(
-                scene, lambda frame: _Kept.of(scene, frame), substeps=substeps, **options
-            )
-            return seen, status, None
+            select = partial(_Recorded.of, scene)
+            return *observe_during_run(scene, select, substeps=substeps, **options)[:2], None
         whole = observe(scene, frame_states(scene, substeps=substeps, **options))  # an outcome may use all of it
-        return _Kept.of(scene, whole), whole.status, whole
+        return _Recorded.of(scene, whole), whole.status, whole
 
     largest: dict[str, Array] = {}
     if task.estimate:
-        (seen, status, whole), error = run_with_error(
+        (observables, status, whole), error = run_with_error(
             run, lambda found: found[0].course(), task.substeps, task.integrator.order
         )
         status = status | error.flags.astype(status.dtype)
         largest = {f"estimated_error_{name}": value for name, value in error.largest.items()}
     else:
-        seen, status, whole = run(task.substeps)
+        observables, status, whole = run(task.substeps)
     own = {} if task.outcome is None or whole is None else task.outcome(scene, whole)
     if not isinstance(own, dict):
         kind = type(own).__name__
@@ -88,9 +88,9 @@ def member_motion(task: Task, row: Any, start: Solution) -> dict[str, Any]:
         "equilibrium_residual": start.residual,
         "start_shift": moved,
         "start_turn": turned,
-        "summary": {**seen.summary(), **largest},
+        "summary": {**observables.summary(), **largest},
         "own": own,
-        "courses": seen.courses(status) if task.courses else {},
+        "courses": observables.courses(status) if task.courses else {},
     }
 
 
@@ -113,26 +113,26 @@ def frames_with_flags(status: Array) -> Array:
     return jnp.stack([jnp.sum((status & int(flag)) != 0) for flag in FLAGS])
 
 
-class _Kept(NamedTuple):
+class _Recorded(NamedTuple):
     """The stored observables of a frame, or of all frames (leading axis n)."""
 
     patella: Pose
     center: Vec3
     force: Scalar | None  # contact force; None without a contact [N]
-    push: tuple[Scalar, ...]  # contact force: x, y, z; magnitudes on the medial and the lateral facet [N]
+    components: tuple[Scalar, ...]  # contact force: x, y, z; magnitudes on the medial and the lateral facet [N]
 
     @staticmethod
-    def of(scene: Scene, seen: Observation) -> _Kept:
+    def of(scene: Scene, observation: Observation) -> _Recorded:
         """Selects them from an observation."""
-        contact, nothing = scene.contact, jnp.zeros_like(seen.center.x)
-        report = {} if contact is None else seen.effects[contact.name]
-        push = (report.get(f"force_{part}", nothing) for part in ("x", "y", "z", "medial", "lateral"))
-        return _Kept(seen.patella, seen.center, report.get("force"), tuple(push))
+        contact, nothing = scene.contact, jnp.zeros_like(observation.center.x)
+        report = {} if contact is None else observation.effects[contact.name]
+        components = (report.get(f"force_{part}", nothing) for part in ("x", "y", "z", "medial", "lateral"))
+        return _Recorded(observation.patella, observation.center, report.get("force"), tuple(components))
 
     def course(self) -> Course:
         """Path and forces for an error estimate."""
-        force = jnp.stack(self.push[:3], axis=-1)
-        return Course(self.center.array(), self.patella.orientation.array(), force, *self.push[3:])
+        force = jnp.stack(self.components[:3], axis=-1)
+        return Course(self.center.array(), self.patella.orientation.array(), force, *self.components[3:])
 
     def summary(self) -> dict[str, Scalar]:
         """Summary of the whole motion; names as in `batch_dataset.SUMMARY`."""

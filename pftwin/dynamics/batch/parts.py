@@ -82,7 +82,7 @@ def prepare_folder(folder: Path, index: BatchIndex) -> None:
     remove_unfinished(folder, _UNFINISHED, older=_LEFT)
 
 
-def check_seen(folder: Path, index: BatchIndex, wait: float) -> None:
+def check_shared_folder(folder: Path, index: BatchIndex, wait: float) -> None:
     """Checks that this process sees the folder that another process has prepared.
 
     Raises:
@@ -182,7 +182,7 @@ def read_parts(folder: str | os.PathLike[str], *, incomplete: bool = False) -> D
     """
     place = Path(folder)
     index = read_index(place)
-    there, wrong = _looked_through(place, index)
+    there, wrong = _read_parts(place, index)
     if wrong and not (incomplete and there):
         first = next(iter(wrong.values()))
         named = shortened_list((part_file(place, u).name for u in wrong), _NAMED)
@@ -202,10 +202,10 @@ def missing_parts(folder: str | os.PathLike[str]) -> dict[int, str]:
         InputError: the folder contains no batch.
     """
     place = Path(folder)
-    return _looked_through(place, read_index(place))[1]
+    return _read_parts(place, read_index(place))[1]
 
 
-def _looked_through(folder: Path, index: BatchIndex) -> tuple[dict[int, Dataset], dict[int, str]]:
+def _read_parts(folder: Path, index: BatchIndex) -> tuple[dict[int, Dataset], dict[int, str]]:
     there: dict[int, Dataset] = {}
     wrong: dict[int, str] = {}
     for unit in range(len(index.units)):

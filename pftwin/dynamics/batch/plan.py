@@ -48,7 +48,7 @@ class BatchPlan(NamedTuple):
     values: Any  # rows of `Variants.values`, (n, k); None for a list of scenes
     settings: dict[str, Any]  # attributes of the dataset
     care: tuple[Status, ...]  # flags of variants to recompute
-    spread: Sharding
+    sharding: Sharding
     threads: int
 
     @property
@@ -59,9 +59,9 @@ class BatchPlan(NamedTuple):
     def found(self, k: int, rows: Any, progress: Callable[[int, int], None] | None = None) -> Found:
         """Computes variants of group k from their rows; returns a pytree of arrays (n, ...)."""
         task = self.tasks[k]
-        found = all_members(self.spread, task, rows, threads=self.threads, progress=progress)
+        found = all_members(self.sharding, task, rows, threads=self.threads, progress=progress)
         nothing = np.zeros(len(found["sensible"]), dtype=np.int8)
-        return {**found, "recomputed": with_care(self.spread, task, rows, found, self.care) if self.care else nothing}
+        return {**found, "recomputed": with_care(self.sharding, task, rows, found, self.care) if self.care else nothing}
 
 
 def some_of(group: Group, which: NDArray[np.int64]) -> Group:
@@ -80,7 +80,7 @@ def batch_features(plan: BatchPlan, unit: int) -> dict[str, str]:
         fingerprint([np.asarray(a) for a in (*jax.tree.leaves(g.rows), g.places, np.array(g.names))])
         for g in plan.groups
     ]
-    chosen = {**plan.settings, "care": plan.care, "piece": plan.spread.piece, "unit": unit}
+    chosen = {**plan.settings, "care": plan.care, "piece": plan.sharding.piece, "unit": unit}
     return {
         "scenes": fingerprint([[np.asarray(a) for a in jax.tree.leaves(t) if is_array(a)] for t in plan.tasks]),
         "program": fingerprint([_program(task, row) for task, row in zip(plan.tasks, rows, strict=True)]),
@@ -121,24 +121,24 @@ def _text(
 
 
 def all_members(
-    spread: Sharding, task: Task, rows: Any, relaxed: bool = False, threads: int = 1, progress: Any = None
+    sharding: Sharding, task: Task, rows: Any, relaxed: bool = False, threads: int = 1, progress: Any = None
 ) -> Found:
     """Computes equilibria and motions of all rows; returns a pytree of arrays (n, ...) on the host.
 
     With `relaxed`, damped relaxation precedes the search for equilibrium; `threads`, `progress`: see `Sharding.over`.
     """
-    shared = spread.shared(task)
+    shared = sharding.shared(task)
 
     def work(chunk: Chunk) -> Found:
-        own = spread.placed(rows, chunk)
-        start = spread.run(settled_after_relaxing if relaxed else member_equilibrium, shared, chunk, (own,))
-        return spread.taken(spread.run(member_motion, shared, chunk, (own, start)), chunk)
+        own = sharding.placed(rows, chunk)
+        start = sharding.run(settled_after_relaxing if relaxed else member_equilibrium, shared, chunk, (own,))
+        return sharding.taken(sharding.run(member_motion, shared, chunk, (own, start)), chunk)
 
-    return spread.over(work, len(jax.tree.leaves(rows)[0]), threads, progress)
+    return sharding.over(work, len(jax.tree.leaves(rows)[0]), threads, progress)
 
 
 def with_care(
-    spread: Sharding, task: Task, rows: Any, found: Found, bad_ones: tuple[Status, ...] = BAD
+    sharding: Sharding, task: Task, rows: Any, found: Found, bad_ones: tuple[Status, ...] = BAD
 ) -> NDArray[np.int8]:
     """Recomputes variants with bad flags, in place: from a relaxed start, with smaller steps, or another integrator.
 
@@ -149,7 +149,7 @@ def with_care(
     relaxed = np.zeros(done.size, dtype=bool)
     lost = _flagged(found, (Status.START_NOT_IN_EQUILIBRIUM,)) & found["sensible"]
     if lost.any():
-        better = all_members(spread, task, _selected_rows(rows, lost), relaxed=True)
+        better = all_members(sharding, task, _selected_rows(rows, lost), relaxed=True)
         relaxed = _taken_over(found, better, lost, ~_flagged(better, (Status.START_NOT_IN_EQUILIBRIUM,)))
         done[lost] = WAYS.index("in_vain")
         done[relaxed] = WAYS.index("relaxed_start")
@@ -161,7 +161,7 @@ def with_care(
         bad = _flagged(found, bad_ones) & found["sensible"] & (done != WAYS.index("in_vain"))
         for group, from_relaxed in ((bad & ~relaxed, False), (bad & relaxed, True)):
             if group.any():
-                better = all_members(spread, with_more, _selected_rows(rows, group), relaxed=from_relaxed)
+                better = all_members(sharding, with_more, _selected_rows(rows, group), relaxed=from_relaxed)
                 done[_taken_over(found, better, group, ~_flagged(better, bad_ones))] = way
     still = _flagged(found, bad_ones) & found["sensible"]
     done[still] = WAYS.index("in_vain")

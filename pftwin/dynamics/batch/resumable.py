@@ -22,7 +22,7 @@ from pftwin.dynamics.batch.devices import Processes
 from pftwin.dynamics.batch.parts import (
     SHOWN,
     BatchIndex,
-    check_seen,
+    check_shared_folder,
     concatenated_parts,
     part_file,
     prepare_folder,
@@ -74,7 +74,7 @@ class InParts:
         asked = [u for u in range(len(self.units)) if self.share is None or u % self.share[1] == self.share[0]]
         missing = self._missing(asked)
         if missing and self.processes.count > 1:
-            self._together(lambda: check_seen(self.folder, self.index, SHOWN))
+            self._together(lambda: check_shared_folder(self.folder, self.index, SHOWN))
         while missing:
             shares = {p: missing[i :: len(self.processes.alive)] for i, p in enumerate(self.processes.alive)}
             self._together(lambda own=shares[self.processes.index]: self._compute(own))
@@ -151,7 +151,7 @@ class InParts:
         for k in range(len(self.plan.groups)):
             waiting = [u for u in units if self.units[u][0] == k]
             while waiting:
-                at_once = max(1, self.plan.spread.most * self.plan.threads // self.index.units[waiting[0]])
+                at_once = max(1, self.plan.sharding.most * self.plan.threads // self.index.units[waiting[0]])
                 self._written(k, waiting[:at_once])
                 waiting = waiting[at_once:]
 

@@ -102,7 +102,7 @@ def simulate_batch(
     total = sum(len(g.places) for g in groups)
     piece = piece_for(total, found_devices[0].platform)
     pieces = _PIECES if found_devices[0].platform == "cpu" else 1
-    spread = Sharding(found_devices, piece, chunk or pieces * piece * len(found_devices))
+    sharding = Sharding(found_devices, piece, chunk or pieces * piece * len(found_devices))
     threads = feeding_threads(devices)
     substeps = [_substeps(group, chosen, dt, tolerance) for group in groups]
     tasks = [
@@ -114,7 +114,7 @@ def simulate_batch(
     settings = {"integrator": chosen.text, "dt_s": dt_s, **({} if tolerance is None else {"tolerance": str(tolerance)})}
     values = scenes.values if isinstance(scenes, Variants) else None
     bad = () if not care else BAD_BY_DEFAULT if dt is None and tolerance is None else BAD
-    plan = BatchPlan(groups, tasks, values, settings, bad, spread, threads)
+    plan = BatchPlan(groups, tasks, values, settings, bad, sharding, threads)
     if parts is None:
         return _simulate_whole(plan, progress)
     from pftwin.dynamics.batch.resumable import InParts

@@ -24,7 +24,7 @@ import jax
 import jax.numpy as jnp
 
 from pftwin.base.spatial import Scalar, Twist, Vec3, Wrench
-from pftwin.dynamics.integrator import Books, Carry, Integrator, with_carried
+from pftwin.dynamics.integrator import Books, Carry, Integrator, with_solver_state
 from pftwin.dynamics.integrators.implicit_solve import Span, change_of_velocity, load_at_end
 from pftwin.dynamics.state import Guide, GuideAt, State, System, displaced_state, gyroscopic
 from pftwin.dynamics.static_load import LEVER
@@ -51,11 +51,11 @@ class BDF2(Integrator):
         """See `Integrator`: there is no previous step."""
         zero = jnp.zeros_like(state.position.x)
         nothing = Twist(Vec3(zero, zero, zero), Vec3(zero, zero, zero))
-        return with_carried(state, LastStep(nothing, nothing, zero))
+        return with_solver_state(state, LastStep(nothing, nothing, zero))
 
     def advance(self, system: System, state: State, guide_at: GuideAt, step: Scalar, ledger: Books = None) -> Carry:
         """See `Integrator`."""
-        last = state.carried
+        last = state.solver_state
         span = (1 - last.share) * step
         now = Twist(state.velocity, state.spin)
         expected = now.plus(3 * last.share, last.change)
@@ -73,10 +73,10 @@ class BDF2(Integrator):
         displacement = last.displacement.times(last.share).plus(span, velocity)
         after = displaced_state(state, displacement, velocity)
         change = velocity.plus(-1.0, now)
-        carried = LastStep(
+        solver_state = LastStep(
             displacement, change, jnp.where(_impact(change, last.change, step), 0.0, jnp.full_like(span, 1 / 3))
         )
-        after = eqx.tree_at(lambda s: (s.memories, s.carried), after, (memories, carried))
+        after = eqx.tree_at(lambda s: (s.memories, s.solver_state), after, (memories, solver_state))
         if ledger is not None:
             ends = [load_at_end(load, dv, span) for load in loads]
             ledger = ledger.entered(state, after, ends, step, expected)

@@ -17,7 +17,7 @@ from jaxtyping import Array
 
 from pftwin.base.errors import InputError
 from pftwin.base.spatial import Quaternion, Scalar, Twist, Vec3
-from pftwin.dynamics.integrator import Books, Carry, Integrator, with_carried
+from pftwin.dynamics.integrator import Books, Carry, Integrator, with_solver_state
 from pftwin.dynamics.ledger import Powers
 from pftwin.dynamics.state import Guide, GuideAt, State, System, acceleration
 
@@ -103,7 +103,7 @@ class Diffrax(Integrator):
 
     def begin(self, system: System, state: State, guide: Guide, step: Scalar) -> State:
         """See `Integrator`: an initial guess of the solver's step."""
-        return with_carried(state, DiffraxStep(FIRST * step, jnp.zeros_like(step)))
+        return with_solver_state(state, DiffraxStep(FIRST * step, jnp.zeros_like(step)))
 
     def advance(self, system: System, state: State, guide_at: GuideAt, step: Scalar, ledger: Books = None) -> Carry:
         """See `Integrator`."""
@@ -138,7 +138,7 @@ class Diffrax(Integrator):
             chosen,
             t0=jnp.zeros_like(step),
             t1=jnp.where(known, step, 0.0),
-            dt0=jnp.minimum(state.carried.pace, step) if self.adaptive else step,
+            dt0=jnp.minimum(state.solver_state.pace, step) if self.adaptive else step,
             y0=jnp.concatenate(start),
             stepsize_controller=controller,
             adjoint=getattr(diffrax, ADJOINTS[self.adjoint])(),
@@ -151,8 +151,8 @@ class Diffrax(Integrator):
         after = _state(y, state)
         ends, memories = system.loads(guide_at(1.0).instant(after.patella(), step), state.memories)
         failed = ((found.result != diffrax.RESULTS.successful) | ~known).astype(y.dtype)
-        carried = DiffraxStep(step / jnp.maximum(found.stats["num_accepted_steps"], 1).astype(y.dtype), failed)
-        after = eqx.tree_at(lambda s: (s.memories, s.carried), after, (memories, carried))
+        solver_state = DiffraxStep(step / jnp.maximum(found.stats["num_accepted_steps"], 1).astype(y.dtype), failed)
+        after = eqx.tree_at(lambda s: (s.memories, s.solver_state), after, (memories, solver_state))
         if ledger is not None:
             approach = ledger.approach_until(state, ends, Twist(after.velocity, after.spin))
             sums = (y[13], y[14], y[15], approach)
@@ -164,4 +164,4 @@ def _state(y: Array, like: State) -> State:
     """The state from an array (13 or more,), with the memories of `like`."""
     turn = Quaternion.from_array(y[3:7]).normalised()
     velocity, spin = Vec3.from_array(y[7:10]), Vec3.from_array(y[10:13])
-    return State(Vec3.from_array(y[:3]), turn, velocity, spin, like.memories, like.carried)
+    return State(Vec3.from_array(y[:3]), turn, velocity, spin, like.memories, like.solver_state)

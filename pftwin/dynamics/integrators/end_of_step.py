@@ -61,15 +61,15 @@ def _by_mass(low: Lower | None, inverse: Row, b: Row) -> list[Scalar]:
     return solve(low, inverse, b)
 
 
-def _eliminate(mass: Row | Lower, pushes: Sequence[ConstraintRow]) -> _Eliminated:
+def _eliminate(mass: Row | Lower, constraints: Sequence[ConstraintRow]) -> _Eliminated:
     if isinstance(mass[0], list):
         low, inverse = factor(mass)  # type: ignore[arg-type]
     else:
         low, inverse = None, [1 / d for d in mass]  # type: ignore[operator]
-    swept = [_by_mass(low, inverse, p.direction) for p in pushes]
-    r, m = len(pushes), sum(not p.unilateral for p in pushes)
-    gram = {(i, j): _dot(pushes[i].direction, swept[j]) for i in range(r) for j in range(i, r)}
-    rows = [[p.weight * gram[min(i, j), max(i, j)] for j in range(r)] for i, p in enumerate(pushes)]
+    swept = [_by_mass(low, inverse, p.direction) for p in constraints]
+    r, m = len(constraints), sum(not p.unilateral for p in constraints)
+    gram = {(i, j): _dot(constraints[i].direction, swept[j]) for i in range(r) for j in range(i, r)}
+    rows = [[p.weight * gram[min(i, j), max(i, j)] for j in range(r)] for i, p in enumerate(constraints)]
     for i in range(r):
         rows[i][i] = rows[i][i] + 1
     pivots = []
@@ -96,12 +96,12 @@ def _free(e: _Eliminated, active: list[Scalar] | None, t: list[Scalar]) -> list[
 
 
 def _impulses(
-    e: _Eliminated, pushes: Sequence[ConstraintRow], rest: Row, given: Row, active: list[Scalar] | None
+    e: _Eliminated, constraints: Sequence[ConstraintRow], rest: Row, given: Row, active: list[Scalar] | None
 ) -> tuple[list[Scalar], list[Scalar], list[Scalar] | None]:
     """dv and p for right-hand sides R = `rest`, P = `given`, and which unilateral terms push (computed if None)."""
     m = e.n_bilateral
     dv = _by_mass(e.low, e.inverse, rest)
-    t = [x - p.weight * _dot(p.direction, dv) for p, x in zip(pushes, given, strict=True)]
+    t = [x - p.weight * _dot(p.direction, dv) for p, x in zip(constraints, given, strict=True)]
     for k in range(m):
         t = [x - e.rows[i][k] * t[k] if i > k else x for i, x in enumerate(t)]
     if active is None:
@@ -119,25 +119,27 @@ def _impulses(
 
 
 @eqx.filter_custom_jvp
-def end_of_step(mass: Row | Lower, pushes: Sequence[ConstraintRow], rest: Row) -> tuple[list[Scalar], list[Scalar]]:
+def end_of_step(
+    mass: Row | Lower, constraints: Sequence[ConstraintRow], rest: Row
+) -> tuple[list[Scalar], list[Scalar]]:
     """Returns the change of velocity (six components) and the impulse of every term.
 
     Args:
         mass: M, as its diagonal or its lower triangle.
-        pushes: the terms, bilateral ones first.
+        constraints: the terms, bilateral ones first.
         rest: R [N s, N m s].
     """
-    dv, p, _ = _impulses(_eliminate(mass, pushes), pushes, rest, [x.impulse for x in pushes], None)
+    dv, p, _ = _impulses(_eliminate(mass, constraints), constraints, rest, [x.impulse for x in constraints], None)
     return dv, p
 
 
 @end_of_step.def_jvp
 def _end_of_step_jvp(primals: Any, tangents: Any) -> tuple[Any, Any]:
     """M d(dv) = dR - dM dv + sum dg_i p_i + sum g_i dp_i, and likewise for p: the same system."""
-    mass, pushes, rest = primals
-    d_mass, d_pushes, d_rest = tangents
-    e = _eliminate(mass, pushes)
-    dv, p, active = _impulses(e, pushes, rest, [x.impulse for x in pushes], None)
+    mass, constraints, rest = primals
+    d_mass, d_constraints, d_rest = tangents
+    e = _eliminate(mass, constraints)
+    dv, p, active = _impulses(e, constraints, rest, [x.impulse for x in constraints], None)
     zero = jnp.zeros_like(dv[0])
     right = [zero if d is None else d for d in d_rest]
     for i, row in enumerate(d_mass):
@@ -150,15 +152,15 @@ def _end_of_step_jvp(primals: Any, tangents: Any) -> tuple[Any, Any]:
                 if i != j:
                     right[j] = right[j] - d * dv[i]
     given = []
-    for push, d, impulse in zip(pushes, d_pushes, p, strict=True):
+    for constraint, d, impulse in zip(constraints, d_constraints, p, strict=True):
         x = zero if d.impulse is None else d.impulse
         if d.weight is not None:
-            x = x - d.weight * _dot(push.direction, dv)
+            x = x - d.weight * _dot(constraint.direction, dv)
         turned = [(i, t) for i, t in enumerate(d.direction) if t is not None]
         for i, t in turned:
             right[i] = right[i] + t * impulse
         if turned:
-            x = x - push.weight * sum((t * dv[i] for i, t in turned), start=zero)
+            x = x - constraint.weight * sum((t * dv[i] for i, t in turned), start=zero)
         given.append(x)
-    d_dv, d_p, _ = _impulses(e, pushes, right, given, active)
+    d_dv, d_p, _ = _impulses(e, constraints, right, given, active)
     return (dv, p), (d_dv, d_p)

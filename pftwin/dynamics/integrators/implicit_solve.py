@@ -55,11 +55,11 @@ def change_of_velocity(system: System, inertial: Wrench, loads: list[Load], span
         bilateral = []
     else:
         mass = diagonal  # type: ignore[assignment]
-    pushes = [
+    constraints = [
         ConstraintRow(six(t.direction, t.moment), step * t.force, _weight(t, span), t.unilateral)
         for t in (*bilateral, *(t for t in terms if t.unilateral))
     ]
-    return end_of_step(mass, pushes, right)[0]
+    return end_of_step(mass, constraints, right)[0]
 
 
 def _weight(term: StiffTerm, span: Span) -> Scalar:
@@ -95,9 +95,9 @@ def _diagonal(system: System, loads: list[Load], span: Span) -> list[Scalar]:
     the mass negative.
     """
     terms = [term for load in loads for term in load.stiff]
-    pushes = [jnp.sum(jnp.where(t.force > 0, t.force, 0.0)) for t in terms]
-    pushes += [load.bed.size for load in loads if load.bed is not None]
-    total = sum(pushes, start=jnp.zeros_like(span.impulse))
+    forces = [jnp.sum(jnp.where(t.force > 0, t.force, 0.0)) for t in terms]
+    forces += [load.bed.size for load in loads if load.bed is not None]
+    total = sum(forces, start=jnp.zeros_like(span.impulse))
     across = system.mass + (span.impulse * span.displacement_gain / SPAN) * total
     about = (span.impulse * span.displacement_gain * LEVER) * total
     for load in loads:

@@ -25,7 +25,7 @@ import jax.numpy as jnp
 
 from pftwin.base.errors import InputError
 from pftwin.base.spatial import Scalar, Twist, Vec3, Wrench
-from pftwin.dynamics.integrator import Books, Carry, Integrator, with_carried
+from pftwin.dynamics.integrator import Books, Carry, Integrator, with_solver_state
 from pftwin.dynamics.integrators.implicit_solve import Span, change_of_velocity
 from pftwin.dynamics.solve import changed_by, six, solution_changes, tangent_of
 from pftwin.dynamics.state import Guide, GuideAt, State, System, acceleration, displaced_state, gyroscopic
@@ -65,13 +65,15 @@ class _Step(NamedTuple):
 
     def end(self, velocity: Twist, w: Weights) -> tuple[State, Twist, Twist]:
         """The end state for an end velocity, its algorithmic acceleration, and the one required from the forces."""
-        carried, h = self.state.carried, self.length
+        solver_state, h = self.state.solver_state, self.length
         start = Twist(self.state.velocity, self.state.spin)
-        a = velocity.plus(-1.0, start).plus(-h * (1 - w.gamma), carried.algorithmic).times(1 / (w.gamma * h))
-        displacement = start.times(h).plus(h * h * (0.5 - w.beta), carried.algorithmic).plus(h * h * w.beta, a)
+        a = velocity.plus(-1.0, start).plus(-h * (1 - w.gamma), solver_state.algorithmic).times(1 / (w.gamma * h))
+        displacement = start.times(h).plus(h * h * (0.5 - w.beta), solver_state.algorithmic).plus(h * h * w.beta, a)
         needed = a
         if w.alpha_m or w.alpha_f:
-            mixed = a.times(1 - w.alpha_m).plus(w.alpha_m, carried.algorithmic).plus(-w.alpha_f, carried.actual)
+            mixed = (
+                a.times(1 - w.alpha_m).plus(w.alpha_m, solver_state.algorithmic).plus(-w.alpha_f, solver_state.actual)
+            )
             needed = mixed.times(1 / (1 - w.alpha_f))
         return displaced_state(self.state, displacement, velocity), a, needed
 
@@ -136,7 +138,7 @@ class Newmark(Integrator):
         """See `Integrator`: the initial accelerations."""
         loads, _ = system.loads(guide.instant(state.patella(), 0.0), state.memories)
         now = acceleration(system, state.spin, loads)
-        return with_carried(state, NewmarkStep(now, now, jnp.zeros_like(now.linear.x)))
+        return with_solver_state(state, NewmarkStep(now, now, jnp.zeros_like(now.linear.x)))
 
     def advance(self, system: System, state: State, guide_at: GuideAt, step: Scalar, ledger: Books = None) -> Carry:
         """See `Integrator`."""
@@ -147,7 +149,7 @@ class Newmark(Integrator):
         loads, memories = system.loads(given.guide.instant(after.patella(), step), after.memories)
         actual = acceleration(system, after.spin, loads)
         after = eqx.tree_at(
-            lambda s: (s.memories, s.carried), after, (memories, NewmarkStep(algorithmic, actual, residual))
+            lambda s: (s.memories, s.solver_state), after, (memories, NewmarkStep(algorithmic, actual, residual))
         )
         if ledger is not None:
             ledger = ledger.entered(state, after, loads, step)
@@ -159,8 +161,8 @@ def _solved(given: _Step, w: Weights) -> tuple[Twist, Scalar]:
     """Velocity at the end of the step, and its last change if the iteration has not converged, else 0."""
     impulse, settled = w.gamma * (1 - w.alpha_f) / (1 - w.alpha_m), SETTLED[str(given.length.dtype)]
     span = Span(impulse * given.length, (w.beta / w.gamma) * given.length)
-    carried = given.state.carried
-    guess = Twist(given.state.velocity, given.state.spin).plus(given.length, carried.algorithmic)
+    solver_state = given.state.solver_state
+    guess = Twist(given.state.velocity, given.state.spin).plus(given.length, solver_state.algorithmic)
 
     def improve(now: tuple[Twist, Scalar, Scalar]) -> tuple[Twist, Scalar, Scalar]:
         velocity, _, count = now

@@ -16,7 +16,7 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 
 from pftwin.base.spatial import Scalar, Vec3
-from pftwin.dynamics.integrator import Books, Carry, Integrator, with_carried
+from pftwin.dynamics.integrator import Books, Carry, Integrator, with_solver_state
 from pftwin.dynamics.state import Guide, GuideAt, State, System, advance, gyroscopic
 from pftwin.model.effects.base import Load
 
@@ -38,7 +38,7 @@ class SymplecticEuler(Integrator):
 
     def begin(self, system: System, state: State, guide: Guide, step: Scalar) -> State:
         """See `Integrator`: zero residual."""
-        return with_carried(state, EulerStep(jnp.zeros_like(state.position.x)))
+        return with_solver_state(state, EulerStep(jnp.zeros_like(state.position.x)))
 
     def advance(self, system: System, state: State, guide_at: GuideAt, step: Scalar, ledger: Books = None) -> Carry:
         """See `Integrator`."""
@@ -54,7 +54,7 @@ class SymplecticEuler(Integrator):
         spin = spin + step * Vec3(moment.x / i.x, moment.y / i.y, moment.z / i.z)
         after = advance(state, velocity, spin, step, memories)
         beyond = jnp.maximum(_stiffest(system, loads, step) / LIMIT - 1, 0.0)
-        after = with_carried(after, EulerStep(beyond))
+        after = with_solver_state(after, EulerStep(beyond))
         if ledger is not None:
             ends, _ = system.loads(guide_at(1.0).instant(after.patella(), 0.0), memories)
             ledger = ledger.entered(state, after, ends, step)

@@ -24,19 +24,19 @@ class Branch(NamedTuple):
 
     def span(self) -> Scalar:
         """Derivative of the displacement with respect to the velocity [s]."""
-        return (1 - self.origin.carried.share) * self.step
+        return (1 - self.origin.solver_state.share) * self.step
 
     def after(self, d: Six, past: Scalar | float = 1.0) -> State:
         """The state displaced by d [m, angles * lever], with the corresponding velocity.
 
         With `past` = 0, the displacement of the last step does not enter the velocity.
         """
-        displacement, share = displacement_of(d), past * self.origin.carried.share
+        displacement, share = displacement_of(d), past * self.origin.solver_state.share
         span = (1 - share) * self.step
         return displaced_state(
             self.origin,
             displacement,
-            displacement.plus(-share, self.origin.carried.displacement).times(self.rates / span),
+            displacement.plus(-share, self.origin.solver_state.displacement).times(self.rates / span),
         )
 
     def instant(self, d: Six) -> Instant:

@@ -76,7 +76,7 @@ def _cheap_iteration(branch: Branch, guess: Six, remainder: Array, allowed: Scal
 
     start = guess, jnp.full_like(branch.step, jnp.inf), jnp.zeros((), int), allowed
     d, size, _, _ = jax.lax.while_loop(lambda now: now[3], improve, start)
-    return d, (size < NEAR) & (_apart(d, guess) < FARTHEST)
+    return d, (size < NEAR) & (_distance(d, guess) < FARTHEST)
 
 
 def _improved(branch: Branch, guess: Six, at: Iterate) -> Iterate:
@@ -93,13 +93,13 @@ def _improved(branch: Branch, guess: Six, at: Iterate) -> Iterate:
     stays = lost | (balanced & (length >= POLISH))
     scale = jnp.where(stays, 0.0, jnp.minimum(1.0, REACH / jnp.maximum(length, 1e-12)))
     d = [jnp.where(stays, a, a + scale * b) for a, b in zip(at.d, step, strict=True)]
-    strayed = _apart(d, guess) > FARTHEST
+    strayed = _distance(d, guess) > FARTHEST
     done = balanced | lost | (strayed & (branch.rates > 0))
     remainder = tangent - _structured(branch, there)
     return Iterate(d, size, balanced, stable, remainder, at.count + 1, done, there.memories)
 
 
-def _apart(a: Six, b: Six) -> Scalar:
+def _distance(a: Six, b: Six) -> Scalar:
     return norm([x - y for x, y in zip(a, b, strict=True)])
 
 

@@ -22,7 +22,7 @@ from jaxtyping import Array
 
 from pftwin.base.spatial import Scalar, Twist
 from pftwin.dynamics.equilibrium import RIDGE
-from pftwin.dynamics.integrator import Books, Carry, Integrator, with_carried
+from pftwin.dynamics.integrator import Books, Carry, Integrator, with_solver_state
 from pftwin.dynamics.ledger import Ledger
 from pftwin.dynamics.quasi_static.branch import Branch, components_of, displacement_of
 from pftwin.dynamics.quasi_static.newton import newton
@@ -64,7 +64,7 @@ class NextEquilibrium(NamedTuple):
 @eqx.filter_custom_jvp
 def solved(branch: Branch) -> NextEquilibrium:
     """The next equilibrium: the continuation of the present one or, after a snap, the one where the burst ends."""
-    last = branch.origin.carried.displacement
+    last = branch.origin.solver_state.displacement
     ahead = components_of(last)
     none = [jnp.zeros_like(a) for a in ahead]
     led = displaced_state(branch.origin, last, last)
@@ -76,13 +76,15 @@ def solved(branch: Branch) -> NextEquilibrium:
         place = come_to_rest(branch.system, place, branch.guide.slowed(0.0), tries > 0)
         there = branch._replace(origin=place, rates=branch.rates - snapped)
         guess = [jnp.where(tries > 0, b, a) for a, b in zip(ahead, none, strict=True)]
-        at = newton(there, guess, branch.origin.carried.remainder, tries == 0)
+        at = newton(there, guess, branch.origin.solver_state.remainder, tries == 0)
         residual = jnp.where(at.settled, 0.0, at.size)
         again = ~(at.settled & at.stable) & (tries == 0)
         return NextEquilibrium(at.d, place, snapped, residual, at.remainder, at.trial), tries + 1, again
 
     zero = jnp.zeros_like(branch.step)
-    start = NextEquilibrium(ahead, branch.origin, zero, zero, branch.origin.carried.remainder, branch.origin.memories)
+    start = NextEquilibrium(
+        ahead, branch.origin, zero, zero, branch.origin.solver_state.remainder, branch.origin.memories
+    )
     return jax.lax.while_loop(lambda now: now[2], attempt, (start, jnp.zeros((), int), jnp.array(True)))[0]
 
 
@@ -99,7 +101,7 @@ def _solved_jvp(primals: Any, tangents: Any) -> tuple[Any, Any]:
     return found, none._replace(d=solution_changes(tangent + ridge, right))
 
 
-def carried_along(branch: Branch, state: State) -> Twist:
+def moved_with_femur(branch: Branch, state: State) -> Twist:
     """Displacement over a step of a patella at rest relative to the moving femur."""
     femur = branch.guide.femur
     if femur is None:
@@ -131,7 +133,7 @@ class QuasiStatic(Integrator):
         """See `Integrator`: the first step's guess follows from the state's velocity."""
         zero = jnp.zeros_like(state.position.x)
         displacement = Twist(state.velocity, state.spin).times(step)
-        return with_carried(state, QuasiStaticStep(displacement, zero, jnp.zeros((6, 6), zero.dtype), zero, zero))
+        return with_solver_state(state, QuasiStaticStep(displacement, zero, jnp.zeros((6, 6), zero.dtype), zero, zero))
 
     def advance(self, system: System, state: State, guide_at: GuideAt, step: Scalar, ledger: Books = None) -> Carry:
         """See `Integrator`."""
@@ -142,13 +144,15 @@ class QuasiStatic(Integrator):
         loads, memories = system.loads(landed.instant(found.d), landed.origin.memories)
         snapped = found.snapped > 0
         displacement = jax.tree.map(
-            lambda a, b: jnp.where(snapped, a, b), carried_along(branch, after), displacement_of(found.d)
+            lambda a, b: jnp.where(snapped, a, b), moved_with_femur(branch, after), displacement_of(found.d)
         )
         share = jnp.where(snapped, 0.0, jnp.full_like(step, 1 / 3))
         remainder = jax.lax.stop_gradient(found.remainder)
-        carried = QuasiStaticStep(displacement, share, remainder, state.carried.snaps + found.snapped, found.residual)
-        after = eqx.tree_at(lambda s: (s.memories, s.carried), after, (memories, carried))
+        solver_state = QuasiStaticStep(
+            displacement, share, remainder, state.solver_state.snaps + found.snapped, found.residual
+        )
+        after = eqx.tree_at(lambda s: (s.memories, s.solver_state), after, (memories, solver_state))
         if ledger is None:
             return after, None
-        followed = ledger.entered(state, after, loads, step)
-        return after, jax.tree.map(lambda a, b: jnp.where(snapped, a, b), over_a_snap(ledger, branch, loads), followed)
+        regular = ledger.entered(state, after, loads, step)
+        return after, jax.tree.map(lambda a, b: jnp.where(snapped, a, b), over_a_snap(ledger, branch, loads), regular)

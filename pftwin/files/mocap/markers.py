@@ -96,8 +96,8 @@ def from_file(
     Raises:
         InputError: as `MarkerTrajectories`. All markers together span more than 50 m, or two or more of them less than
             10 mm. Unless `unit_given`: most markers are less than 12 mm from the nearest other one, or six or more span
-            less than 100 mm in most frames. A marker moves faster than 100 m/s between two frames in which it is present,
-            for instance because of a number that encodes "missing".
+            less than 100 mm in most frames. A marker moves faster than 100 m/s between two frames in which it is
+            present, for instance because of a number that encodes "missing".
     """
     positions = np.where((positions == 0).all(axis=-1, keepdims=True), np.nan, positions)
     _check_extent(positions, where=path, unit_given=unit_given)

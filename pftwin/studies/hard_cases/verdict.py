@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from pftwin.base.leaves import host_array
 from pftwin.dynamics.equilibrium import converged_on_host
-from pftwin.dynamics.error_estimate import Course, ErrorEstimate, apart
+from pftwin.dynamics.error_estimate import Course, ErrorEstimate, course_difference
 from pftwin.dynamics.integrator import Integrator
 from pftwin.dynamics.integrators import BDF2
 from pftwin.dynamics.rebound import impact_of
@@ -52,7 +52,7 @@ class Truth(NamedTuple):
 
     def off(self, ran: CaseRun, known_to: float) -> ErrorEstimate:
         """Returns the difference of a run from this one at every frame, plus `known_to` times the uncertainty."""
-        found = apart(Course.of(ran.seen, "contact"), self.course)
+        found = course_difference(Course.of(ran.seen, "contact"), self.course)
         off = (getattr(found, n) + known_to * getattr(self.left, n) for n in QUANTITIES)
         path, force, *facets = (np.maximum(a, 0.0) for a in off)
         middle = np.abs(self.course.center[:, 1]) < MIDDLE
@@ -71,7 +71,7 @@ def truths(batch: CaseBatch, starts: Any, contact: str) -> dict[str, Truth]:
         if not (case.released or at_rest[k]):
             continue
         coarse, course = (runs.tried(k, steps).course for steps in (fine, 2 * fine))
-        left = apart(course, coarse)
+        left = course_difference(course, coarse)
         values = (np.maximum.accumulate(getattr(left, name)) for name in QUANTITIES)
         found[case.name] = Truth(course, left.with_errors(*values))
     return found

@@ -138,7 +138,7 @@ def test_heat_is_all_that_is_lost(integrator):
     for n in (2000, 4000, 8000):
         start = resting(sys, velocity=(0.2, 0.1, 0))
         states, ledger = record(sys, start, J(0.1 / n), n, integrator)
-        states = replace(states, carried=None)  # the integrator's own
+        states = replace(states, solver_state=None)  # the integrator's own
         total = energies(sys, jax.tree.map(lambda a, b: jnp.concatenate([a[None], b]), start, states))
         assert np.all(np.diff(ledger.heat) >= -1e-15)
         gaps.append(float(total[-1] - total[0] - ledger.work[-1] + ledger.heat[-1]))
@@ -211,7 +211,7 @@ def test_a_carpet_takes_a_block_along():
     belt = 0.05
 
     @jax.jit
-    def carried(state, n):
+    def solver_state(state, n):
         def one(i, s):
             at = Vec3(belt * 1e-3 * (i + 1).astype(float), J(0.0), J(0.0))
             femur = Frame(at, Frame.world().rotation, vec(belt, 0, 0), zero)
@@ -219,7 +219,7 @@ def test_a_carpet_takes_a_block_along():
 
         return jax.lax.fori_loop(0, n, one, state)
 
-    early, late = carried(start, J(8)), carried(start, J(200))
+    early, late = solver_state(start, J(8)), solver_state(start, J(200))
     assert float(early.velocity.x) == pytest.approx(7e-3 * MU * G, rel=0.1)  # none in the first step
     assert float(late.velocity.x) == pytest.approx(belt, rel=1e-6)
 

@@ -176,7 +176,7 @@ def test_a_swinging_weight_closes_its_energy_budget(integrator):
     gaps = []
     for n in (800, 1600, 3200):
         states, ledger = record(sys, start, J(0.2 / n), 3200, integrator)  # one program: the first n steps count
-        states = replace(states, carried=None)  # the integrator's own
+        states = replace(states, solver_state=None)  # the integrator's own
         total = energies(sys, jax.tree.map(lambda a, b: J(np.concatenate([a[None], b])), start, states))
         ledger, kinetic = jax.tree.map(np.asarray, (ledger, kinetic_of(sys, states)))
         taken = (ledger.done - kinetic)[n - 1]

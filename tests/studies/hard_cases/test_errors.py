@@ -11,7 +11,7 @@ import pytest
 
 import pftwin
 from pftwin.base.spatial import Quaternion, Vec3
-from pftwin.dynamics.error_estimate import Course, apart
+from pftwin.dynamics.error_estimate import Course, course_difference
 from pftwin.dynamics.status import Status
 from pftwin.studies.hard_cases import case_named, method_named
 from pftwin.studies.hard_cases.batch import built_scene
@@ -46,7 +46,7 @@ def ran(of: Course, *flags: Status) -> Any:
 
 def truth(left: float = 0.0) -> Truth:
     """The course without a shift, known to so much [m]."""
-    return Truth(course(), apart(course(), course(shift=left)))
+    return Truth(course(), course_difference(course(), course(shift=left)))
 
 
 def test_a_right_run_has_nothing_to_say():
@@ -74,13 +74,13 @@ def test_forces_of_facets_may_be_off_where_frames_say_so():
 
 def test_no_flag_that_only_errors_raise_is_forbidden():
     """A run that is off in place and, by more than its largest force, in force raises them all."""
-    made = apart(course(), course(shift=3e-3, force=-25.0)).flags
+    made = course_difference(course(), course(shift=3e-3, force=-25.0)).flags
     assert int(np.bitwise_or.reduce(made)) == int(ERRORS)
 
 
 def test_in_the_plane_of_symmetry_the_facet_is_not_judged():
     middle, other = (c._replace(center=c.center * [1, 0, 1]) for c in (course(medial=20.0), course(medial=0.0)))
-    assert silent_error(ran(other), Truth(middle, apart(middle, middle))) is None
+    assert silent_error(ran(other), Truth(middle, course_difference(middle, middle))) is None
 
 
 def test_what_is_not_known_of_the_truth_is_not_held_against_a_run():

@@ -86,8 +86,8 @@ class Scene(eqx.Module):
 
     def without(self, name: str) -> Scene:
         """The scene without the effect named `name`."""
-        gone = self.effect(name)
-        return dataclasses.replace(self, effects=tuple(e for e in self.effects if e is not gone))
+        removed = self.effect(name)
+        return dataclasses.replace(self, effects=tuple(e for e in self.effects if e is not removed))
 
     def unnamed(self) -> Scene:
         """The scene without metadata (name, side, measurements, limits, bones): equal models share one program."""

@@ -189,7 +189,7 @@ def _ride(button, path, velocities, step):
     def move(memory, now):
         instant = at(*now)
         one, two, _ = button.touches(instant, memory)
-        force = one.push.term.wrench() + two.push.term.wrench()
+        force = one.normal_force.term.wrench() + two.normal_force.term.wrench()
         load, memory = button.load(eqx.tree_at(lambda n: n.step, instant, step), memory)
         both = [jnp.stack(x) for x in ((one.indentation, two.indentation), (one.share, two.share))]
         return memory, (force.force.array(), *both, load.energy)

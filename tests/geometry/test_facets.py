@@ -186,7 +186,7 @@ def test_two_contacts_beyond_one_ridge_belong_to_one_facet():
     two = observed_touches(button, look(at))
     assert float(two[1].at.v - two[0].at.v) > 0.2 * RADIUS  # two contacts, or this shows nothing
     seen = observed(button, look(at))
-    each = [float(t.push.term.force) for t in two]
+    each = [float(t.normal_force.term.force) for t in two]
     assert min(each) > 0
     assert float(seen["force_lateral"]) == pytest.approx(sum(each), rel=1e-6)
     assert float(seen["indentation_lateral"]) == pytest.approx(max(float(t.indentation) for t in two), rel=1e-6)

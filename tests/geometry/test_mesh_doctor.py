@@ -253,15 +253,15 @@ def test_without_a_groove_it_gives_the_principal_directions(tmp_path):
     assert (tmp_path / "axes.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_axes_are_not_looked_for_where_they_would_mean_nothing(tmp_path):
+def test_no_axes_are_computed_for_an_unusable_mesh(tmp_path):
     p, f = box(1.0, 3.0, 2.0)
     save_mesh(SurfaceMesh(1e7 * p, f), tmp_path / "huge.stl")
-    assert "axes are not looked for: no unit suits its size" in command(tmp_path / "huge.stl").stdout
+    assert "no axes computed: no unit suits its size" in command(tmp_path / "huge.stl").stdout
     save_mesh(SurfaceMesh(20 * p, np.concatenate([f, f[:1, ::-1]])), tmp_path / "bad.ply")
     picture = tmp_path / "axes.png"
     refused = command(tmp_path / "bad.ply", "-o", picture)
     assert refused.exit_code == 3
-    assert "axes are not looked for: the mesh is not to be used" in refused.stdout
+    assert "no axes computed: the mesh is not to be used" in refused.stdout
     assert not picture.exists()
 
 

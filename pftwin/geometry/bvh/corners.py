@@ -115,8 +115,8 @@ def may_leave(a: Array, b: Array, X: Pose, deepest: Array) -> Array:
     over = 1 / jnp.where(steep, slope, 1.0)
     middle, half = -away.dot(axis) * over, (a[7] + ROUGH) * over + ROUGH
     beside = (away - middle * normal).squared_norm()
-    reach = a[6] + half + ROUGH
-    passes = (middle + half > jnp.maximum(deepest, 0)) & (beside <= reach * reach)
+    allowed = a[6] + half + ROUGH
+    passes = (middle + half > jnp.maximum(deepest, 0)) & (beside <= allowed * allowed)
     # No ray exits against a thin disc's normal; the triangles in a thick disc may face anywhere.
     back = (slope < -0.1) & (a[7] < 0.1 * a[6])
     return jnp.where(steep, passes, ~back)

@@ -248,13 +248,13 @@ def most_depth(a: Array, b: Array, rotation: Rotation, position: Vec3, limit: Ar
     away = rotation.apply(Vec3(*b[:3])) + position - disc
     along, wide = away.dot(normal), radius + half
     # A ray starts within b's disc; the angle between normals bounds how far it moves sideways.
-    reach = wide + b[6] + jnp.where(highest < limit, highest, limit) * sine
+    allowed = wide + b[6] + jnp.where(highest < limit, highest, limit) * sine
     aside = away.squared_norm() - along * along
     facing = normal.dot(axis)
     above = away.dot(axis) - b[7] * jnp.abs(facing) - a[8]
     below = (above <= 0) | (above * above <= b[6] * b[6] * (jnp.abs(1 - facing * facing) + CANCELLED))
     ahead = along - wide - b[7] <= limit  # not on the far side of the mesh
-    return jnp.where(ahead & below & (aside <= reach * reach) & (highest >= 0), highest, -1.0)
+    return jnp.where(ahead & below & (aside <= allowed * allowed) & (highest >= 0), highest, -1.0)
 
 
 def _single(*parts: Array) -> Array:

@@ -205,13 +205,13 @@ def discs_overlap(a: Array, b: Array, rotation: Rotation, position: Vec3) -> Arr
     over_a, over_b, square = jnp.abs(away.dot(m)), jnp.abs(away.dot(n)), away.squared_norm()
     # Squares are compared to avoid roots: x > r sqrt(s) if x > 0 and x^2 > r^2 s.
     beyond_a, beyond_b = over_a - ta - tb * along, over_b - tb - ta * along
-    apart = _exceeds_root(beyond_a, rb * rb * tilted) | _exceeds_root(beyond_b, ra * ra * tilted)
+    disjoint = _exceeds_root(beyond_a, rb * rb * tilted) | _exceeds_root(beyond_b, ra * ra * tilted)
     # Along the line between the middles, times its length, each disc extends r sqrt(s). (ra sqrt(s_a) + rb sqrt(s_b))^2
     # is at most (ra + rb) (ra s_a + rb s_b), and nearly equal to it if both discs have similar directions.
     lost = CANCELLED * square
     aside_a, aside_b = (jnp.abs(square - over * over) + lost for over in (over_a, over_b))
     between = square - ta * over_a - tb * over_b
-    return ~(apart | _exceeds_root(between, (ra + rb) * (ra * aside_a + rb * aside_b)))
+    return ~(disjoint | _exceeds_root(between, (ra + rb) * (ra * aside_a + rb * aside_b)))
 
 
 def _exceeds_root(length: Array, square: Array) -> Array:

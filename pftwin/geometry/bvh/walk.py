@@ -94,19 +94,19 @@ def fans_of(corners: NDArray[np.float64], lanes: int, balls: bool) -> Fans:
     triangles, index, discs = tree_arrays(corners, used, depth)
     margin = ROUNDING * float(np.abs(corners).max())
     middles = triangles.reshape(-1, 3, 3).mean(axis=1)
-    tables = [_balls(middles.reshape(2**k, -1, 3), margin) if balls else discs[k] for k in kept_levels(depth)]
+    tables = [_balls(middles.reshape(2**k, -1, 3), margin) if balls else discs[k] for k in stored_levels(depth)]
     bounds = blocks_of(tables)
     below = 1 + len(tables[0]) + FAN * np.arange(len(bounds) - 1)  # first children; the root is node 0, its own is 1
     return Fans(bounds, np.concatenate([[1], below]).astype(np.int32), index.reshape(-1, used))
 
 
-def kept_levels(depth: int) -> range:
+def stored_levels(depth: int) -> range:
     """Every fourth level of a binary tree of a depth, including the leaves."""
     return range(depth % STRIDE or min(STRIDE, depth), depth + 1, STRIDE)
 
 
 def blocks_of(levels: list[NDArray[np.float32]]) -> NDArray[np.float32]:
-    """Bounds (nodes, 8 or 4, 16) of nodes' children, level by level, from those of the kept levels (2^l, 8 or 4)."""
+    """Bounds (nodes, 8 or 4, 16) of nodes' children, level by level, from those of the stored levels (2^l, 8 or 4)."""
     top = np.tile(nowhere(levels[0].shape[1]), (FAN, 1))
     top[: len(levels[0])] = levels[0]
     blocks = np.concatenate([level.reshape(-1, FAN, level.shape[1]) for level in (top, *levels[1:])])

@@ -20,7 +20,7 @@ from pftwin.base.spatial import Scalar, Vec3
 from pftwin.geometry.bvh.loops import member_by_member, written_where
 from pftwin.geometry.bvh.tree import CANCELLED, MeshTree
 from pftwin.geometry.bvh.triangle import Triangle, closest_on_triangle
-from pftwin.geometry.bvh.walk import FAN, SLACK, blocks_of, kept_levels, nowhere
+from pftwin.geometry.bvh.walk import FAN, SLACK, blocks_of, nowhere, stored_levels
 
 
 class WideTree(eqx.Module):
@@ -64,7 +64,7 @@ def wide_tree(tree: MeshTree) -> WideTree:
     """
     if tree.leaf != 1:
         raise TypeError(f"{tree.leaf} triangles a leaf: expected 1")
-    levels = [np.array(tree.levels[k]) for k in kept_levels(tree.depth)]
+    levels = [np.array(tree.levels[k]) for k in stored_levels(tree.depth)]
     levels[-1][np.asarray(tree.index) < 0] = nowhere(8)  # copies
     return WideTree(jax.device_put(blocks_of(levels)), len(levels[0]), len(levels))
 
@@ -184,14 +184,14 @@ def _search_ball(room: BallListLengths, tree: WideTree, ball: Array) -> InBall:
     # One array for both lists, nodes inside after those still to visit: XLA copies a second array in every iteration.
     shelf = 2 * room.cut + 2 * FAN  # half of it for inner nodes
     size = shelf + room.inside + FAN
-    reach = ball[3] * ball[3]
+    square_radius = ball[3] * ball[3]
 
     def look(state: tuple[Array, ...]) -> tuple[Array, ...]:
         head, lists, end, inside_end = state
         block, first = tree.below(jax.lax.dynamic_index_in_dim(lists, head, keepdims=False))
         least, most = squared_distance_bounds(block, ball[:3])
-        inside = most <= jnp.float32(1 - 2 * SLACK) * reach
-        touched = least <= jnp.float32(1 + 2 * SLACK) * reach
+        inside = most <= jnp.float32(1 - 2 * SLACK) * square_radius
+        touched = least <= jnp.float32(1 + 2 * SLACK) * square_radius
         lists, end = written_where(lists, end, shelf - FAN, touched & ~inside, lambda lane: first + lane)
         lists, inside_end = written_where(lists, inside_end, size - FAN, inside, lambda lane: first + lane)
         return head + 1, lists, end, inside_end
@@ -207,8 +207,8 @@ def _search_ball(room: BallListLengths, tree: WideTree, ball: Array) -> InBall:
     cut = jax.lax.dynamic_slice_in_dim(lists, head, room.cut) - tree.n_inner
     # If inner nodes filled the list, triangles are missing from it.
     n_cut = jnp.where(end > shelf - FAN, room.cut + 1, end - head)
-    kept = jnp.arange(room.cut, dtype=jnp.int32) < n_cut
+    valid = jnp.arange(room.cut, dtype=jnp.int32) < n_cut
     n_inside = inside_end - shelf
     listed = jnp.arange(room.inside, dtype=jnp.int32) < n_inside
     inside = jnp.where(listed, lists[shelf : shelf + room.inside], 0)
-    return InBall(jnp.where(kept, cut, 0), n_cut, inside, n_inside)
+    return InBall(jnp.where(valid, cut, 0), n_cut, inside, n_inside)

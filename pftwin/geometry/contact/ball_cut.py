@@ -51,7 +51,7 @@ class _Cut(NamedTuple):
     normal: Vec3
     height: Scalar
     circle: Scalar  # rho^2
-    apart: Array  # bool: no overlap
+    disjoint: Array  # bool: no overlap
     edges: list[tuple[Vec3, Vec3, Vec3, Scalar, _Edge]]  # start, vector, inward normal, arm (see `_edge`), contribution
 
 
@@ -79,7 +79,7 @@ def ball_cut(t: Triangle, radius: Scalar) -> BallCut:
 
     Zero for triangles without area or out of reach.
     """
-    n, height, circle, apart, edges = _cut(t, radius)
+    n, height, circle, disjoint, edges = _cut(t, radius)
     zero = jnp.zeros_like(height)
     turned, swept, bulge, moment = zero, zero, zero, Vec3(zero, zero, zero)
     for _, _, inward, arm, e in edges:
@@ -88,7 +88,7 @@ def ball_cut(t: Triangle, radius: Scalar) -> BallCut:
     area = 0.5 * (circle * turned - swept)
     moment = 0.5 * moment + (height * area) * n
     values = area, 0.5 * circle * area - 0.25 * bulge, moment.x, moment.y, moment.z, height * area
-    area, doubled, x, y, z, flux = (jnp.where(apart, 0.0, a) for a in values)
+    area, doubled, x, y, z, flux = (jnp.where(disjoint, 0.0, a) for a in values)
     return BallCut(area, doubled, Vec3(x, y, z), flux)
 
 
@@ -98,7 +98,7 @@ def ball_arcs(t: Triangle, radius: Scalar) -> BallArcs:
     Along the circle r has the derivative n x r. So the integral of r is n x (sum of the edges' parts inside), and that
     of 2 r r^T - rho^2 (1 - n n^T) is the difference of the symmetric part of r (n x r)^T between the arcs' ends.
     """
-    n, height, circle, apart, edges = _cut(t, radius)
+    n, height, circle, disjoint, edges = _cut(t, radius)
     zero = jnp.zeros_like(height)
     turned, across = zero, Vec3(zero, zero, zero)
     rows = [Vec3(zero, zero, zero)] * 3
@@ -125,9 +125,9 @@ def ball_arcs(t: Triangle, radius: Scalar) -> BallArcs:
         Vec3(*(x + half if i == j else x for j, x in enumerate((row.x, row.y, row.z)))) for i, row in enumerate(product)
     ]
     moment = (height * turned) * n + across
-    kept = [jnp.where(apart, 0.0, x) for v in (moment, *product) for x in (v.x, v.y, v.z)]
-    vectors = [Vec3(*kept[k : k + 3]) for k in range(0, 12, 3)]
-    return BallArcs(jnp.where(apart, 0.0, turned), vectors[0], (vectors[1], vectors[2], vectors[3]))
+    components = [jnp.where(disjoint, 0.0, x) for v in (moment, *product) for x in (v.x, v.y, v.z)]
+    vectors = [Vec3(*components[k : k + 3]) for k in range(0, 12, 3)]
+    return BallArcs(jnp.where(disjoint, 0.0, turned), vectors[0], (vectors[1], vectors[2], vectors[3]))
 
 
 class _Edge(NamedTuple):
@@ -151,9 +151,9 @@ def _edge(q: Vec3, way: Vec3, arm: Scalar, circle: Scalar, radius: Scalar) -> _E
     length, half, excess = way.squared_norm(), q.dot(way), q.squared_norm() - radius * radius
     over = 1 / jnp.where(length > 0, length, 1.0)
     root = half * half - length * excess
-    spread = safe_sqrt(jnp.where(root > 0, root, 0.0))
+    half_chord = safe_sqrt(jnp.where(root > 0, root, 0.0))
     # Where the edge enters and leaves the circle, as shares of its length; equal if it does not meet the circle.
-    enter, leave = (jnp.clip((sign * spread - half) * over, 0.0, 1.0) for sign in (-1.0, 1.0))
+    enter, leave = (jnp.clip((sign * half_chord - half) * over, 0.0, 1.0) for sign in (-1.0, 1.0))
     inside, both = leave - enter, enter + leave
     stretch = -inside * (excess + half * both + length * (both * both - enter * leave) * (1 / 3))
     # Sum of the angles before and after the part inside, as the argument of the product of two complex numbers.

@@ -119,8 +119,8 @@ def _closed(sums: SegmentSums) -> SegmentSums:
     some = stop_gradient(sums.rim_ends > 0)
     middle = jnp.where(some, 1 / jnp.where(some, sums.rim_ends, 1.0), 0.0) * sums.rim_points
     square = sums.rim_gap.squared_norm()
-    apart = some & stop_gradient(square > 0)
-    way = jnp.where(apart, jnp.sqrt(jnp.where(apart, square, 1.0)), 0.0)
+    open_ends = some & stop_gradient(square > 0)
+    way = jnp.where(open_ends, jnp.sqrt(jnp.where(open_ends, square, 1.0)), 0.0)
     area = sums.area - 0.5 * middle.cross(sums.rim_gap)
     return sums._replace(area=area, moment=sums.moment + way * middle, length=sums.length + way)
 

@@ -143,10 +143,10 @@ def nearest_to_all(femur: PressedSurface, points: Vec3, guess: Array) -> Array:
     same = jax.tree.map(lambda a: jnp.broadcast_to(a, lanes), _corners_at(femur, guess))
     start = NearestDistances(closest_on_triangle(same, points).square, jnp.broadcast_to(guess, lanes))
     around = points - jax.tree.map(lambda a: jnp.broadcast_to(a, lanes), middle)
-    spread = jnp.sqrt(jnp.max(around.squared_norm()))
+    radius_of_points = jnp.sqrt(jnp.max(around.squared_norm()))
 
     def limit(known: NearestDistances) -> Array:
-        return jnp.sqrt(jnp.max(known.square)) + spread
+        return jnp.sqrt(jnp.max(known.square)) + radius_of_points
 
     return walk(femur.tree, middle, limit, at_leaf, start).place
 

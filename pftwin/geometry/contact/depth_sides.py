@@ -98,10 +98,10 @@ class PressedSurface(eqx.Module):
         outward = Vec3.from_array(gathered(self.outward[feature]))
         away = point - on.point
         size = safe_sqrt(away.squared_norm())
-        apart = stop_gradient(size) > ON_SURFACE
+        off_surface = stop_gradient(size) > ON_SURFACE
         sign = jnp.where(stop_gradient(away.dot(outward)) < 0, -1.0, 1.0)
-        scale = sign / jnp.where(apart, size, 1.0)
-        normal = jax.tree.map(lambda a, n: jnp.where(apart, scale * a, n), away, outward)
+        scale = sign / jnp.where(off_surface, size, 1.0)
+        normal = jax.tree.map(lambda a, n: jnp.where(off_surface, scale * a, n), away, outward)
         flat = jax.tree.map(jnp.zeros_like, vector)
         return Below(-normal.dot(away), normal, flat, self.rim[feature], self.lateral(place, triangle, on.point))
 

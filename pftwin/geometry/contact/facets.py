@@ -52,7 +52,7 @@ class FollowedPoint(NamedTuple):
     distance: Scalar  # of the sphere's centre from it at the last step [m]
 
 
-def followed(p: ClosestPoint, du: Scalar | float = 0.0, dv: Scalar | float = 0.0) -> FollowedPoint:
+def tracked_from(p: ClosestPoint, du: Scalar | float = 0.0, dv: Scalar | float = 0.0) -> FollowedPoint:
     """A closest point to start from at the next step, moved along with the sphere by (du, dv) [m]."""
     return FollowedPoint(p.u + du, p.v + dv, p.settled, stop_gradient(p.distance))
 
@@ -84,7 +84,7 @@ def follow_facets(surface: Surface, c: Vec3, radius: Scalar, places: tuple[Follo
     """
     near = 0.5 * (places[0].u + places[1].u)
     # The fan only selects starts, so there are no derivatives through it.
-    seen, section = scan_facets(_without_derivatives(surface), *stop_gradient((c, radius, near)))
+    samples, section = scan_facets(_without_derivatives(surface), *stop_gradient((c, radius, near)))
     _, middle = surface.chart.foot(c)
     ends = middle + FAN[0] * radius, middle + FAN[-1] * radius
     astray = ASTRAY * SPACING * radius
@@ -94,7 +94,7 @@ def follow_facets(surface: Surface, c: Vec3, radius: Scalar, places: tuple[Follo
     # Whether a point is at a minimum that touches, or may in a moment, and stays there. One that does not touch would
     # keep both points from a new facet.
     needed = [(p.settled > 0) & (p.distance < (1 + NEAR) * radius) for p in places]
-    for k, (own, other, sample) in enumerate(zip(places, places[::-1], seen, strict=True)):
+    for k, (own, other, sample) in enumerate(zip(places, places[::-1], samples, strict=True)):
         fan_v = surface.clipped(middle + sample * radius)
         at_end = [jnp.abs(fan_v - end) < 0.5 * SPACING * radius for end in ends]
         far, other_far = (_too_far(surface.clipped(p.v) - fan_v, at_end, astray) for p in (own, other))
@@ -109,11 +109,11 @@ def follow_facets(surface: Surface, c: Vec3, radius: Scalar, places: tuple[Follo
         starts.append(FollowedPoint(u, v, own.settled, own.distance))
     # A minimum that has just split off from the common one is too near for the fan to resolve.
     spacing = SPACING * radius
-    apart = stop_gradient(_other_minimum(section, (0.5 * (starts[0].v + starts[1].v) - middle) / spacing))
+    other_minimum = stop_gradient(_other_minimum(section, (0.5 * (starts[0].v + starts[1].v) - middle) / spacing))
     merged = jnp.abs(starts[1].v - starts[0].v) < MERGED * radius
     medial, lateral = (
-        start._replace(v=jnp.where(merged & parted, start.v + spacing * apart, start.v))
-        for start, parted in zip(starts, (apart < 0, apart > 0), strict=True)
+        start._replace(v=jnp.where(merged & parted, start.v + spacing * other_minimum, start.v))
+        for start, parted in zip(starts, (other_minimum < 0, other_minimum > 0), strict=True)
     )
     return facets_from(surface, c, radius, (medial, lateral))
 
@@ -121,7 +121,7 @@ def follow_facets(surface: Surface, c: Vec3, radius: Scalar, places: tuple[Follo
 def facets_from(surface: Surface, c: Vec3, radius: Scalar, places: tuple[FollowedPoint, FollowedPoint]) -> Facets:
     """One Newton step for both points without restarts; see `follow_facets`."""
     medial, lateral = (
-        newton_step(surface, c, p.u, p.v, LONGEST * radius, push=side)
+        newton_step(surface, c, p.u, p.v, LONGEST * radius, side=side)
         for p, side in zip(places, (-1.0, 1.0), strict=True)
     )
     return Facets(medial, lateral, _ridge_between(surface, c, medial, lateral))

@@ -123,8 +123,8 @@ def seam_depth(edges: Array, center: Vec3, radius: Scalar) -> SeamDepth:
     length, half, excess = way.squared_norm(), q.dot(way), q.squared_norm() - radius * radius
     over = 1 / jnp.where(length > 0, length, 1.0)
     root = half * half - length * excess
-    spread = safe_sqrt(jnp.where(root > 0, root, 0.0))
-    enter, leave = (jnp.clip((sign * spread - half) * over, 0.0, 1.0) for sign in (-1.0, 1.0))
+    half_chord = safe_sqrt(jnp.where(root > 0, root, 0.0))
+    enter, leave = (jnp.clip((sign * half_chord - half) * over, 0.0, 1.0) for sign in (-1.0, 1.0))
     size = (leave - enter) * safe_sqrt(length)
     depth, square = jnp.zeros_like(size), jnp.zeros_like(size)
     depth_slope = square_slope = Vec3(*[jnp.zeros_like(size)] * 3)

@@ -124,12 +124,12 @@ def examine(vertices: ArrayLike, faces: ArrayLike, *, source: str = "mesh", unit
     flat = zero_area(points, joined)
     copies, opposed = repeated(joined, ~flat)
     drop = flat | copies
-    kept = np.flatnonzero(~drop)
+    used_faces = np.flatnonzero(~drop)
     findings = superfluous_triangles(points, joined, flat, copies, opposed)
-    if not kept.size:
+    if not used_faces.size:
         nothing = MeshFinding("no_surface", "fatal", n, f"all {n} triangles have no area: export the mesh again")
         return Diagnosis(source, len(points), n, float(np.ptp(p, axis=0).max()), [], [], [nothing], none, drop)
-    mesh = SurfaceMesh(points, joined[kept], source)
+    mesh = SurfaceMesh(points, joined[used_faces], source)
     parts = parts_of(mesh)
     turned, winding = wrongly_turned(mesh, parts)
     used = points[np.unique(mesh.faces)]
@@ -143,7 +143,7 @@ def examine(vertices: ArrayLike, faces: ArrayLike, *, source: str = "mesh", unit
         *scale(longest, likely, units),
     ]
     turn = none.copy()
-    turn[kept] = turned
+    turn[used_faces] = turned
     return Diagnosis(source, len(used), n, longest, likely, parts, findings, turn, drop)
 
 

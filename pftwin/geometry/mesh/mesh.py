@@ -47,8 +47,8 @@ class SurfaceMesh:
     @cached_property
     def vertex_areas(self) -> NDArray[np.float64]:
         """Area of each vertex: a third of that of the triangles around it, (n,) [m^2]."""
-        shares = np.bincount(self.faces.ravel(), np.repeat(self.face_areas / 3, 3), minlength=len(self.vertices))
-        return shares.astype(np.float64)
+        areas = np.bincount(self.faces.ravel(), np.repeat(self.face_areas / 3, 3), minlength=len(self.vertices))
+        return areas.astype(np.float64)
 
     @cached_property
     def vertex_normals(self) -> NDArray[np.float64]:
@@ -174,12 +174,12 @@ def weld(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> tuple[NDArr
 def _welded_and_cleaned(vertices: NDArray[np.float64], faces: NDArray[np.int64], source: str) -> SurfaceMesh:
     """Merges coincident vertices and removes triangles without area and unused vertices."""
     points, joined = weld(vertices, faces)
-    kept = joined[(joined != np.roll(joined, 1, axis=1)).all(axis=1)]
-    mesh = SurfaceMesh(points, kept, source)
-    kept = kept[mesh.face_areas > 0]
-    if not kept.size:
+    faces_left = joined[(joined != np.roll(joined, 1, axis=1)).all(axis=1)]
+    mesh = SurfaceMesh(points, faces_left, source)
+    faces_left = faces_left[mesh.face_areas > 0]
+    if not faces_left.size:
         raise InputError(f"all {len(faces)} triangles have no area", where=source, remedy="export the mesh again")
-    return compacted(SurfaceMesh(points, kept, source))
+    return compacted(SurfaceMesh(points, faces_left, source))
 
 
 def compacted(mesh: SurfaceMesh) -> SurfaceMesh:

@@ -64,7 +64,7 @@ def agreement(faces: NDArray[np.int64]) -> tuple[NDArray[np.bool_], NDArray[np.b
     """The fewest triangles to reverse for a consistent orientation (m,); triangles of non-orientable parts (m,); and
     the number of adjacent pairs with clashing orientations.
 
-    Two-colouring by the graph's double cover: each triangle has two nodes, kept and reversed, and each common edge
+    Two-colouring by the graph's double cover: each triangle has two nodes, unchanged and reversed, and each common edge
     links the nodes that agree. A triangle whose two nodes are connected belongs to a non-orientable surface.
     """
     n = len(faces)
@@ -72,11 +72,11 @@ def agreement(faces: NDArray[np.int64]) -> tuple[NDArray[np.bool_], NDArray[np.b
     if not clash.any():
         return np.zeros(n, dtype=bool), np.zeros(n, dtype=bool), 0
     rows, columns = np.r_[a, a + n], np.where(np.r_[clash, clash], np.r_[b + n, b], np.r_[b, b + n])
-    kept, turned = _components(rows, columns, 2 * n).reshape(2, n)
+    unchanged, turned = _components(rows, columns, 2 * n).reshape(2, n)
     # A part's two copies are two components: take the one in which fewer of its triangles are reversed.
-    sizes = np.bincount(kept, minlength=2 * n)
-    fewer = (sizes[kept] < sizes[turned]) | ((sizes[kept] == sizes[turned]) & (kept > turned))
-    one_sided = kept == turned
+    sizes = np.bincount(unchanged, minlength=2 * n)
+    fewer = (sizes[unchanged] < sizes[turned]) | ((sizes[unchanged] == sizes[turned]) & (unchanged > turned))
+    one_sided = unchanged == turned
     return fewer & ~one_sided, one_sided, int(clash.sum())
 
 
@@ -175,12 +175,12 @@ def zero_area(vertices: NDArray[np.float64], faces: NDArray[np.int64]) -> NDArra
     return twice <= COINCIDENT * extent * longest
 
 
-def repeated(faces: NDArray[np.int64], looked_at: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Among the triangles `looked_at` (m,): copies of an earlier one with its orientation, (m,), and triangles of
+def repeated(faces: NDArray[np.int64], candidates: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Among the triangles `candidates` (m,): copies of an earlier one with its orientation, (m,), and triangles of
     which there is a copy with the opposite orientation, (m,)."""
     first = np.argmin(faces, axis=1)
     turned = np.take_along_axis(faces, (first[:, None] + np.arange(3)) % 3, axis=1)  # smallest vertex first
-    places = np.flatnonzero(looked_at)
+    places = np.flatnonzero(candidates)
     copies, opposed = np.zeros((2, len(faces)), dtype=bool)
     _, at, group = np.unique(turned[places], axis=0, return_index=True, return_inverse=True)
     copies[places] = at[group.ravel()] != np.arange(len(places))

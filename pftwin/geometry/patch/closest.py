@@ -81,14 +81,14 @@ class ClosestPoint(NamedTuple):
     drift_v: Vec3
 
 
-def newton_step(surface: Surface, c: Vec3, u: Scalar, v: Scalar, longest: Scalar, push: float = 1.0) -> ClosestPoint:
+def newton_step(surface: Surface, c: Vec3, u: Scalar, v: Scalar, longest: Scalar, side: float = 1.0) -> ClosestPoint:
     """One Newton step on |S(u, v) - c|^2 / 2 from (u, v), limited to `longest` per coordinate (and not round an axis).
 
     If the start is moved along with c, its error is so small that one step finds the closest point. Where the distance
     is nearly flat (a groove as round as the sphere) curvatures are limited from below, so that the point does not jump.
     The limit is low, since a delayed point delays the force's direction and makes a patella oscillate. Where the
     Hessian is not positive definite (for instance at a saddle between two facets) the step descends with the absolute
-    values of the curvatures and a small push across the groove, in the direction of the sign of `push`, so that no
+    values of the curvatures and a small push across the groove, in the direction of the sign of `side`, so that no
     start stays on a saddle. The returned distance is that of the surface point reached, not an extrapolation: a point
     that has not converged understates an indentation and never creates one. The normal there is that of the surface's
     second-order expansion about the start, with an error of second order in the step.
@@ -100,7 +100,7 @@ def newton_step(surface: Surface, c: Vec3, u: Scalar, v: Scalar, longest: Scalar
     s = surface.chart.separation(c, u, v, jet)
     tu, tv = s.tangents
     along = surface.chart.longest_along(longest)
-    step = descend(s.gradient, s.hessian, (s.gram[0], s.gram[2]), (along, longest), push)
+    step = descend(s.gradient, s.hessian, (s.gram[0], s.gram[2]), (along, longest), side)
     du, dv = step.du, step.dv
     length = stop_gradient(jnp.maximum(jnp.abs(du), jnp.abs(dv)))
     slope_u, slope_v = jet.slopes_beside(du, dv)

@@ -190,11 +190,11 @@ def quality(
         slope_u = slope_u * float(patch.chart.radius) / height
     error, weight = v.h - height, v.weight
     normal = error / np.sqrt(1 + slope_u**2 + slope_v**2)
-    spread = np.average((v.h - np.average(v.h, weights=weight)) ** 2, weights=weight)
+    variance = np.average((v.h - np.average(v.h, weights=weight)) ** 2, weights=weight)
     unexplained = np.average(error**2, weights=weight)
     return PatchFit(
         patch=patch,
-        r_squared=float(1 - unexplained / spread) if spread > 1e-24 else 1.0,
+        r_squared=float(1 - unexplained / variance) if variance > 1e-24 else 1.0,
         rms=float(np.sqrt(unexplained)),
         max_error=float(np.abs(error).max()),
         rms_normal=float(np.sqrt(np.average(normal**2, weights=weight))),

@@ -131,8 +131,8 @@ def _rings(points: NDArray, normals: NDArray, direction: NDArray) -> tuple[NDArr
         return side, []
     middle = np.average(points[side], axis=0, weights=np.clip(normals[side] @ direction, 0, None) ** 8)
     height = (points[side] - middle) @ direction
-    reach = np.linalg.norm(points[side] - middle - height[:, None] * direction, axis=1)
-    order = side[np.argsort(reach)]
+    off_axis = np.linalg.norm(points[side] - middle - height[:, None] * direction, axis=1)
+    order = side[np.argsort(off_axis)]
     limits = np.linspace(0, len(order), max(len(order) // _RING, 1) + 1).astype(int)
     return order, list(zip(limits[:-1].tolist(), limits[1:].tolist(), strict=True))
 

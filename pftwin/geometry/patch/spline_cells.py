@@ -79,8 +79,8 @@ def refined_spline(v: Vertices, tolerance: float, smoothing: float) -> FittedSpl
 
 def _rectangle(v: Vertices) -> tuple[Pair, Pair]:
     """Centre and half size of the rectangle that contains all vertices."""
-    spread = np.linalg.svd(np.stack([v.u - v.u.mean(), v.v - v.v.mean()]), compute_uv=False)
-    if not spread[1] > 1e-6 * spread[0]:
+    singular_values = np.linalg.svd(np.stack([v.u - v.u.mean(), v.v - v.v.mean()]), compute_uv=False)
+    if not singular_values[1] > 1e-6 * singular_values[0]:
         raise InputError("all vertices lie on a line of the chart", where=v.source, remedy="a larger region")
     (low_u, high_u), (low_v, high_v) = ((float(c.min()), float(c.max())) for c in (v.u, v.v))
     return (0.5 * (high_u + low_u), 0.5 * (high_v + low_v)), (0.5 * (high_u - low_u), 0.5 * (high_v - low_v))

@@ -17,7 +17,7 @@ class Tangent(NamedTuple):
     squared: Scalar  # its length squared [m^2]
     radius: Scalar  # of the circle [m]
     length: Scalar  # of the tangent [m]
-    reach: Scalar  # angle about the centre from the end to where the tangent touches [rad]
+    angle: Scalar  # angle about the centre from the end to where the tangent touches [rad]
     outside: Scalar  # whether the end is outside the circle; from inside, the numbers are arbitrary
 
     @staticmethod
@@ -47,7 +47,7 @@ class AroundCircle(NamedTuple):
     def of(one: Tangent, two: Tangent, axis: Vec3, angle: Scalar) -> AroundCircle:
         """`angle` is that from start to end about the axis on the line's side of the centre, right-handed [rad]."""
         turn = jnp.where(angle < 0, -1.0, 1.0)
-        return AroundCircle(one, two, axis, turn, turn * angle - one.reach - two.reach)
+        return AroundCircle(one, two, axis, turn, turn * angle - one.angle - two.angle)
 
     @property
     def touches(self) -> Scalar:
@@ -61,7 +61,7 @@ class AroundCircle(NamedTuple):
 
     def point(self, share: Scalar) -> Vec3:
         """Point on the arc at a share of it from the start's side, from the circle's centre [m]."""
-        out, angle = self.one.across * (1 / jnp.sqrt(self.one.squared)), self.one.reach + share * self.arc
+        out, angle = self.one.across * (1 / jnp.sqrt(self.one.squared)), self.one.angle + share * self.arc
         return (out * jnp.cos(angle) + self.axis.cross(out) * (self.turn * jnp.sin(angle))) * self.one.radius
 
 

@@ -25,7 +25,7 @@ class Cylinder(Obstacle):
 
     def around(self, start: Vec3, end: Vec3) -> TautLine:
         """See `Obstacle`."""
-        circle, heights = self._seen_along_axis(start, end)
+        circle, heights = self._in_cross_section(start, end)
         flat, axis = circle.line(), circle.axis
         level, rise = jnp.where(circle.touches, flat.length, 1.0), heights[1] - heights[0]
         length = jnp.sqrt(jnp.square(level) + jnp.square(rise))
@@ -35,12 +35,12 @@ class Cylinder(Obstacle):
 
     def arc(self, start: Vec3, end: Vec3, count: int) -> Vec3:
         """See `Obstacle`: a helix, evenly divided."""
-        circle, heights = self._seen_along_axis(start, end)
+        circle, heights = self._in_cross_section(start, end)
         rise = (heights[1] - heights[0]) / circle.line().length
 
         def at(share: Scalar) -> Vec3:
-            gone = circle.one.length + self.radius * (share * circle.arc)
-            return self.center + circle.point(share) + circle.axis * (heights[0] + rise * gone)
+            distance = circle.one.length + self.radius * (share * circle.arc)
+            return self.center + circle.point(share) + circle.axis * (heights[0] + rise * distance)
 
         return evenly(at, count, circle.touches)
 
@@ -48,7 +48,7 @@ class Cylinder(Obstacle):
         """See `Obstacle`."""
         return self.radius - (point - self.center).cross(self.axis).norm() / self.axis.norm()
 
-    def _seen_along_axis(self, start: Vec3, end: Vec3) -> tuple[AroundCircle, list[Scalar]]:
+    def _in_cross_section(self, start: Vec3, end: Vec3) -> tuple[AroundCircle, list[Scalar]]:
         """The line seen along the axis, and the heights of its ends along the axis from the centre [m]."""
         axis = self.axis * (1 / self.axis.norm())
         ends = [p - self.center for p in (start, end)]

@@ -116,7 +116,7 @@ class Contact(Effect):
 P = TypeVar("P", bound="ClosestPoint | FacetPoint")
 
 
-class ContactPush(NamedTuple):
+class NormalForce(NamedTuple):
     """Normal force of a contact, and its memory."""
 
     term: StiffTerm
@@ -134,7 +134,7 @@ def force_along(
     approach_speed: Scalar | None,
     share: Scalar | float,
     stored: Scalar | float | None = None,
-) -> ContactPush:
+) -> NormalForce:
     """Normal force of a contact law, along a direction.
 
     Args:
@@ -160,14 +160,14 @@ def force_along(
         force = force._replace(total=back + force.damping * rate, elastic=back)
     total, elastic, stiffness, damping = (share * a for a in force[:4])
     term = StiffTerm(direction, moment, total, elastic, stiffness, damping, rate, unilateral=True)
-    return ContactPush(term, (share if stored is None else stored) * force.energy, approach_speed)
+    return NormalForce(term, (share if stored is None else stored) * force.energy, approach_speed)
 
 
-def load_of(pushes: Sequence[ContactPush]) -> tuple[Load, Speeds]:
+def load_of(forces: Sequence[NormalForce]) -> tuple[Load, Speeds]:
     """Returns the load, with one stiff term per contact, and the approach speeds for the memory [m/s]."""
-    energy = sum((p.energy for p in pushes[1:]), start=pushes[0].energy)
-    speeds = tuple(p.approach_speed for p in pushes if p.approach_speed is not None)
-    return Load(stiff=tuple(p.term for p in pushes), energy=energy), speeds or None
+    energy = sum((f.energy for f in forces[1:]), start=forces[0].energy)
+    speeds = tuple(f.approach_speed for f in forces if f.approach_speed is not None)
+    return Load(stiff=tuple(f.term for f in forces), energy=energy), speeds or None
 
 
 def vector_sum(vectors: Sequence[Vec3]) -> Vec3:
@@ -200,7 +200,7 @@ class Touch(NamedTuple, Generic[P]):
     at: P
     indentation: Scalar  # [m]
     share: Scalar  # fraction of the law's force: 1, less where two contacts overlap, 0 for no contact
-    push: ContactPush
+    normal_force: NormalForce
 
 
 class FixedButton(Contact):
@@ -250,7 +250,7 @@ class ButtonSphere(FixedButton):
         velocity = femur.relative_velocity(patella.velocity_at(arm), centre)
         return femur.to_local(centre), femur.local_direction(velocity)
 
-    def push(
+    def normal_force(
         self,
         now: Instant,
         normal: Vec3,
@@ -259,7 +259,7 @@ class ButtonSphere(FixedButton):
         approach_speed: Scalar | None,
         share: Scalar | float,
         stored: Scalar | float | None = None,
-    ) -> ContactPush:
+    ) -> NormalForce:
         """Normal force along `normal` (femur axes): see `force_along`."""
         world = now.femur.direction(normal)
         moment = applied_at(self.center, now.patella, world)
@@ -277,8 +277,8 @@ class ButtonSphere(FixedButton):
     ) -> Touch[P]:
         """Contact at a nearest point `at`; `normal` in femur axes, `rate` of the indentation [m/s]."""
         indentation = self.radius - at.distance
-        push = self.push(now, normal, indentation, rate, approach_speed, share, stored)
-        return Touch(at, indentation, share, push)
+        force = self.normal_force(now, normal, indentation, rate, approach_speed, share, stored)
+        return Touch(at, indentation, share, force)
 
     def normal_law(self) -> ContactLaw:
         """See `Contact`."""

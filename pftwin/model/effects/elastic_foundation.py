@@ -104,15 +104,15 @@ class ElasticFoundation(ButtonMesh):
         """See `Effect`: force, area, pressures and centres of pressure; values undefined without contact are NaN."""
         at = self.pressed(now)
         forces, p = triangle_sums(at)
-        push = Vec3.from_array(jnp.sum(p.facets, axis=0))
+        total = Vec3.from_array(jnp.sum(p.facets, axis=0))
         borne = jnp.sum(p.borne)
         some = borne > 0
         too_deep = (p.deepest > DEEPEST) | self._enclosed(at, p)
         report = {
-            "force": push.norm(),
-            "force_x": push.x,
-            "force_y": push.y,
-            "force_z": push.z,
+            "force": total.norm(),
+            "force_x": total.x,
+            "force_y": total.y,
+            "force_z": total.z,
             "area": p.area,
             "mean_pressure": jnp.where(some, borne / jnp.where(some, p.area, 1.0), 0.0),
             "max_pressure": p.most,

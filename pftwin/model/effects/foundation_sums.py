@@ -174,14 +174,14 @@ def _lanes_of_leaves(at: Bedded, found: TouchingLeaves, start: Array) -> Lanes:
     borne, stiffness = d.area * pressure, d.area * slope
     force = borne - at.damping_time * stiffness * sum(at.twist[i] * r for i, r in enumerate(row))
     pressed = force > 0
-    force, elastic, stiffness, kept = (jnp.where(pressed, a, 0.0) for a in (force, borne, stiffness, stored))
+    force, elastic, stiffness, stored_energy = (jnp.where(pressed, a, 0.0) for a in (force, borne, stiffness, stored))
     # Contribution of the changing projected areas, so that forces and moments are the derivatives of the energy.
     nothing = [0.0] * 3
     tilting = (*nothing, d.tilting.x, d.tilting.y, d.tilting.z)
-    turning = [kept * (m + t) for m, t in zip(_wrench(at, d, d.sliding), tilting, strict=True)]
+    turning = [stored_energy * (m + t) for m, t in zip(_wrench(at, d, d.sliding), tilting, strict=True)]
     touching = d.listed & (d.depth > 0)
     lateral = jnp.zeros_like(d.depth) if d.lateral is None else d.lateral
-    push = force * d.normal + kept * d.sliding
+    force_on_patella = force * d.normal + stored_energy * d.sliding
     on = (1 - lateral, lateral)
     borne_on = [share * borne for share in on]
     stiff = [stiffness * r for r in row]
@@ -194,7 +194,7 @@ def _lanes_of_leaves(at: Bedded, found: TouchingLeaves, start: Array) -> Lanes:
         area=jnp.where(touching, d.area, 0.0),
         borne=borne_on,
         moment=[[b * d.point.x, b * d.point.y, b * d.point.z] for b in borne_on],
-        facets=[[share * a for a in (push.x, push.y, push.z)] for share in on],
+        facets=[[share * a for a in (force_on_patella.x, force_on_patella.y, force_on_patella.z)] for share in on],
         most=pressure,
         deepest=jnp.where(touching, d.depth, 0.0),
     )

@@ -37,7 +37,7 @@ class Friction(eqx.Module):
     slip_speed: Scalar = eqx.field(metadata=quantity("m/s", positive=True))  # v_s: contacts creep below it
 
 
-class LastPush(NamedTuple):
+class LastNormalForce(NamedTuple):
     """Linearised normal force of a step: a change dv of the twist makes it f - (h k + c) g . dv."""
 
     direction: Vec3  # direction of the force: with `moment`, g
@@ -46,20 +46,20 @@ class LastPush(NamedTuple):
     weight: Scalar  # h k + c [N s/m]
 
     @staticmethod
-    def of(push: StiffTerm, now: Instant) -> LastPush:
-        """Linearises the normal force `push` at the end of the step."""
+    def of(term: StiffTerm, now: Instant) -> LastNormalForce:
+        """Linearises the normal force `term` at the end of the step."""
         gain = now.lookahead if now.displacement_gain is None else now.displacement_gain
-        weight = gain * push.stiffness + push.damping
+        weight = gain * term.stiffness + term.damping
         here = Twist(now.patella.velocity, now.patella.spin)
-        unchanged = push.force + weight * _speed_along(push.direction, push.moment, here)
-        return LastPush(push.direction, push.moment, unchanged, weight)
+        unchanged = term.force + weight * _speed_along(term.direction, term.moment, here)
+        return LastNormalForce(term.direction, term.moment, unchanged, weight)
 
 
 class FrictionMemory(NamedTuple):
     """Memory of a contact with friction."""
 
     contact: Any  # memory of the contact without friction
-    last: tuple[LastPush, ...]  # linearised normal forces of the last step
+    last: tuple[LastNormalForce, ...]  # linearised normal forces of the last step
 
 
 class Sliding(NamedTuple):
@@ -119,22 +119,22 @@ class WithFriction(ButtonSphere):
     def _first(self, now: Instant, memory: Any) -> FrictionMemory:
         zero = jnp.zeros_like(now.patella.position.x)
         nowhere = Vec3(zero, zero, zero)
-        pushes = _pushes(jax.eval_shape(lambda: self.alone().load(now, memory)[0]))
-        return FrictionMemory(memory, (LastPush(nowhere, nowhere, zero, zero),) * len(pushes))
+        normal_terms = _normal_terms(jax.eval_shape(lambda: self.alone().load(now, memory)[0]))
+        return FrictionMemory(memory, (LastNormalForce(nowhere, nowhere, zero, zero),) * len(normal_terms))
 
     def load(self, now: Instant, memory: FrictionMemory) -> tuple[Load, FrictionMemory]:
         """See `Effect`: the contact's load, and two more stiff terms per normal force."""
         load, contact = self.alone().load(now, memory.contact)
-        pushes, last = _pushes(load), memory.last
-        slidings = [self._sliding(now, push, before) for push, before in zip(pushes, last, strict=True)]
+        normal_terms, last = _normal_terms(load), memory.last
+        slidings = [self._sliding(now, term, before) for term, before in zip(normal_terms, last, strict=True)]
         if now.ends_a_step:
-            last = tuple(LastPush.of(push, now) for push in pushes)
+            last = tuple(LastNormalForce.of(term, now) for term in normal_terms)
         tangential = [term for sliding in slidings for term in sliding.terms]
         return load._replace(stiff=(*load.stiff, *tangential)), FrictionMemory(contact, last)
 
-    def _sliding(self, now: Instant, push: StiffTerm, before: LastPush) -> Sliding:
-        """Friction at a contact with the normal force `push`."""
-        patella, normal = now.patella, push.direction
+    def _sliding(self, now: Instant, term: StiffTerm, before: LastNormalForce) -> Sliding:
+        """Friction at a contact with the normal force `term`."""
+        patella, normal = now.patella, term.direction
         lever = self.center - self.radius * patella.rotation.unapply(normal)
         arm = patella.arm(lever)
         slip = now.femur.relative_velocity(patella.velocity_at(arm), patella.position + arm)
@@ -142,7 +142,7 @@ class WithFriction(ButtonSphere):
         square = along[0][1] * along[0][1] + along[1][1] * along[1][1]
         law, speed = self.friction, safe_sqrt(square)
         per_speed = law.coefficient / jnp.sqrt(square + law.slip_speed * law.slip_speed)
-        secant = per_speed * normal_force(push, before, now)
+        secant = per_speed * normal_force(term, before, now)
         zero = jnp.zeros_like(secant)
         terms = [StiffTerm(t, applied_at(lever, patella, t), secant * v, zero, zero, secant, v) for t, v in along]
         return Sliding((terms[0], terms[1]), speed, per_speed * speed)
@@ -151,8 +151,8 @@ class WithFriction(ButtonSphere):
         """See `Effect`: `force_x`, `force_y` and `force_z` include friction, the other contact forces do not."""
         contact = self.alone()
         report, energy = contact.report(now, memory.contact)
-        pushes = _pushes(contact.standing_load(now, memory.contact))
-        slidings = [self._sliding(now, push, before) for push, before in zip(pushes, memory.last, strict=True)]
+        normal_terms = _normal_terms(contact.standing_load(now, memory.contact))
+        slidings = [self._sliding(now, term, before) for term, before in zip(normal_terms, memory.last, strict=True)]
         force = sum((t.force * t.direction for s in slidings for t in s.terms), start=Vec3.zero())
         local = now.femur.local_direction(force)
         for axis in "xyz":
@@ -164,22 +164,22 @@ class WithFriction(ButtonSphere):
         return report, energy
 
 
-def _pushes(load: Load) -> list[StiffTerm]:
+def _normal_terms(load: Load) -> list[StiffTerm]:
     """The normal forces among a contact's stiff terms."""
     return [term for term in load.stiff if term.unilateral]
 
 
-def normal_force(push: StiffTerm, last: LastPush, now: Instant) -> Scalar:
+def normal_force(term: StiffTerm, last: LastNormalForce, now: Instant) -> Scalar:
     """Normal force that friction is proportional to [N], at least 0; at the end of a step, that of the last step.
 
     The force about which a step linearises is not the force at its end: where a stiff contact has just begun it is
     hundreds of times as large, and so would be the friction.
     """
     if not now.ends_a_step:
-        return jnp.maximum(push.force, 0.0)
+        return jnp.maximum(term.force, 0.0)
     twist = Twist(now.patella.velocity, now.patella.spin) if now.twist is None else now.twist
     came_to = jnp.maximum(last.unchanged - last.weight * _speed_along(last.direction, last.moment, twist), 0.0)
-    return jnp.where(push.stiffness > 0, came_to, 0.0)
+    return jnp.where(term.stiffness > 0, came_to, 0.0)
 
 
 def _speed_along(direction: Vec3, moment: Vec3, twist: Twist) -> Scalar:

@@ -25,7 +25,7 @@ from pftwin.model.effects.contact import (
     BY_FACET,
     FACETS,
     ButtonMesh,
-    ContactPush,
+    NormalForce,
     facet_report,
     force_along,
     load_of,
@@ -95,13 +95,13 @@ class MeshContact(ButtonMesh):
 
     def load(self, now: Instant, memory: Speeds) -> tuple[Load, Speeds]:
         """See `Effect`: a stiff term per contact."""
-        return load_of(self._pushes(now, self.contacts(now), memory))
+        return load_of(self._normal_forces(now, self.contacts(now), memory))
 
-    def _pushes(self, now: Instant, found: Contacts, memory: Speeds) -> list[ContactPush]:
+    def _normal_forces(self, now: Instant, found: Contacts, memory: Speeds) -> list[NormalForce]:
         speeds = memory or (None,) * len(found.each)
-        return [self._push(now, c, speed) for c, speed in zip(found.each, speeds, strict=True)]
+        return [self._normal_force(now, c, speed) for c, speed in zip(found.each, speeds, strict=True)]
 
-    def _push(self, now: Instant, contact: ContourContact, approach_speed: Scalar | None) -> ContactPush:
+    def _normal_force(self, now: Instant, contact: ContourContact, approach_speed: Scalar | None) -> NormalForce:
         patella, femur = now.patella, now.femur
         world = femur.direction(contact.normal)
         point = femur.point(contact.point)
@@ -113,8 +113,8 @@ class MeshContact(ButtonMesh):
     def report(self, now: Instant, memory: Speeds) -> tuple[dict[str, Any], Scalar | None]:
         """See `Effect`: forces, points and indentations per facet; NaN for a facet without a separate contact."""
         found = self.contacts(now)
-        pushes = self._pushes(now, found, memory)
-        forces = [p.term.force for p in pushes]
+        normal_forces = self._normal_forces(now, found, memory)
+        forces = [f.term.force for f in normal_forces]
         total = vector_sum([f * c.normal for f, c in zip(forces, found.each, strict=True)])
         indentations = [jnp.where(c.area > 0, c.indentation, jnp.nan) for c in found.each]
         points = [jnp.where(c.area > 0, c.point.array(), jnp.nan) for c in found.each]
@@ -130,7 +130,7 @@ class MeshContact(ButtonMesh):
         too_deep = found.too_deep | inside.there | engulfed.there | self._beyond_reach(found)
         flags = {"merged": found.merged, "at_rim": found.at_rim, "overflow": found.overflow, "too_deep": too_deep}
         report |= {name: flag.astype(forces[0].dtype) for name, flag in flags.items()}
-        return report, load_of(pushes)[0].energy
+        return report, load_of(normal_forces)[0].energy
 
     def button_radius(self) -> Scalar:
         """Half the largest extent of the patella's mesh [m]."""

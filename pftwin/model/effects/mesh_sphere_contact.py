@@ -50,7 +50,7 @@ class MeshSphereContact(ButtonSphere):
         """Contact of the sphere with each facet."""
         centre, velocity = self.centre_in_femur(now)
         points = self.facets.points(centre)
-        speeds, shares = memory or (None,) * len(points), _shares(points, self.radius)
+        speeds, shares = memory or (None,) * len(points), _load_shares(points, self.radius)
         return [
             self.touch(now, p, p.normal, -p.normal.dot(velocity), speed, share)
             for p, speed, share in zip(points, speeds, shares, strict=True)
@@ -58,12 +58,12 @@ class MeshSphereContact(ButtonSphere):
 
     def load(self, now: Instant, memory: Speeds) -> tuple[Load, Speeds]:
         """See `Effect`: a stiff term per facet."""
-        return load_of([t.push for t in self.touches(now, memory)])
+        return load_of([t.normal_force for t in self.touches(now, memory)])
 
     def report(self, now: Instant, memory: Speeds) -> tuple[dict[str, Any], Scalar | None]:
         """See `Effect`: forces, points and indentations per facet; NaN for a facet without a separate contact."""
         touches = self.touches(now, memory)
-        forces = [t.push.term.force for t in touches]
+        forces = [t.normal_force.term.force for t in touches]
         total = vector_sum([f * t.at.normal for f, t in zip(forces, touches, strict=True)])
         indentations = [jnp.where(t.share > 0, t.indentation, jnp.nan) for t in touches]
         points = [jnp.where(f > 0, t.at.point.array(), jnp.nan) for f, t in zip(forces, touches, strict=True)]
@@ -71,7 +71,7 @@ class MeshSphereContact(ButtonSphere):
         overflow = jnp.stack([t.at.overflow for t in touches]).any().astype(forces[0].dtype)
         shown = facet_report(total, forces, indentations, points)
         shown |= {"off_patch": jnp.maximum(jnp.stack(beyond).max(), 0.0), "overflow": overflow}
-        return shown, load_of([t.push for t in touches])[0].energy
+        return shown, load_of([t.normal_force for t in touches])[0].energy
 
     def femur_triangles(self) -> Array:
         """See `Contact`."""
@@ -89,7 +89,7 @@ class RoughMeshSphereContact(WithFriction, MeshSphereContact):
     observables: ClassVar[dict[str, Observable]] = {**MeshSphereContact.observables, **WithFriction.tangential}
 
 
-def _shares(points: list[FacetPoint], radius: Scalar) -> list[Scalar]:
+def _load_shares(points: list[FacetPoint], radius: Scalar) -> list[Scalar]:
     """Fraction of the law's force that each facet's contact bears.
 
     A nearest point on the seam is no contact while the other facet is nearer. Two actual contacts bear the full force

@@ -85,12 +85,14 @@ class MeshVolumeContact(ButtonSphere):
         rate = found.parts[0] * rates[0] + found.parts[1] * rates[1]
         terms, begun, energies = [], [], []
         for n, d, part, own, speed in zip(found.normals, found.depths, found.parts, rates, speeds, strict=True):
-            apart = self.push(now, n, d, own, speed, 1 - s)
-            joint = self.push(now, n, found.joint_depth, rate, of_both, s * part)
-            terms.append(_combined_term(apart.term, joint.term))
+            separate = self.normal_force(now, n, d, own, speed, 1 - s)
+            joint = self.normal_force(now, n, found.joint_depth, rate, of_both, s * part)
+            terms.append(_combined_term(separate.term, joint.term))
             energies.append(self.law.force(d, jnp.zeros_like(d), of_both).energy)
-            if apart.approach_speed is not None and joint.approach_speed is not None:
-                one = jnp.where(s > 0, jnp.maximum(apart.approach_speed, joint.approach_speed), apart.approach_speed)
+            if separate.approach_speed is not None and joint.approach_speed is not None:
+                one = jnp.where(
+                    s > 0, jnp.maximum(separate.approach_speed, joint.approach_speed), separate.approach_speed
+                )
                 begun.append(jnp.where(d > 0, one, 0.0))
         joint_energy = self.law.force(found.joint_depth, jnp.zeros_like(rate), of_both).energy
         gained = joint_energy - energies[0] - energies[1]
@@ -133,8 +135,8 @@ class MeshVolumeContact(ButtonSphere):
         forces, indentations, points = [], [], []
         for k, area in enumerate(found.areas):
             # The forces of the two parts of one contact diverge; their contribution is the component along the total.
-            push = t.terms[k].force * t.terms[k].direction
-            size = (1 - found.merged) * push.norm() + found.merged * push.dot(along)
+            force = t.terms[k].force * t.terms[k].direction
+            size = (1 - found.merged) * force.norm() + found.merged * force.dot(along)
             d = jnp.where(found.merged > 0, found.joint_depth, found.depths[k])
             inside = found.arms[k] * (1 / jnp.where(area > 0, area, 1.0))
             forces.append(size)

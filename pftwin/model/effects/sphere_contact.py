@@ -21,8 +21,8 @@ from pftwin.geometry.contact.facets import (
     FollowedPoint,
     facets_from,
     follow_facets,
-    followed,
     medial_of_groove,
+    tracked_from,
 )
 from pftwin.geometry.patch.closest import ClosestPoint, Surface
 from pftwin.model.effects.base import Instant, Load, Observable
@@ -72,7 +72,7 @@ class SphereContact(ButtonSphere):
 
         def improve(_: Scalar, places: tuple[FollowedPoint, FollowedPoint]) -> tuple[FollowedPoint, FollowedPoint]:
             found = follow_facets(self.surface, c, self.radius, places)
-            return followed(found.medial), followed(found.lateral)
+            return tracked_from(found.medial), tracked_from(found.lateral)
 
         start = self.guess(now)
         return start._replace(places=jax.lax.fori_loop(0, SEARCH_STEPS, improve, start.places))
@@ -114,23 +114,23 @@ class SphereContact(ButtonSphere):
             overlap = less * self.law.elastic_ratio(on_ridge)
             bears, stores = 1 - overlap, 1 - overlap * on_ridge
             touches.append(self.touch(now, p, normal, -p.normal.dot(velocity), speed, bears, stores))
-            places.append(followed(p, p.drift_u.dot(way), p.drift_v.dot(way)))
+            places.append(tracked_from(p, p.drift_u.dot(way), p.drift_v.dot(way)))
         (one, two), (medial, lateral) = touches, places
-        return one, two, ContactMemory((medial, lateral), load_of([one.push, two.push])[1])
+        return one, two, ContactMemory((medial, lateral), load_of([one.normal_force, two.normal_force])[1])
 
     def load(self, now: Instant, memory: ContactMemory) -> tuple[Load, ContactMemory]:
         """See `Effect`: a stiff term per contact."""
         one, two, memory = self.touches(now, memory)
-        return load_of([one.push, two.push])[0], memory
+        return load_of([one.normal_force, two.normal_force])[0], memory
 
     def standing_load(self, now: Instant, memory: ContactMemory) -> Load:
         """See `Contact`: a stiff term for each of `standing_touches`."""
-        return load_of([t.push for t in self.standing_touches(now, memory)])[0]
+        return load_of([t.normal_force for t in self.standing_touches(now, memory)])[0]
 
     def report(self, now: Instant, memory: ContactMemory) -> tuple[dict[str, Any], Scalar | None]:
         """See `Effect`: forces, points and indentations per facet, medial and lateral."""
         touches = self.standing_touches(now, memory)
-        ends = [t.push.term for t in touches]
+        ends = [t.normal_force.term for t in touches]
         vector = ends[0].force * ends[0].direction + ends[1].force * ends[1].direction
         one, two = (t.at for t in touches)
         # Where both points are one contact and bear half of its force each, they belong to one facet.
@@ -153,7 +153,7 @@ class SphereContact(ButtonSphere):
             "off_patch": off_patch,
             "overflow": self._missed(now, one, two),
         }
-        return shown, load_of([t.push for t in touches])[0].energy
+        return shown, load_of([t.normal_force for t in touches])[0].energy
 
     def _missed(self, now: Instant, one: ClosestPoint, two: ClosestPoint) -> Scalar:
         """1 where the sphere's centre lies below the surface and neither point says so, else 0.

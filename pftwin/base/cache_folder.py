@@ -42,12 +42,12 @@ def _problem(path: Path) -> str | None:
         if path.exists() and not path.is_dir():
             raise NotADirectoryError
         if unsafe := _unsafe(path):
-            return f"{unsafe}; nothing is kept, since the programs in it are run; try: chmod -R go-w on one of your own"
+            return f"{unsafe}; nothing is cached, as its programs would be run; try: chmod -R go-w on one of your own"
         for place in (path, compiled_folder(path)):  # JAX would create it with the default mode
             place.mkdir(mode=0o700, parents=True, exist_ok=True)
     except (OSError, ValueError) as error:  # a file, below a file, read-only, a name too long or with a zero byte
         why = "is no folder" if isinstance(error, FileExistsError | NotADirectoryError) else f"cannot be used: {error}"
-        return f"{why}; nothing is kept; try: a folder that you may write to"
+        return f"{why}; nothing is cached; try: a folder that you may write to"
     return None
 
 
@@ -105,7 +105,7 @@ def write(kind: str, key: str, body: bytes) -> None:
             path.write_bytes(_label(kind, key) + body)
         _make_room(base / kind)
     except (OSError, OutputError) as error:
-        text = f"{base / kind}: nothing can be kept here for the next process: {error}"
+        text = f"{base / kind}: nothing can be stored here for the next process: {error}"
         warnings.warn(text, PftwinWarning, stacklevel=2)
 
 

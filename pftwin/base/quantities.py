@@ -149,7 +149,7 @@ def about(unit: str, long_name: str) -> dict[str, str]:
     return {"units": unit, "long_name": long_name}
 
 
-def plain_attribute(value: Any) -> int | float | str:
+def netcdf_attribute(value: Any) -> int | float | str:
     """Converts a value to a type that NetCDF can store: int, float or str."""
     if isinstance(value, bool):
         return int(value)

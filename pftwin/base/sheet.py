@@ -164,12 +164,12 @@ def to_dataset(columns: Sequence[Column], dimension: str, attributes: dict[str, 
     import numpy as np
     from xarray import Dataset
 
-    from pftwin.base.quantities import about, plain_attribute
+    from pftwin.base.quantities import about, netcdf_attribute
 
     described = {c.key: about(c.unit, c.long_name) if c.unit else {} for c in columns}
     data = {c.key: (dimension, np.array(c.values), described[c.key]) for c in columns if c.key != names}
     coordinates = {dimension: list(c.values) for c in columns if c.key == names}  # noqa: B035
-    return Dataset(data, coords=coordinates, attrs={k: plain_attribute(v) for k, v in attributes.items()})
+    return Dataset(data, coords=coordinates, attrs={k: netcdf_attribute(v) for k, v in attributes.items()})
 
 
 def short_number(value: float) -> str:

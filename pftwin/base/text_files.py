@@ -187,18 +187,18 @@ def json_text(value: Any, not_finite: Callable[[float], str | None], other: Call
     lacks, which is a TypeError without it.
     """
 
-    def plain(value: Any) -> Any:
+    def as_json(value: Any) -> Any:
         if isinstance(value, Mapping):
-            return {str(key): plain(own) for key, own in value.items()}
+            return {str(key): as_json(own) for key, own in value.items()}
         if hasattr(value, "tolist"):
-            return plain(value.tolist())
+            return as_json(value.tolist())
         if isinstance(value, float):
             return value if np.isfinite(value) else not_finite(value)
         if isinstance(value, str | int | bool) or value is None:
             return value
-        return [plain(own) for own in value] if isinstance(value, Sequence) else value
+        return [as_json(own) for own in value] if isinstance(value, Sequence) else value
 
-    return json.dumps(plain(value), indent=2, allow_nan=False, default=other) + "\n"
+    return json.dumps(as_json(value), indent=2, allow_nan=False, default=other) + "\n"
 
 
 def restored_numbers(value: Any) -> Any:

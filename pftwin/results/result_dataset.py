@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import jax
 import numpy as np
 
-from pftwin.base.quantities import about, plain_attribute
+from pftwin.base.quantities import about, netcdf_attribute
 from pftwin.dynamics.status import FLAGS
 from pftwin.model.effects.base import Observable
 from pftwin.model.measured import SYNTHETIC
@@ -83,7 +83,7 @@ def attributes_of(result: Result) -> dict[str, Any]:
         attributes["restitution"] = result.impact.describe()
     if result.constraint_drift is not None:
         attributes["largest_constraint_drift_m"] = result.constraint_drift
-    plain = {k: plain_attribute(v) for k, v in result.settings.items()}
+    plain = {k: netcdf_attribute(v) for k, v in result.settings.items()}
     return {**attributes, **plain, **{f"timing_{k}": float(v) for k, v in result.timing.items()}}
 
 

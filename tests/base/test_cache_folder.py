@@ -62,7 +62,7 @@ def test_where_there_can_be_no_folder_is_a_warning(tmp_path, name, why):
     folder.compiled_folder(tmp_path / "compiled is a file").write_text("")
     before, cache = folder.chosen(), jax.config.jax_compilation_cache_dir
     try:
-        with pytest.warns(PftwinWarning, match=f"{why}.*; nothing is kept; try: a folder that you may write to"):
+        with pytest.warns(PftwinWarning, match=f"{why}.*; nothing is cached; try: a folder that you may write to"):
             configure(cache_dir=tmp_path / name)
         assert folder.chosen() is None
         assert jax.config.jax_compilation_cache_dir == cache

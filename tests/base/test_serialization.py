@@ -175,7 +175,7 @@ class TestWhoseFolder:
     def test_one_that_others_can_write_to_is_not_used(self, tmp_path, which, mode):
         (tmp_path / "kept" / "programs").mkdir(parents=True)
         (tmp_path / "kept" / which).chmod(mode)
-        with pytest.warns(PftwinWarning, match=r"others can write to .*nothing is kept.*chmod"):
+        with pytest.warns(PftwinWarning, match=r"others can write to .*nothing is cached.*chmod"):
             assert not folder.use_cache_folder(tmp_path / "kept")
         assert folder.chosen() is None
 

@@ -358,7 +358,7 @@ chosen = hard_cases.Selection(
     integrators=tuple(hard_cases.method_named(name) for name in JUDGED),
     dtypes=("float64",),
     derivatives=False,
-    mates=False,
+    batch_independence=False,
 )
 cells = [c for c in hard_cases.run_matrix(cases, chosen) if c.case in NAMES]
 outcome = {(c.case, c.integrator): c.outcome for c in cells}

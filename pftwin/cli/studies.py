@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from pftwin.studies.accuracy.measure import SceneOf
     from pftwin.studies.hard_cases import HardCase
     from pftwin.studies.hard_cases import Selection as Selected
-    from pftwin.studies.hard_cases.table import KeptPiece
+    from pftwin.studies.hard_cases.table import MatrixPiece
     from pftwin.studies.hard_cases.verdict import Cell
 
 OWN = "as it is"  # stands for the contact of the scene file
@@ -171,7 +171,7 @@ def hard_cases(
         methods,
         _known(dtype, DTYPES, "--dtype"),
         derivatives=not quick,
-        mates=not quick,
+        batch_independence=not quick,
         truths=not quick,
     )
     if into is not None:
@@ -204,10 +204,10 @@ def _run_missing(folder: Path, chosen: Selected, processes: int) -> None:
         raise Interrupted(folder) from None
 
 
-def _run(cases: tuple[HardCase, ...], chosen: Selected, json: str | None) -> KeptPiece:
+def _run(cases: tuple[HardCase, ...], chosen: Selected, json: str | None) -> MatrixPiece:
     """Runs the selection, contact by contact, with progress on stderr; Ctrl-C keeps the finished contacts."""
     from pftwin.studies.hard_cases import run_matrix
-    from pftwin.studies.hard_cases.table import KeptPiece
+    from pftwin.studies.hard_cases.table import MatrixPiece
     from pftwin.studies.runs import run_each
 
     began, done, of = time.perf_counter(), 0, chosen.cells_of(cases)
@@ -224,7 +224,7 @@ def _run(cases: tuple[HardCase, ...], chosen: Selected, json: str | None) -> Kep
         count(0)
         found = run_each(chosen.contacts, one)
     cells = tuple(cell for of_contact in found for cell in of_contact)
-    piece = KeptPiece(cells, time.perf_counter() - began, describe(), not chosen.derivatives, chosen.truths)
+    piece = MatrixPiece(cells, time.perf_counter() - began, describe(), not chosen.derivatives, chosen.truths)
     terminal.write_json(piece.as_dict(), json)
     if len(found) < len(chosen.contacts):
         raise Interrupted(json)

@@ -103,13 +103,13 @@ class Difference(NamedTuple):
 
 def difference(result: Result, reference: Result, point: Floats) -> Difference:
     """Returns the difference of two motions; `point` (3,) [m] in the patella frame is the point whose path counts."""
-    apart = np.linalg.norm(_path(result, point) - _path(reference, point), axis=1)
+    distance = np.linalg.norm(_path(result, point) - _path(reference, point), axis=1)
     pairs = ((getattr(r.angles, name) for r in (result, reference)) for name in ("flexion", "rotation", "tilt"))
     flexion, rotation, tilt = (np.angle(np.exp(1j * np.subtract(*pair))) for pair in pairs)
     force = None
     if reference.contact is not None and "force" in result.effects.get(reference.contact, {}):
         force = result.effects[reference.contact]["force"] - reference.effects[reference.contact]["force"]
-    return Difference(apart, flexion, rotation, tilt, force)
+    return Difference(distance, flexion, rotation, tilt, force)
 
 
 def rms(a: Floats) -> float:

@@ -74,13 +74,13 @@ def compiling_anew() -> Iterator[None]:
     """Context without JAX's compilation cache, so that compile times are those of a first run."""
     from jax.experimental.compilation_cache import compilation_cache
 
-    kept = jax.config.jax_compilation_cache_dir  # pyright: ignore[reportAttributeAccessIssue]
+    cache_dir = jax.config.jax_compilation_cache_dir  # pyright: ignore[reportAttributeAccessIssue]
     jax.config.update("jax_compilation_cache_dir", None)
     compilation_cache.reset_cache()
     try:
         yield
     finally:
-        jax.config.update("jax_compilation_cache_dir", kept)
+        jax.config.update("jax_compilation_cache_dir", cache_dir)
         compilation_cache.reset_cache()
 
 
@@ -92,9 +92,9 @@ def converged(scene: Scene, contact: str) -> Converged:
     found = []
     for name in names:
         p = programs(scene, name)
-        seen = jax.jit(p.one)(p.arrays, start.answer, jnp.asarray(REFERENCE_ON_MESHES if mesh else REFERENCE))
-        found.append(_result(scene, start.answer, relaxed, seen))
-    return Converged(found[0], 1e3 * rms(_apart(scene, found[1], found[0]).center))
+        observation = jax.jit(p.one)(p.arrays, start.answer, jnp.asarray(REFERENCE_ON_MESHES if mesh else REFERENCE))
+        found.append(_result(scene, start.answer, relaxed, observation))
+    return Converged(found[0], 1e3 * rms(_difference(scene, found[1], found[0]).center))
 
 
 def rows(setting: MeasuredProgram, scene: Scene, reference: Converged, measured: Measured | None) -> list[AccuracyRow]:
@@ -141,21 +141,21 @@ def _times(program: Callable[..., Any], p: Programs, start: Any, steps: dict[int
     return {n: time_in_turn([run], rounds=3, seconds=0.2, own=False)[0].seconds for n, run in runs.items()}
 
 
-def _result(scene: Scene, start: Any, relaxed: bool, seen: Any) -> Result:
-    return Result.build(scene, start, seen, None, relaxed=relaxed, settings={}, timing={})
+def _result(scene: Scene, start: Any, relaxed: bool, observation: Any) -> Result:
+    return Result.build(scene, start, observation, None, relaxed=relaxed, settings={}, timing={})
 
 
-def _apart(scene: Scene, found: Result, reference: Result) -> Difference:
+def _difference(scene: Scene, found: Result, reference: Result) -> Difference:
     return difference(found, reference, np.asarray(scene.tracked_point().array(), dtype=np.float64))
 
 
 def _errors(scene: Scene, found: Result, reference: Result) -> dict[str, float]:
-    apart = _apart(scene, found, reference)
+    off = _difference(scene, found, reference)
     return {
-        "position_rms_mm": 1e3 * rms(apart.center),
-        "position_max_mm": 1e3 * float(np.max(apart.center)),
-        "tilt_rms_deg": float(np.degrees(rms(apart.tilt))),
-        "force_rms_n": math.nan if apart.contact is None else rms(apart.contact),
+        "position_rms_mm": 1e3 * rms(off.center),
+        "position_max_mm": 1e3 * float(np.max(off.center)),
+        "tilt_rms_deg": float(np.degrees(rms(off.tilt))),
+        "force_rms_n": math.nan if off.contact is None else rms(off.contact),
         "dislocation_ms": 1e3 * (_dislocation(found) - _dislocation(reference)),
     }
 

@@ -110,14 +110,14 @@ def audit(
     runs = _runs(scene, groups, integrator, substeps, lambda k, group: progress(2 + k, of, _spelled(group)))
     done = [v for v in wanted if (v.name, v.kind) in runs]
     answers = [runs[v.name, v.kind] for v in done]
-    shares: list[Cost | None] = [None] * (1 + len(done))
+    costs: list[Cost | None] = [None] * (1 + len(done))
     if len(done) == len(wanted):
         progress(of - 1, of, "times, in turn")
-        shares = _shares([own, *answers])
+        costs = _costs([own, *answers])
         progress(of, of, "times, in turn")
     rows = [
         _worth(scene, v, run.result, own.result, share, tolerance if simulated.verdict.valid else None)
-        for v, run, share in zip(done, answers, shares[1:], strict=True)
+        for v, run, share in zip(done, answers, costs[1:], strict=True)
     ]
     return Audit(
         scene=scene.name,
@@ -125,7 +125,7 @@ def audit(
         integrator=integrator.text,
         step=scene.motion.frame_interval / substeps,
         tolerance=tolerance,
-        run_time=None if shares[0] is None else shares[0].seconds,
+        run_time=None if costs[0] is None else costs[0].seconds,
         tracking=simulated.tracking,
         verdict=simulated.verdict.describe(),
         **status_facts(simulated.flags),
@@ -186,13 +186,13 @@ def _programs(scene: Scene, wanted: list[Variant], integrator: Integrator) -> in
     return 1 + len(kinds) + len(moving) + (len(alone) < len(wanted))
 
 
-def _shares(runs: list[VariantRun]) -> list[Cost | None]:
+def _costs(runs: list[VariantRun]) -> list[Cost | None]:
     """Times of the scene's own run and of all single runs, measured in turn; all None after Ctrl-C."""
     try:
-        shares = iter(time_in_turn([run.again for run in runs if run.again is not None]))
+        costs = iter(time_in_turn([run.rerun for run in runs if run.rerun is not None]))
     except KeyboardInterrupt:
         return [None] * len(runs)
-    return [None if run.again is None else next(shares) for run in runs]
+    return [None if run.rerun is None else next(costs) for run in runs]
 
 
 def _worth(scene: Scene, v: Variant, result: Result, own: Result, share: Cost | None, tolerance: float | None) -> Worth:

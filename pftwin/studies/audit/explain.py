@@ -112,14 +112,14 @@ def explain(
     substeps = simulated.settings["substeps"]
     before(1)
     start = settle_first_frame(scene)[0].answer
-    kept: Account = account(scene, start, integrator, substeps)
-    shares = _shares(scene, listed, kept, integrator, substeps, lambda k: before(2 + k))
+    accounted: Account = account(scene, start, integrator, substeps)
+    run_times = _run_times(scene, listed, accounted, integrator, substeps, lambda k: before(2 + k))
     progress(len(stages), len(stages), stages[-1])
     total, step = equations(scene, integrator), scene.motion.frame_interval / substeps
     steps = substeps * (scene.motion.n_frames - 1)
     costs = [
         _cost(part, total - equations(part.without.unnamed(), integrator), share, entry, step)
-        for part, share, entry in zip(listed, shares[1:], kept.sums, strict=True)
+        for part, share, entry in zip(listed, run_times[1:], accounted.sums, strict=True)
     ]
     return Explanation(
         scene=name,
@@ -127,25 +127,25 @@ def explain(
         step=step,
         steps=steps,
         equations=total,
-        step_time=shares[0].seconds / steps,
+        step_time=run_times[0].seconds / steps,
         parts=tuple(costs),
-        kinetic_change=float(np.diff(np.asarray(kept.kinetic, dtype=np.float64))[0]),
+        kinetic_change=float(np.diff(np.asarray(accounted.kinetic, dtype=np.float64))[0]),
         flags=simulated.flags,
         verdict=simulated.verdict.describe(),
         programs=4 + len(listed),  # equilibrium, motion, account, and timed: all effects, and without each
     )
 
 
-def _shares(
+def _run_times(
     scene: Scene,
     listed: list[EffectPart],
-    kept: Account,
+    accounted: Account,
     integrator: Integrator,
     substeps: int,
     before: Callable[[int], None],
 ) -> list[Cost]:
     """Run times of the complete scene and of the scene without each part."""
-    state = kept.states
+    state = accounted.states
     pairs = [(scene, state)]
     pairs += [(p.without.unnamed(), replace(state, memories=p.forgetting(state.memories))) for p in listed]
     return time_in_turn([partial(through_frames, *pair, integrator, substeps) for pair in pairs], before=before)

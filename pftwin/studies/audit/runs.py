@@ -30,7 +30,7 @@ class VariantRun:
     """A variant's result, and a function that runs it again."""
 
     result: Result
-    again: Callable[[], Any] | None  # None if it ran in a batch
+    rerun: Callable[[], Any] | None  # None if it ran in a batch
 
 
 @Program
@@ -55,10 +55,10 @@ def _side_by_side(
 def run_alone(scene: Scene, integrator: Integrator, substeps: int) -> VariantRun:
     """Runs one scene from its equilibrium; InputError for an invalid parameter."""
     check(scene)
-    plain = scene.unnamed()
-    start, relaxed = settle_first_frame(plain)
-    again = partial(_moving, plain, start.answer, integrator, substeps)
-    return VariantRun(_result(scene, start.answer, again(), relaxed, integrator, substeps), again)
+    unnamed = scene.unnamed()
+    start, relaxed = settle_first_frame(unnamed)
+    rerun = partial(_moving, unnamed, start.answer, integrator, substeps)
+    return VariantRun(_result(scene, start.answer, rerun(), relaxed, integrator, substeps), rerun)
 
 
 def run_side_by_side(variants: Sequence[Variant], integrator: Integrator, substeps: int) -> list[VariantRun]:
@@ -70,16 +70,16 @@ def run_side_by_side(variants: Sequence[Variant], integrator: Integrator, subste
     for group in groups_of([v.scene for v in variants]):
         found = _side_by_side(group.scene, group.change, group.rows, integrator, substeps)
         for k, place in enumerate(group.places):
-            scene, (start, seen) = variants[place].scene, jax.tree.map(lambda a, k=k: np.asarray(a)[k], found)
-            runs[place] = VariantRun(_result(scene, start, seen, False, integrator, substeps), None)
+            scene, (start, observation) = variants[place].scene, jax.tree.map(lambda a, k=k: np.asarray(a)[k], found)
+            runs[place] = VariantRun(_result(scene, start, observation, False, integrator, substeps), None)
             if not runs[place].result.equilibrium.converged:  # a single run can also use damped relaxation
-                runs[place] = replace(run_alone(scene, integrator, substeps), again=None)
+                runs[place] = replace(run_alone(scene, integrator, substeps), rerun=None)
     return runs
 
 
-def _result(scene: Scene, start: Solution, seen: Observation, relaxed: bool, integrator: Integrator, n: int) -> Result:
+def _result(scene: Scene, start: Solution, run: Observation, relaxed: bool, integrator: Integrator, n: int) -> Result:
     settings = {"integrator": integrator.text, "dt_s": scene.motion.frame_interval / n, "substeps": n}
-    return Result.build(scene, start, seen, None, relaxed=relaxed, settings=settings, timing={})
+    return Result.build(scene, start, run, None, relaxed=relaxed, settings=settings, timing={})
 
 
 _DEGREES = float(np.degrees(1.0))
@@ -118,16 +118,16 @@ def why_incomparable(result: Result, own: Result) -> str | None:
 
 def compare_runs(scene: Scene, result: Result, own: Result) -> Changes:
     """Compares a run with the scene's own run."""
-    apart = difference(result, own, np.asarray(scene.tracked_point().array(), dtype=np.float64))
+    changes = difference(result, own, np.asarray(scene.tracked_point().array(), dtype=np.float64))
     tensions = {
         name: summed(result.effects[name]["tension"]) - summed(report["tension"])
         for name, report in own.effects.items()
         if "tension" in report and "tension" in result.effects.get(name, {})
     }
     most = max(tensions, key=lambda name: rms(tensions[name]), default=None)
-    turned = (rms(a) for a in (apart.flexion, apart.rotation, apart.tilt))
-    forces = (*_size(apart.contact), *_size(None if most is None else tensions[most]))
-    return Changes(rms(apart.center), float(apart.center.max()), *turned, *forces, tension_of=most)
+    turned = (rms(a) for a in (changes.flexion, changes.rotation, changes.tilt))
+    forces = (*_size(changes.contact), *_size(None if most is None else tensions[most]))
+    return Changes(rms(changes.center), float(changes.center.max()), *turned, *forces, tension_of=most)
 
 
 def _size(change: Floats | None) -> tuple[float, float] | tuple[None, None]:

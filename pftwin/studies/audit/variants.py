@@ -100,15 +100,15 @@ def without_femur_inertia(scene: Scene) -> Variant | NotApplicable:
     if femur is None:
         reason = "the femur stands still in this scene, and nothing in it tells how it moved in the world"
         return NotApplicable(NAME, "added", reason)
-    seen = {e.name: e.in_still_femur(femur) for e in scene.effects}
-    if grounded := [name for name, effect in seen.items() if effect is None]:
+    effects = {e.name: e.in_still_femur(femur) for e in scene.effects}
+    if grounded := [name for name, effect in effects.items() if effect is None]:
         return NotApplicable(NAME, "left out", f"fixed to the ground, which would move then: {', '.join(grounded)}")
     motion, first = scene.motion, femur.frames(scene.motion.start_time)
     tibia = PoseSeries(motion.times, tibia_position(motion), host_array(tibia_orientation(motion)))
     turn = Quaternion.from_rotation(first.rotation).conjugate()
     fixed = dataclasses.replace(
         scene,
-        effects=tuple(e for e in seen.values() if e is not None),
+        effects=tuple(e for e in effects.values() if e is not None),
         motion=dataclasses.replace(motion, femur=None, tibia=KneeMotion.from_poses(None, tibia).tibia),
         start=Pose(turn.rotate(scene.start.position - first.origin), turn * scene.start.orientation),
     )

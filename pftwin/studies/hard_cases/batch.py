@@ -104,7 +104,7 @@ LARGEST = 2000  # most steps of the compared runs: in one batch all take as many
 AGREE = {"float64": 1e-10, "float32": 1e-4}  # tolerance of poses between batches [m, quaternion components]
 
 
-def batch_mates(batch: CaseBatch, starts: Any, substeps: Any, method: CaseIntegrator, dtype: str) -> dict[str, str]:
+def batch_faults(batch: CaseBatch, starts: Any, substeps: Any, method: CaseIntegrator, dtype: str) -> dict[str, str]:
     """Checks that no result depends on the rest of its batch; returns the faults by case.
 
     All cases run in one batch (`jax.vmap`) in reversed order, first with every second one set to NaN and then with the
@@ -160,8 +160,8 @@ def starts_of(batch: CaseBatch, dtype: str) -> Starts:
         there = compiled(relaxed_start, double)(scenes)
         usable = lost & ~ended_far_away(scenes.start, there)
         scenes = eqx.tree_at(lambda s: s.start, scenes, _select_members(usable, there, scenes.start))
-        again: Rest = search(scenes, nothing)
-        found = _select_members(lost & converged_on_host(again.equilibrium), again, found)
+        retried: Rest = search(scenes, nothing)
+        found = _select_members(lost & converged_on_host(retried.equilibrium), retried, found)
     chosen = _select_members(~wanted, found.released, found.equilibrium)
     return Starts(chosen, _failing_equilibria(batch, found, scenes, search, dtype))
 
@@ -178,8 +178,8 @@ def _failing_equilibria(batch: CaseBatch, found: Rest, scenes: Any, search: Any,
     said, columns = {}, np.asarray(found.slopes)
     at_rest = converged_on_host(found.equilibrium)
     # A failed search is flagged in every frame, so it needs no check here.
-    looked = [k for k, case in enumerate(batch.cases) if not case.released and at_rest[k]]
-    smooth = [k for k in looked if batch.cases[k].expected.smooth and dtype == "float64"]
+    checked = [k for k, case in enumerate(batch.cases) if not case.released and at_rest[k]]
+    smooth = [k for k in checked if batch.cases[k].expected.smooth and dtype == "float64"]
     reference: dict[int, np.ndarray] = {}
     if smooth:
 
@@ -187,7 +187,7 @@ def _failing_equilibria(batch: CaseBatch, found: Rest, scenes: Any, search: Any,
             return poses(search(near, jnp.tile(jnp.asarray(p), (n, 1)), only=smooth).equilibrium.pose)
 
         reference = dict(zip(smooth, derivatives.differences(changed), strict=True))
-    for k in looked:
+    for k in checked:
         words = derivatives.not_finite(columns[k][None], np.array([True]))
         if words is None and k in reference:
             words = derivatives.disagree(columns[k], reference[k], dtype)
@@ -207,8 +207,8 @@ def other_equilibria(batch: CaseBatch, double: Solution, single: Solution) -> tu
     equilibria in both float types; returns indices and stacked equilibria.
     """
     ours, theirs = (np.asarray(poses(found.pose), float) for found in (double, single))
-    at_rest, apart = converged_on_host(double) & converged_on_host(single), np.abs(ours - theirs).max(axis=1)
-    which = [k for k, c in enumerate(batch.cases) if not c.released and at_rest[k] and apart[k] > SAME_PLACE]
+    at_rest, distance = converged_on_host(double) & converged_on_host(single), np.abs(ours - theirs).max(axis=1)
+    which = [k for k, c in enumerate(batch.cases) if not c.released and at_rest[k] and distance[k] > SAME_PLACE]
     if not which:
         return [], double
     pose = jax.tree.map(lambda a: jnp.asarray(a, float), single.pose)
@@ -227,7 +227,7 @@ class BatchRuns:
         """Prepares the program; makes no run yet."""
         self._program = compiled(run, float64, integrator=integrator)
         self._batch, self._starts = batch, starts
-        self._kept: dict[tuple[int, int], CaseRun] = {}
+        self._runs: dict[tuple[int, int], CaseRun] = {}
 
     def with_parameters(self, substeps: Sequence[int], p: Any, only: Sequence[int]) -> CaseRun:
         """Runs the cases `only` with parameters changed by p (4,); returns stacked runs."""
@@ -237,11 +237,12 @@ class BatchRuns:
 
     def tried(self, k: int, n: int) -> Tried[CaseRun]:
         """Returns the run of case k with n steps per frame."""
-        if (k, n) not in self._kept:
+        if (k, n) not in self._runs:
             ran = self.with_parameters([n] * len(self._batch.cases), np.zeros(len(PARAMETERS)), [k])
-            self._kept[k, n] = member(ran, 0)
-        found = self._kept[k, n]
-        return Tried(found, Course.of(found.seen, "contact"), not (found.seen.status & int(Status.STEP_TOO_LONG)).any())
+            self._runs[k, n] = member(ran, 0)
+        found = self._runs[k, n]
+        too_long = (found.observation.status & int(Status.STEP_TOO_LONG)).any()
+        return Tried(found, Course.of(found.observation, "contact"), not too_long)
 
     def chosen(self, substeps: Sequence[int], method: CaseIntegrator) -> list[Choice[CaseRun]]:
         """Returns runs with these steps, or with those that `pftwin.simulate` chooses from there, with error flags."""
@@ -250,6 +251,8 @@ class BatchRuns:
         for k, n in enumerate(substeps):
             choice = choose(partial(self.tried, k), n, method.integrator.order)
             error = choice.error.with_start(place_unknown(member(self._starts, k)))
-            flagged = eqx.tree_at(lambda r: r.seen.status, choice.run, choice.run.seen.status | error.flags)
+            flagged = eqx.tree_at(
+                lambda r: r.observation.status, choice.run, choice.run.observation.status | error.flags
+            )
             found.append(replace(choice, run=flagged, error=error))
         return found

@@ -62,8 +62,8 @@ def _padded_corners(made: ContactMesh, mesh: SurfaceMesh) -> ContactMesh:
     order = np.argsort(np.asarray(tree.index), kind="stable")
     first = order[np.searchsorted(np.asarray(tree.index)[order], np.arange(count))]
     points, normals = (np.asarray(a, dtype=np.float64)[first] for a in (tree.points, tree.normals))
-    again = np.minimum(np.arange(_CORNERS), count - 1)
-    return eqx.tree_at(lambda m: m.corners, made, corner_tree(points[again], normals[again]))
+    repeated = np.minimum(np.arange(_CORNERS), count - 1)
+    return eqx.tree_at(lambda m: m.corners, made, corner_tree(points[repeated], normals[repeated]))
 
 
 def _padded_edges(made: PatchMesh) -> PatchMesh:
@@ -72,6 +72,6 @@ def _padded_edges(made: PatchMesh) -> PatchMesh:
 
 
 def _edges(rows: jax.Array) -> jax.Array:
-    kept: NDArray = np.full((_EDGES, 6), _NOWHERE, np.asarray(rows).dtype)
-    kept[: len(rows)] = np.asarray(rows)
-    return jax.device_put(kept)
+    padded: NDArray = np.full((_EDGES, 6), _NOWHERE, np.asarray(rows).dtype)
+    padded[: len(rows)] = np.asarray(rows)
+    return jax.device_put(padded)

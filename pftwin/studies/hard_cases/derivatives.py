@@ -42,8 +42,8 @@ def agreeing_differences(coarse: Floats, fine: Floats) -> Floats:
     """Returns finite differences (n, 7, 4) that agree for two steps; NaN from the first frame where they differ."""
     size = np.maximum.accumulate(np.abs(fine).max(axis=1), axis=0)
     off = np.abs(fine - coarse).max(axis=1)
-    unsettled = np.logical_or.accumulate(~(off <= 0.5 * SHARE * size + LEAST["float64"]), axis=0)
-    return np.where(unsettled[:, None, :], np.nan, fine)
+    unconverged = np.logical_or.accumulate(~(off <= 0.5 * SHARE * size + LEAST["float64"]), axis=0)
+    return np.where(unconverged[:, None, :], np.nan, fine)
 
 
 def known_on(reference: Reference, path: Floats) -> Floats:

@@ -57,16 +57,16 @@ class Look(NamedTuple):
     @property
     def flags(self) -> NDArray[np.int64]:
         """Flags of the frames, (n,) bits of `Status`."""
-        return np.asarray(self.run.seen.status, dtype=np.int64)
+        return np.asarray(self.run.observation.status, dtype=np.int64)
 
     def report(self, name: str) -> Floats:
         """Returns an observable of the contact (n,)."""
-        return np.asarray(self.run.seen.effects["contact"][name], dtype=np.float64)
+        return np.asarray(self.run.observation.effects["contact"][name], dtype=np.float64)
 
     def kinetic(self) -> Floats:
         """Returns the kinetic energy (n,) [J]; zero for a motion without inertia."""
-        seen = np.asarray(self.run.seen.kinetic_energy, np.float64)
-        return seen if self.inertia else 0.0 * seen
+        energy = np.asarray(self.run.observation.kinetic_energy, np.float64)
+        return energy if self.inertia else 0.0 * energy
 
     def clean(self) -> NDArray[np.bool_]:
         """Returns whether each frame precedes the first that the run itself rejects (n,)."""
@@ -81,7 +81,7 @@ def finite(look: Look) -> str | None:
     """Checks that all observations are finite in all frames; reports of a facet may be NaN without contact."""
     states, ledger = look.run.states, look.run.ledger
     arrays = [host_array(a) for a in (states.position, states.orientation, states.velocity, states.spin)]
-    arrays += [ledger.work, ledger.heat, look.run.seen.kinetic_energy, look.report("force")]
+    arrays += [ledger.work, ledger.heat, look.run.observation.kinetic_energy, look.report("force")]
     bad = ~np.logical_and.reduce([np.isfinite(np.asarray(a)).reshape(len(look.flags), -1).all(axis=1) for a in arrays])
     return f"not finite from frame {np.argmax(bad) + 1}" if bad.any() else None
 
@@ -111,8 +111,8 @@ def energy(look: Look) -> str | None:
 
     Heat can only lower it, so heat is not counted.
     """
-    seen, ledger = look.run.seen, look.run.ledger
-    stored = [np.asarray(v, np.float64) for v in seen.potential_energy.values()]
+    observation, ledger = look.run.observation, look.run.ledger
+    stored = [np.asarray(v, np.float64) for v in observation.potential_energy.values()]
     kinetic, work, clean = look.kinetic(), np.asarray(ledger.work, np.float64), look.clean()
     left = (kinetic + sum(stored) - work)[clean]
     parts = [kinetic, *(v - v[0] for v in stored), work]
@@ -128,9 +128,9 @@ def penetration(look: Look) -> str | None:
     law = look.knee.law
     depth = np.maximum(np.nan_to_num(look.indentation()), 0.0)
     stored = law.stiffness * depth ** (law.exponent + 1) / (law.exponent + 1)
-    seen, work = look.run.seen, np.asarray(look.run.ledger.work, np.float64)
-    others = [np.asarray(v, np.float64) for n, v in seen.potential_energy.items() if n != "contact"]
-    total = look.kinetic() + sum(np.asarray(v, np.float64) for v in seen.potential_energy.values())
+    observation, work = look.run.observation, np.asarray(look.run.ledger.work, np.float64)
+    others = [np.asarray(v, np.float64) for n, v in observation.potential_energy.items() if n != "contact"]
+    total = look.kinetic() + sum(np.asarray(v, np.float64) for v in observation.potential_energy.values())
     available = total[0] + np.maximum(work, 0.0) - sum(others)
     clean = look.clean()
     scale = float(np.max(np.abs(total[clean]), initial=0.0))

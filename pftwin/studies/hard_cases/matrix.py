@@ -18,7 +18,7 @@ from pftwin.studies.hard_cases.batch import (
     BatchRuns,
     CaseBatch,
     Starts,
-    batch_mates,
+    batch_faults,
     batches,
     member,
     members,
@@ -48,7 +48,7 @@ class Selection(NamedTuple):
     integrators: tuple[CaseIntegrator, ...] = INTEGRATORS
     dtypes: tuple[str, ...] = DTYPES
     derivatives: bool = True
-    mates: bool = True
+    batch_independence: bool = True
     truths: bool = True
 
     def able(self, contact: str) -> tuple[CaseIntegrator, ...]:
@@ -223,9 +223,9 @@ def _run_batch(
         elif references:
             for others, begun in prepared.elsewhere:
                 references |= _references_from(others, begun, method)
-    mates: dict[str, str] = {}
-    if selection.mates and n > 1 and contact in PATCHES:  # batched mesh searches compile for minutes
-        mates = batch_mates(batch, starts.chosen, jnp.asarray(substeps), method, dtype)
+    dependent: dict[str, str] = {}
+    if selection.batch_independence and n > 1 and contact in PATCHES:  # batched mesh searches compile for minutes
+        dependent = batch_faults(batch, starts.chosen, jnp.asarray(substeps), method, dtype)
     by_name = {c.name: runs[k] for k, c in enumerate(batch.cases)}
     cells = []
     for k, case in enumerate(batch.cases):
@@ -235,7 +235,7 @@ def _run_batch(
             None if columns is None else columns[k],
             references.get(case.name),
             starts.wrong.get(case.name),
-            mates.get(case.name),
+            dependent.get(case.name),
             depth[k],
             step,
             prepared.truths(dtype).get(case.name) if method.inertia else None,
@@ -247,11 +247,11 @@ def _run_batch(
 
 def _depths(batch: CaseBatch, runs: Sequence[CaseRun], float64: bool) -> NDArray[np.float64]:
     """Penetration depths by exhaustive search, (cases, frames) [m]; NaN at skipped frames of long motions."""
-    frames = runs[0].seen.status.size
-    looked = np.arange(0, frames, max(1, frames // MOST_LOOKS))
-    centers = jax.tree.map(lambda *a: np.stack(a)[:, looked], *(r.seen.center for r in runs))
+    frames = runs[0].observation.status.size
+    sampled = np.arange(0, frames, max(1, frames // MOST_LOOKS))
+    centers = jax.tree.map(lambda *a: np.stack(a)[:, sampled], *(r.observation.center for r in runs))
     depth = np.full((len(batch.cases), frames), np.nan)
-    depth[:, looked] = np.asarray(compiled(depths, float64)(batch.scenes, centers))
+    depth[:, sampled] = np.asarray(compiled(depths, float64)(batch.scenes, centers))
     return depth
 
 

@@ -49,7 +49,7 @@ class CaseRun(eqx.Module):
     """The results of a run; the leading axis is the frame."""
 
     states: State
-    seen: Observation
+    observation: Observation
     ledger: Ledger
 
 

@@ -76,7 +76,7 @@ def reasons(cells: Sequence[Cell], outcome: str) -> Sheet:
     return Sheet(title, ("case", "integrator", "contacts", "why (of the first)"), tuple(rows))
 
 
-def markdown(cells: Sequence[Cell], cases: Sequence[HardCase], pieces: Sequence[KeptPiece]) -> str:
+def markdown(cells: Sequence[Cell], cases: Sequence[HardCase], pieces: Sequence[MatrixPiece]) -> str:
     """Returns the page docs/hard_cases.md from the partial results."""
     found, m = counts(cells), pieces[-1].machine
     why = {c.name: c.unmended or c.limit for c in cases}
@@ -111,7 +111,7 @@ def _short(text: str) -> str:
 _EXPECTED = "what pftwin hard-cases --json has written"
 
 
-class KeptPiece(NamedTuple):
+class MatrixPiece(NamedTuple):
     """A partial result: the cells of one run."""
 
     rows: tuple[Cell, ...]
@@ -125,18 +125,18 @@ class KeptPiece(NamedTuple):
         return {**self._asdict(), "rows": [c._asdict() for c in self.rows]}
 
 
-def read_piece(path: Path) -> KeptPiece:
+def read_piece(path: Path) -> MatrixPiece:
     """Reads a partial result written by `pftwin hard-cases --json`; InputError for a missing or different file."""
     found = read_json(path, expected=_EXPECTED)
     try:
         rows = tuple(Cell(**one) for one in found["rows"])
         words = float(found["seconds"]), dict(found["machine"]), bool(found["quick"]), bool(found.get("truths"))
-        return KeptPiece(rows, *words)
+        return MatrixPiece(rows, *words)
     except (ValueError, KeyError, TypeError) as error:
         raise InputError(f"no piece of the matrix: {error}", where=path, expected=_EXPECTED) from error
 
 
-def read_pieces(path: Path) -> list[KeptPiece]:
+def read_pieces(path: Path) -> list[MatrixPiece]:
     """Reads a partial result, or all *.json files of a folder from oldest to newest; raises as `read_piece` does."""
     if not path.is_dir():
         return [read_piece(path)]
@@ -146,19 +146,19 @@ def read_pieces(path: Path) -> list[KeptPiece]:
     return sorted(found, key=lambda piece: str(piece.machine["date"]))
 
 
-def merged_pieces(pieces: Sequence[KeptPiece], order: Sequence[tuple[str, ...]]) -> list[Cell]:
+def merged_pieces(pieces: Sequence[MatrixPiece], order: Sequence[tuple[str, ...]]) -> list[Cell]:
     """Merges pieces, each cell from the last that has it; `order`: names of cases, contacts, integrators, dtypes."""
-    kept = {cell[:4]: cell for piece in pieces for cell in piece.rows}
+    latest = {cell[:4]: cell for piece in pieces for cell in piece.rows}
     ranks = [{name: k for k, name in enumerate(names)} for names in order]
 
     def rank(cell: Cell) -> tuple[int, ...]:
         case, contact, integrator, dtype = (r.get(x, len(r)) for r, x in zip(ranks, cell[:4], strict=True))
         return contact, integrator, dtype, case
 
-    return sorted(kept.values(), key=rank)
+    return sorted(latest.values(), key=rank)
 
 
-_LOOKED = {  # by whether derivatives and batches were omitted, and whether there were converged runs
+_CHECKED = {  # by whether derivatives and batches were omitted, and whether there were converged runs
     (False, True): "everything",
     (False, False): "everything but converged runs",
     (True, True): "the run, beside a converged one",
@@ -166,14 +166,14 @@ _LOOKED = {  # by whether derivatives and batches were omitted, and whether ther
 }
 
 
-def runs(pieces: Sequence[KeptPiece]) -> Sheet:
+def runs(pieces: Sequence[MatrixPiece]) -> Sheet:
     """Returns a table of the partial results: contents, date and run time."""
     rows = []
     for piece in pieces:
         cases, *names = (dict.fromkeys(cell[k] for cell in piece.rows) for k in range(4))
-        looked = _LOOKED[piece.quick, piece.truths]
+        checked = _CHECKED[piece.quick, piece.truths]
         when, minutes = str(piece.machine["date"])[:16], f"{piece.seconds / 60:.1f}"
-        rows.append((when, minutes, *map(", ".join, names), str(len(cases)), looked))
+        rows.append((when, minutes, *map(", ".join, names), str(len(cases)), checked))
     headings = ("date", "minutes", "contacts", "integrators", "float types", "cases", "checked")
     return Sheet("what was run", headings, tuple(rows))
 
@@ -195,7 +195,7 @@ def results(
                 found[case.name] = Result.build(
                     built_scene(case, contact),
                     member(starts.chosen, k),
-                    one.seen,
+                    one.observation,
                     one.ledger,
                     relaxed=False,
                     settings={"integrator": integrator, "dt_s": 1 / RATE / n, "substeps": n},

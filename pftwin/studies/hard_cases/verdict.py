@@ -52,7 +52,7 @@ class Truth(NamedTuple):
 
     def off(self, ran: CaseRun, known_to: float) -> ErrorEstimate:
         """Returns the difference of a run from this one at every frame, plus `known_to` times the uncertainty."""
-        found = course_difference(Course.of(ran.seen, "contact"), self.course)
+        found = course_difference(Course.of(ran.observation, "contact"), self.course)
         off = (getattr(found, n) + known_to * getattr(self.left, n) for n in QUANTITIES)
         path, force, *facets = (np.maximum(a, 0.0) for a in off)
         middle = np.abs(self.course.center[:, 1]) < MIDDLE
@@ -95,7 +95,7 @@ _UNRELATED = int(Status.START_NOT_IN_EQUILIBRIUM | Status.NO_CONTACT | Status.DE
 
 def silent_error(ran: CaseRun, truth: Truth, remarked: Callable[[], bool] = lambda: False) -> str | None:
     """Describes an error that a run does not report by flags, verdict or remark; None if there is none."""
-    off, flags = truth.off(ran, -2.0), np.asarray(ran.seen.status, np.int64)
+    off, flags = truth.off(ran, -2.0), np.asarray(ran.observation.status, np.int64)
     (wrong, frames), said = deserved(off), Status(int(np.bitwise_or.reduce(flags)))
     enough = Status.INACCURATE | UNKNOWN
     pairs = (Status.INACCURATE, enough), (Status.FACETS_INACCURATE, Status.FACETS_INACCURATE | enough)
@@ -126,7 +126,7 @@ class Evidence(NamedTuple):
     slopes: NDArray[np.float64] | None  # (n, 7, 4) derivatives
     reference: Reference | None  # finite differences for the derivatives
     start: str | None  # faults of the equilibrium
-    mates: str | None  # dependence on the batch
+    batch_dependence: str | None  # dependence on the batch
     depth: NDArray[np.float64]  # (n,) penetration by exhaustive search [m]
     step: float  # [s]
     truth: Truth | None = None  # a converged run
@@ -154,7 +154,7 @@ def verdict(case: HardCase, contact: str, method: CaseIntegrator, dtype: str, ev
     found = [
         *(check(look) for check in CHECKS),
         evidence.start,
-        evidence.mates,
+        evidence.batch_dependence,
         _equals_other_case(look, evidence),
         _slopes(look, evidence, dtype, invalid),
         None if evidence.truth is None else silent_error(run, evidence.truth, evidence.remarked),

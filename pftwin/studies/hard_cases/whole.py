@@ -20,7 +20,7 @@ from pftwin.base.runtime import configure, describe
 from pftwin.base.text_files import write_text
 from pftwin.studies.hard_cases.case import CaseIntegrator, catalogue
 from pftwin.studies.hard_cases.matrix import Prepared, Selection, cells_of
-from pftwin.studies.hard_cases.table import KeptPiece
+from pftwin.studies.hard_cases.table import MatrixPiece
 
 Say = Callable[[str], None]
 _LOOK = 2.0  # time between two looks at what other processes have written [s]
@@ -95,6 +95,6 @@ def run_contact(
         began = time.perf_counter()
         cells = cells_of(prepared, method, say)
         seconds = time.perf_counter() - began
-        piece = KeptPiece(tuple(cells), seconds, describe(), not selection.derivatives, selection.truths)
+        piece = MatrixPiece(tuple(cells), seconds, describe(), not selection.derivatives, selection.truths)
         write_text(piece_path(folder, contact, method), json.dumps(piece.as_dict(), indent=1))
     jax.clear_caches()

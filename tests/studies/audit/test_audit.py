@@ -215,7 +215,7 @@ def test_side_by_side_is_as_alone():
     for run, one in zip(together, (heavier, softer), strict=True):
         alone = run_alone(one, LinearImplicit(), SUBSTEPS).result
         np.testing.assert_allclose(run.result.center, alone.center, atol=1e-9)
-        assert run.again is None
+        assert run.rerun is None
     assert np.abs(together[0].result.center - together[1].result.center).max() > 1e-5
 
 

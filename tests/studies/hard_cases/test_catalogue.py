@@ -25,7 +25,7 @@ from pftwin.studies.hard_cases.batch import batches, built_scene
 from pftwin.studies.hard_cases.case import Expected, HardCase
 from pftwin.studies.hard_cases.contacts import contact_on
 from pftwin.studies.hard_cases.knee import KneeNumbers
-from pftwin.studies.hard_cases.table import KeptPiece, by_case, counts, markdown, reasons, summary
+from pftwin.studies.hard_cases.table import MatrixPiece, by_case, counts, markdown, reasons, summary
 from pftwin.studies.hard_cases.verdict import THOUGH_RIGHT, Cell
 
 
@@ -113,7 +113,7 @@ def test_every_cell_is_counted_once_while_the_matrix_runs():
 @pytest.fixture(scope="module")
 def cells() -> list[Cell]:
     """One contact and the default integrator, with derivatives."""
-    chosen = Selection(("P5",), (method_named("linear_implicit"),), ("float64",), mates=False)
+    chosen = Selection(("P5",), (method_named("linear_implicit"),), ("float64",), batch_independence=False)
     told: list[int] = []
     found = run_matrix([case_named(name) for name in SMALL], chosen, count=told.append)
     assert sum(told) == len(found) == chosen.cells_of([case_named(name) for name in SMALL])
@@ -151,7 +151,7 @@ def test_tables_count_every_cell_once(cells):
     assert sum(int(x) for x in row[3:]) == len(cells)
     assert len(by_case(cells).rows) == len({c.case for c in cells})
     machine = {"cpu": "a", "cores": 1, "jax": "0", "date": "2026-01-01T10:00+00:00"}
-    page = markdown(cells, catalogue(), [KeptPiece(tuple(cells), 60.0, machine, False, True)])
+    page = markdown(cells, catalogue(), [MatrixPiece(tuple(cells), 60.0, machine, False, True)])
     cases = len({c.case for c in cells})
     assert f"| 2026-01-01T10:00 | 1.0 | P5 | linear_implicit | float64 | {cases} | everything |" in page
     assert all(f"**{c.name}**" in page for c in catalogue())

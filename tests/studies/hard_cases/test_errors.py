@@ -35,13 +35,13 @@ def ran(of: Course, *flags: Status) -> Any:
     w, i, j, k = of.quaternion.T
     report = dict(zip(("force_x", "force_y", "force_z"), of.force.T, strict=True))
     report |= {"force_medial": of.medial, "force_lateral": of.lateral}
-    seen = SimpleNamespace(
+    observation = SimpleNamespace(
         center=Vec3(x, y, z),
         patella=SimpleNamespace(orientation=Quaternion(w, i, j, k)),
         effects={"contact": report},
         status=np.array([*(int(f) for f in flags), *[0] * (FRAMES - len(flags))]),
     )
-    return SimpleNamespace(seen=seen)
+    return SimpleNamespace(observation=observation)
 
 
 def truth(left: float = 0.0) -> Truth:

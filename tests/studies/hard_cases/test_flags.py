@@ -22,8 +22,8 @@ def flags_of(names: list[str], integrator: Integrator, substeps: int) -> list[St
     starts = compiled(equilibrium_with_derivatives, True)(scenes, none)
     chosen = [member(starts.released if c.released else starts.equilibrium, k) for k, c in enumerate(cases)]
     steps = jnp.full(len(cases), substeps)
-    seen = compiled(run, True, integrator=integrator)(scenes, stacked(chosen), steps, none).seen
-    return [Status(int(np.bitwise_or.reduce(row))) for row in np.asarray(jax.device_get(seen.status))]
+    observation = compiled(run, True, integrator=integrator)(scenes, stacked(chosen), steps, none).observation
+    return [Status(int(np.bitwise_or.reduce(row))) for row in np.asarray(jax.device_get(observation.status))]
 
 
 @pytest.mark.slow

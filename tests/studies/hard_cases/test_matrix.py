@@ -100,7 +100,7 @@ def test_nothing_fails_but_what_the_page_lists(family, combination):
     cases = [c for c in catalogue() if c.name in {*names, *others}]
     smooth = contact not in MESHES
     chosen = Selection(
-        (contact,), (method_named(integrator),), (dtype,), derivatives=smooth, mates=smooth, truths=smooth
+        (contact,), (method_named(integrator),), (dtype,), derivatives=smooth, batch_independence=smooth, truths=smooth
     )
     cells = {c.case: c for c in run_matrix(cases, chosen)}
     assert set(names) <= set(cells)
@@ -111,7 +111,7 @@ def test_nothing_fails_but_what_the_page_lists(family, combination):
 @pytest.mark.slow
 def test_all_cases_hold_on_a_patch_with_the_default_integrator():
     cases = [c for c in catalogue() if c.group == "short"]
-    chosen = Selection(("P5",), (method_named("linear_implicit"),), ("float64",), mates=False)
+    chosen = Selection(("P5",), (method_named("linear_implicit"),), ("float64",), batch_independence=False)
     cells = run_matrix(cases, chosen)
     assert {c.case: c.reason for c in cells if c.outcome == "fail"} == {}
     wrong_input = {c.name for c in catalogue() if c.expected.refusal is not None and "P5" in c.contacts}

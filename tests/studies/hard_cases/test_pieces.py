@@ -10,14 +10,14 @@ from pftwin.base.errors import InputError
 from pftwin.studies.hard_cases import CONTACTS, INTEGRATORS, case_named, method_named, whole
 from pftwin.studies.hard_cases.batch import batches, short_enough
 from pftwin.studies.hard_cases.matrix import EVERYTHING
-from pftwin.studies.hard_cases.table import KeptPiece, merged_pieces, read_piece, read_pieces, runs
+from pftwin.studies.hard_cases.table import MatrixPiece, merged_pieces, read_piece, read_pieces, runs
 from pftwin.studies.hard_cases.verdict import Cell
 
 MACHINE = {"cpu": "a", "cores": 1, "jax": "0", "date": "2026-01-01T10:00+00:00"}
 
 
-def piece(outcome: str, *cases: str) -> KeptPiece:
-    return KeptPiece(tuple(Cell(c, "P5", "newmark", "float64", outcome, "") for c in cases), 60.0, MACHINE, True)
+def piece(outcome: str, *cases: str) -> MatrixPiece:
+    return MatrixPiece(tuple(Cell(c, "P5", "newmark", "float64", outcome, "") for c in cases), 60.0, MACHINE, True)
 
 
 def test_of_cells_run_twice_the_later_counts():

@@ -35,6 +35,6 @@ def test_invariants_hold_on_any_surface(coefficients, stiffness, mass):
     start = compiled(equilibrium_with_derivatives, True)(scenes, none).equilibrium
     hypothesis.assume(float(start.residual[0]) < 1e-6)
     forward = compiled(run, True, integrator=LinearImplicit())(scenes, start, jnp.array([10]), none)
-    depth = np.asarray(compiled(depths, True)(scenes, forward.seen.center))[0]
+    depth = np.asarray(compiled(depths, True)(scenes, forward.observation.center))[0]
     look = Look(case, knee, "P5", member(jax.device_get(forward), 0), TOLERANCES["float64"], 1e-3, depth)
     assert not [words for check in CHECKS if (words := check(look)) is not None]

@@ -92,7 +92,7 @@ def test_only_a_confirmed_equilibrium_elsewhere_is_taken_for_one(monkeypatch):
 def test_a_start_in_another_equilibrium_is_compared_with_a_run_from_there():
     """A button of flat triangles rests on another one in float32, 3.6 mm from there, which is as right."""
     method = method_named("linear_implicit")
-    selection = Selection(("contours",), (method,), ("float32",), derivatives=False, mates=False)
+    selection = Selection(("contours",), (method,), ("float32",), derivatives=False, batch_independence=False)
     prepared = Prepared([case_named("rest_in_the_groove")], "contours", selection)
     (cell,) = cells_of(prepared, method)
     assert cell.outcome == "pass", cell.reason

@@ -19,8 +19,8 @@ from pftwin.cli.terminal import (
     check_suffix,
     present,
     progress,
+    progress_callback,
     spinner,
-    told_by,
     written_line,
 )
 
@@ -115,7 +115,7 @@ def plan_experiment(*, knee: ExperimentOptions, json: JsonOption = None) -> None
     if asked["use"] == "all":
         asked["use"] = channels_of(chosen.scene)
     with progress("linearising the motion") as shown:
-        found = plan(chosen.scene, **asked, further=[each.scene for each in further], progress=told_by(shown))
+        found = plan(chosen.scene, **asked, further=[each.scene for each in further], progress=progress_callback(shown))
     deviations = {", ".join(found.channels): found.relative, **{f"and {c}": v for c, v in found.additions.items()}}
     sheet = Sheet(
         f"{chosen.scene.name}: smallest possible standard deviations [%]",

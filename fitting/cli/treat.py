@@ -159,7 +159,7 @@ def optimise(
             confidence=confidence,
             seed=seed,
             dt=dt,
-            progress=terminal.told_by(shown),
+            progress=terminal.progress_callback(shown),
         )
     notes = caveats(found, chosen.scene.synthetic)
     facts = {"scene": chosen.scene.name, **plan.to_dict(), "notes": notes}

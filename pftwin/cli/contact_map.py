@@ -172,8 +172,8 @@ def _facts(found: ContactMap) -> dict[str, Any]:
 
     from pftwin.dynamics.status import Status, status_facts
 
-    apart = np.where(found.touching, 0, int(Status.NO_CONTACT))
-    flags = apart | np.where(found.too_deep, int(Status.DEEP_INDENTATION), 0)
+    separate = np.where(found.touching, 0, int(Status.NO_CONTACT))
+    flags = separate | np.where(found.too_deep, int(Status.DEEP_INDENTATION), 0)
     return {
         "frames": found.times.size,
         "frames_in_contact": int(found.touching.sum()),

@@ -72,7 +72,7 @@ def doctor_mesh(
     unit = units or next(iter(found.units), None)
     if unit is None or found.of("fatal"):
         why = "no unit suits its size: say which with --units" if unit is None else "the mesh is not to be used"
-        parts.append(f"axes are not looked for: {why}")
+        parts.append(f"no axes computed: {why}")
     else:
         facts["axes"], more = _axes(mesh, unit, output)
         parts.extend(more)

@@ -60,9 +60,9 @@ def check_trust(result: Result) -> None:
 class Interrupted(KeyboardInterrupt):
     """Ctrl-C, with the files of results saved before it; None and stdout ("-") are skipped."""
 
-    def __init__(self, *kept: Path | str | None) -> None:
+    def __init__(self, *saved: Path | str | None) -> None:
         super().__init__()
-        self.kept = tuple(path for path in kept if path not in (None, "-"))
+        self.saved = tuple(path for path in saved if path not in (None, "-"))
 
 
 @contextmanager
@@ -79,8 +79,8 @@ def report_written_on_interrupt(*files: Path | None) -> Iterator[None]:
 
 def after_interrupt(error: KeyboardInterrupt) -> NoReturn:
     """Reports which files were saved, and ends with `INTERRUPTED`."""
-    kept = error.kept if isinstance(error, Interrupted) else ()
-    words = f"saved so far: {', '.join(map(str, kept))}" if kept else "nothing was saved"
+    saved = error.saved if isinstance(error, Interrupted) else ()
+    words = f"saved so far: {', '.join(map(str, saved))}" if saved else "nothing was saved"
     tell(f"interrupted; {words}", "yellow")
     raise typer.Exit(ExitCode.INTERRUPTED)
 

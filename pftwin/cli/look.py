@@ -100,7 +100,7 @@ def explain(*, knee: RunOptions, markdown: MarkdownOption = False, json: termina
     from pftwin.studies.audit.report import explanation_sheet
 
     with terminal.progress(f"running {chosen.scene.name}") as shown:
-        found = look(chosen.scene, integrator=knee.method, dt=knee.dt, progress=terminal.told_by(shown))
+        found = look(chosen.scene, integrator=knee.method, dt=knee.dt, progress=terminal.progress_callback(shown))
     facts = {"contact": chosen.contact, **found.to_dict(), "machine": describe()}
     terminal.present(facts, explanation_sheet(found), json=json, markdown=markdown)
 
@@ -132,7 +132,7 @@ def audit(
     from pftwin.studies.audit.report import audit_sheet
 
     with terminal.progress(f"running {chosen.scene.name}") as shown:
-        options = {"integrator": knee.method, "dt": knee.dt, "progress": terminal.told_by(shown)}
+        options = {"integrator": knee.method, "dt": knee.dt, "progress": terminal.progress_callback(shown)}
         found = weigh(chosen.scene, tolerance=1e-3 * allowed, **options)
     files = [] if out_dir is None else _write(found, out_dir)
     about = {"contact": chosen.contact, "machine": describe(), "files": [str(p) for p in files]}

@@ -226,8 +226,8 @@ class TrialsOptions:
         files, cases = self.scene or [], self.case or []
         if files and cases:
             raise InputError("both scene files and --case given", expected="trials of one knee")
-        if again := [str(each) for each in (*files, *cases) if (*files, *cases).count(each) > 1]:
-            raise InputError(f"{again[0]} is named twice", expected="each trial once")
+        if repeated := [str(each) for each in (*files, *cases) if (*files, *cases).count(each) > 1]:
+            raise InputError(f"{repeated[0]} is named twice", expected="each trial once")
         trials = [*((path, None) for path in files), *((None, number) for number in cases)]
         trials = trials or [(None, None)]  # its error reports what is missing
         return [chosen_scene(path, number, self.contact) for path, number in trials]

@@ -140,8 +140,8 @@ def _reported(report: EquilibriumReport, scene: Scene) -> list[tuple[str, str]]:
             f"{name} {key}".replace("_", " "),
             "none" if isnan(value) else shown(float(value), units[name].get(key, "1"), 6),  # nan: nothing touches there
         )
-        for name, seen in report.effects.items()
-        for key, value in seen.items()
+        for name, observables in report.effects.items()
+        for key, value in observables.items()
         if value.ndim == 0
     ]
 

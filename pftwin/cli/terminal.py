@@ -125,7 +125,7 @@ def _cut(text: str, room: int) -> str:
     return text if len(text) <= room else f"{text[: room - 1]}…"
 
 
-def told_by(show: Callable[..., None]) -> Callable[[int, int, str], None]:
+def progress_callback(show: Callable[..., None]) -> Callable[[int, int, str], None]:
     """Adapts the function that `progress` yields to callbacks with the number done, the total, and a label."""
     return lambda done, of, what: show(done, of, what=what)
 
@@ -172,7 +172,7 @@ def save_picture(figure: Figure, path: Path) -> None:
 
 def check_outputs(*paths: str | os.PathLike[str] | None) -> None:
     """Raises OutputError for unwritable paths and for two outputs to one file, before any work; skips None and "-"."""
-    seen: set[Path] = set()
+    places: set[Path] = set()
     for path in paths:
         if path is None or str(path) == "-":
             continue
@@ -182,9 +182,9 @@ def check_outputs(*paths: str | os.PathLike[str] | None) -> None:
                 pass
         except OSError as error:
             raise OutputError(f"{target}: cannot be written: {(error.strerror or str(error)).lower()}") from error
-        if (place := target.resolve()) in seen:
+        if (place := target.resolve()) in places:
             raise OutputError(f"{target}: two outputs would go to this file; try: another name for one of them")
-        seen.add(place)
+        places.add(place)
 
 
 def check_folder(folder: Path) -> None:

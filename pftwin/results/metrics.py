@@ -268,11 +268,11 @@ def _exchanged(one: tuple[Floats, Floats] | None, other: tuple[Floats, Floats] |
     return straight > _NEARER * exchanged
 
 
-def up_to_scale(data: Floats, seen: Floats) -> Floats:
+def up_to_scale(data: Floats, model: Floats) -> Floats:
     """Distances (N,) of two forces (n, 2) from those of N motions (N, n, 2), as shares of these, up to a common scale,
     which equilibrium leaves open."""
-    size = np.maximum(np.sqrt(np.mean(seen**2, axis=1, keepdims=True)), 1e-300)
-    a, b = (data / size).reshape(len(seen), -1), (seen / size).reshape(len(seen), -1)
+    size = np.maximum(np.sqrt(np.mean(model**2, axis=1, keepdims=True)), 1e-300)
+    a, b = (data / size).reshape(len(model), -1), (model / size).reshape(len(model), -1)
     scale = np.maximum(np.sum(a * b, axis=1) / np.maximum(np.sum(a * a, axis=1), 1e-300), 0.0)
     return np.sqrt(np.mean((scale[:, None] * a - b) ** 2, axis=1))
 

@@ -66,11 +66,11 @@ def read_recording(case: int, folder: Path | None = None) -> Recording:
     contact, tibial, femoral = (
         np.maximum(singular_spectrum_filter(forces.column(name), WINDOW), 0.0) for name in FORCES
     )
-    seen = patella.relative_to(femur)
+    relative = patella.relative_to(femur)
     measured = Measured(
-        seen.times,
-        seen.positions,
-        seen.quaternions,
+        relative.times,
+        relative.positions,
+        relative.quaternions,
         contact_force=contact,
         tibial_spring_force=tibial,
         femoral_spring_force=femoral,

@@ -94,7 +94,7 @@ def test_what_is_kept_is_what_was_written_anew(tmp_path):
 
     with pytest.raises(Interrupted) as caught:
         cut_short()
-    assert caught.value.kept == (new,)
+    assert caught.value.saved == (new,)
 
 
 def test_the_page_has_every_code():

@@ -129,7 +129,7 @@ def _dislocated(result: Result, measured: Measured | None) -> NDArray[np.bool_]:
 
 def _draw(ax: Axes, courses: list[Course], grid: Floats, way: Strokes, name: str, colour: str) -> bool:
     """Draws the curves of one group; returns whether a stroke among them dislocates."""
-    apart = False
+    dislocates = False
     for words, (found, alone) in by_outcome(courses, grid, way).items():
         dashes = _DASHED.get(words, "-")
         if np.isfinite(found.mean).any():
@@ -139,8 +139,8 @@ def _draw(ax: Axes, courses: list[Course], grid: Floats, way: Strokes, name: str
                 ax.fill_between(x, mean - sd, mean + sd, color=colour, **style.BAND)
         if any(np.isfinite(course.values).any() for course in alone):
             _draw_alone(ax, alone, f"{name}{words}, dislocates (n = {len(alone)})", dashes, colour)
-            apart = True
-    return apart
+            dislocates = True
+    return dislocates
 
 
 def _draw_alone(ax: Axes, strokes: list[Course], label: str, dashes: Any, colour: str) -> None:

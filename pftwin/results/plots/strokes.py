@@ -62,16 +62,16 @@ def strokes_of(flexion: Floats, where: str = "motion") -> list[Stroke]:
     Raises InputError, which names the motion `where`, if the knee bends by less than `LEAST` or flexion is missing.
     """
     known = np.isfinite(flexion)
-    reach = float(np.ptp(flexion[known])) if known.any() else 0.0
-    if reach < LEAST or not known.all():
-        problem = f"the knee bends by {reach:.2g} deg" if known.all() else "the knee's flexion is not known everywhere"
+    span = float(np.ptp(flexion[known])) if known.any() else 0.0
+    if span < LEAST or not known.all():
+        problem = f"the knee bends by {span:.2g} deg" if known.all() else "the knee's flexion is not known everywhere"
         raise InputError(
             problem,
             where=where,
             expected=f"a motion of at least {LEAST:g} deg of knee flexion",
             remedy="draw over time: result.plot.compared(measured), or the columns of result.to_dataset()",
         )
-    turns = _turning_points(flexion, max(LEAST, _SHARE * reach))
+    turns = _turning_points(flexion, max(LEAST, _SHARE * span))
     advancing, ways = [], []
     for first, last in pairwise(turns):
         ways.append(bool(flexion[last] > flexion[first]))
@@ -125,7 +125,7 @@ class Averaged(NamedTuple):
 
 def by_outcome(courses: Sequence[Course], grid: Floats, way: Strokes = "apart") -> dict[str, Averaged]:
     """Averages the strokes of recordings at flexions (k,) [deg], by direction; the keys are suffixes of the legend."""
-    kept: dict[str, list[tuple[Floats, Floats]]] = {words: [] for words, _ in WAYS[way]}
+    averaged: dict[str, list[tuple[Floats, Floats]]] = {words: [] for words, _ in WAYS[way]}
     alone: dict[str, list[Course]] = {words: [] for words, _ in WAYS[way]}
     for flexion, values, out, name in courses:
         for frames, bending, whole in strokes_of(flexion, name):
@@ -134,5 +134,5 @@ def by_outcome(courses: Sequence[Course], grid: Floats, way: Strokes = "apart") 
                     alone[words].append(Course(flexion[whole], values[whole], out[whole], name))
                 else:
                     rising = frames if bending else frames[::-1]
-                    kept[words].append((flexion[rising], values[rising]))
-    return {words: Averaged(band(kept[words], grid), alone[words]) for words in kept}
+                    averaged[words].append((flexion[rising], values[rising]))
+    return {words: Averaged(band(averaged[words], grid), alone[words]) for words in averaged}

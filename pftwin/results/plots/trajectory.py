@@ -113,8 +113,8 @@ def _of_mesh(chart: Any, mesh: tuple[Floats, NDArray[np.int64]], window: Floats)
     for c, (low, high) in zip((fu, fv), window.T, strict=True):
         reaches &= (c.max(axis=1) > low) & (c.min(axis=1) < high)
     outwards = area > 0
-    kept = faces[outwards & reaches if (outwards & reaches).any() else outwards]
-    used, which = np.unique(kept, return_inverse=True)
+    drawn = faces[outwards & reaches if (outwards & reaches).any() else outwards]
+    used, which = np.unique(drawn, return_inverse=True)
     return Relief(chart, u[used], v[used], height[used], which.reshape(-1, 3), None)
 
 

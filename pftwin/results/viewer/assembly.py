@@ -37,14 +37,14 @@ def plot(
     """
     codes = [COLOURS[i % len(COLOURS)] for i in range(len(results))]
     newtons = per_centimetre(results)
-    apart = side_by_side or len(results) == 1
-    shared, own = _apart(results, codes, newtons) if apart else _overlaid(results, codes, newtons)
+    separate = side_by_side or len(results) == 1
+    shared, own = _separate(results, codes, newtons) if separate else _overlaid(results, codes, newtons)
     coloured = _coloured(own)
     most = max((float(p.color_range[1]) for p in coloured), default=None)
     bare = f"#{coloured[0].color:06X}" if coloured else None
     said = page.notes(results, newtons, most)
     times = np.unique(np.round(np.concatenate([r.times for r in results]), 4))
-    several = apart and len(results) > 1
+    several = separate and len(results) > 1
     shown = views(results[0], several=several)
     corners = extent([*shared, *(part for parts in own for part in parts)], shown["anterior"][3])
     made = k3d().plot(
@@ -53,7 +53,7 @@ def plot(
         camera_auto_fit=False,
         grid_auto_fit=False,
         colorbar_object_id=0,  # not k3d's colour bar: the legend has one
-        grid=_room(len(results) if apart else 1),
+        grid=_room(len(results) if separate else 1),
         camera_fov=ANGLE,
         camera_pan_speed=PAN_SPEED,
         axes_helper=0.0,
@@ -111,7 +111,7 @@ def _overlaid(
     return shared, own
 
 
-def _apart(
+def _separate(
     results: Sequence[Recorded], codes: Sequence[str], newtons: float
 ) -> tuple[list[Drawable], list[list[Drawable]]]:
     """No shared objects; each knee has its own bones, coloured where the patella presses on the femur."""

@@ -215,9 +215,9 @@ def _path(result: Recorded, arrow: ContactArrow, code: str) -> list[Drawable]:
     if times.size < 2:
         return []
     whole, trail = path(points, 0.3), path(points, 0.6)
-    gone = np.searchsorted(times, result.times, side="right")
+    travelled = np.searchsorted(times, result.times, side="right")
     rings = trail.vertices.reshape(len(times), -1, 3)
-    grown = [rings[np.minimum(np.arange(len(times)), max(k - 1, 0))].reshape(-1, 3) for k in gone]
+    grown = [rings[np.minimum(np.arange(len(times)), max(k - 1, 0))].reshape(-1, 3) for k in travelled]
     way = body(whole, paler(code, AHEAD), name=f"{arrow.name}: whole path", group=result.name)
     behind = body(trail, code, name=f"{arrow.name}: path", group=result.name)
     behind.vertices = time_series(result.times, grown)

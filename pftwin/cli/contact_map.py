@@ -61,9 +61,7 @@ def contact_map(
     terminal.check_outputs(output, figure, json)
     largest_gap = 1e-3 * amount(proximity, "mm", "--proximity", least=0, most=10)
     outwards = None if lateral is None else _axis(lateral, figure)
-    thick = _two("--thickness", thickness, "mm")
-    moduli, ratios = (_two(option, given) for option, given in (("--modulus-mpa", modulus), ("--poisson", poisson)))
-    layers = [(1e6 * e, nu, 1e-3 * t) for e, nu, t in zip(moduli, ratios, thick, strict=True)]
+    layers = _layers(modulus, poisson, thickness)
     terminal.start_computing()
     rule = _law(law, layers)
     from pftwin.files.result_files import save_dataset
@@ -104,14 +102,25 @@ def contact_map(
                 title = f"{patella.name} on {femur.name}, {law} foundation"
                 sides = None if outwards is None else _in_both(outwards, relative)
                 terminal.save_picture(map_figure(found, thigh, button, title, lateral=sides), figure)
-    f = _facts(found)
-    summary = (
-        f"{f['frames_in_contact']} of {f['frames']} frames in contact; at most {f['largest_force_N']:.4g} N, "
-        f"{f['largest_pressure_MPa']:.3g} MPa, {f['largest_area_mm2']:.3g} mm^2, {f['largest_depth_mm']:.2g} mm deep"
-    )
-    terminal.present({**settings, **f}, summary, terminal.written_line([output, figure]), json=json)
+    facts = _facts(found)
+    terminal.present({**settings, **facts}, _summary(facts), terminal.written_line([output, figure]), json=json)
     if deep := int(found.too_deep.sum()):
         exit_flagged(f"in {deep} of {found.times.size} frames one part is deeper in the other than any joint bears")
+
+
+def _summary(facts: dict[str, Any]) -> str:
+    return (
+        f"{facts['frames_in_contact']} of {facts['frames']} frames in contact; "
+        f"at most {facts['largest_force_N']:.4g} N, {facts['largest_pressure_MPa']:.3g} MPa, "
+        f"{facts['largest_area_mm2']:.3g} mm^2, {facts['largest_depth_mm']:.2g} mm deep"
+    )
+
+
+def _layers(modulus: str, poisson: str, thickness: str) -> list[tuple[float, float, float]]:
+    """Modulus [Pa], Poisson ratio and thickness [m] of the femur's and the patella's layer."""
+    thick, moduli = _two("--thickness", thickness, "mm"), _two("--modulus-mpa", modulus)
+    numbers = zip(moduli, _two("--poisson", poisson), thick, strict=True)
+    return [(1e6 * e, nu, 1e-3 * t) for e, nu, t in numbers]
 
 
 def _law(name: str, layers: list[tuple[float, float, float]]) -> FoundationLaw:

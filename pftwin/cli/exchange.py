@@ -11,7 +11,7 @@ from pftwin.base.errors import InputError
 from pftwin.base.sheet import Sheet
 from pftwin.base.written_amounts import listed
 from pftwin.cli import terminal
-from pftwin.cli.exit_codes import exit_flagged
+from pftwin.cli.exit_codes import check_trust_of_files, exit_flagged
 from pftwin.cli.scenes import limits
 
 if TYPE_CHECKING:
@@ -67,8 +67,6 @@ def export(
     """
     from pftwin.files.interchange.exporting import check_format
     from pftwin.files.interchange.exporting import export as write
-    from pftwin.files.result_files import load_dataset
-    from pftwin.results.verdict import verdict_of_file
 
     for path in output:
         check_format(path, axes)
@@ -79,9 +77,7 @@ def export(
     sizes = {str(p): p.stat().st_size for p in output}
     lines = (f"written: {path} ({size / 1e6:.2f} MB)" for path, size in sizes.items())
     terminal.present({"result": str(result), "files": sizes}, *lines, json=json)
-    verdict = verdict_of_file(load_dataset(result))
-    if not verdict.valid:
-        exit_flagged(f"{verdict.describe()} ({result.name})")
+    check_trust_of_files(result)
 
 
 def import_model(
@@ -151,25 +147,15 @@ def import_model(
     from pftwin.files.interchange.osim_scene import import_osim
     from pftwin.files.interchange.osim_toml import rows
 
-    more: dict[str, Any] = {"quadriceps": quadriceps, "activation": activation, "geometry": geometry or ()}
-    more |= {
-        "limits": limits.get(),
-        "markers": markers,
-        "without": without or (),
-        "joint_centers": joint_centers,
-        "units": units,
-    }
-    if quadriceps_knots is not None:
-        knots = listed(quadriceps_knots, "deg", "--quadriceps-knots")
-        if not knots:
-            found = f"found {quadriceps_knots!r}"
-            raise InputError(found, where="--quadriceps-knots", expected="flexions in degrees, such as 0,30,60")
-        more["quadriceps_knots"] = knots
-    bodies = {"femur": femur, "tibia": tibia, "patella": patella}
+    knots = None if quadriceps_knots is None else _knots(quadriceps_knots)
+    recorded = {"markers": markers, "without": without or (), "joint_centers": joint_centers, "units": units}
+    pull = {"quadriceps": quadriceps, "quadriceps_knots": knots, "activation": activation}
+    parts = {"femur": femur, "tibia": tibia, "patella": patella, "geometry": geometry or (), "limits": limits.get()}
+    options: dict[str, Any] = {**recorded, **pull, **parts}
     terminal.start_computing()
     with terminal.progress(f"reading {model}") as shown:
         shown(0, 2)
-        found = import_osim(model, folder, motion=motion, rate=rate, bend=bend, side=side, **bodies, **more)
+        found = import_osim(model, folder, motion=motion, rate=rate, bend=bend, side=side, **options)
         shown(1, 2, what="loading the scene")
         notes, overlap, trouble = _loaded(found)
     facts = {
@@ -187,6 +173,13 @@ def import_model(
     if trouble is not None:
         exit_flagged(trouble)
     terminal.show(f"next: pftwin simulate {found.scene} -o knee.nc", json=json)
+
+
+def _knots(text: str) -> list[float]:
+    """Parses flexions of the knee [deg]; InputError for other texts."""
+    if found := listed(text, "deg", "--quadriceps-knots"):
+        return found
+    raise InputError(f"found {text!r}", where="--quadriceps-knots", expected="flexions in degrees, such as 0,30,60")
 
 
 def _shorten_names(names: str) -> str:

@@ -57,6 +57,16 @@ def check_trust(result: Result) -> None:
         exit_flagged(f"{inaccurate.describe()} ({result.scene_name})")
 
 
+def check_trust_of_files(*paths: Path) -> None:
+    """Ends with `FLAGGED` if the motion in a file of results is not valid."""
+    from pftwin.files.result_files import load_dataset
+    from pftwin.results.verdict import verdict_of_file
+
+    verdicts = {path.name: verdict_of_file(load_dataset(path)) for path in paths}
+    if doubts := [f"{v.describe()} ({name})" for name, v in verdicts.items() if not v.valid]:
+        exit_flagged("; ".join(doubts))
+
+
 class Interrupted(KeyboardInterrupt):
     """Ctrl-C, with the files of results saved before it; None and stdout ("-") are skipped."""
 

@@ -12,7 +12,7 @@ from pftwin.base.errors import InputError
 from pftwin.base.runtime import describe
 from pftwin.base.written_amounts import amount
 from pftwin.cli import terminal
-from pftwin.cli.exit_codes import Interrupted, exit_flagged, report_written_on_interrupt
+from pftwin.cli.exit_codes import Interrupted, check_trust_of_files, exit_flagged, report_written_on_interrupt
 from pftwin.cli.scenes import RunOptions, on_scene
 
 if TYPE_CHECKING:
@@ -59,8 +59,6 @@ def view(
     if names and len(names) != len(results):
         raise InputError(f"{len(names)} names for {len(results)} results", where="--name", expected="one for each")
     terminal.check_outputs(page, record, json)
-    from pftwin.files.result_files import load_dataset
-    from pftwin.results.verdict import verdict_of_file
     from pftwin.results.viewer import view as draw
     from pftwin.results.viewer.film import check_film, write_film
 
@@ -80,9 +78,7 @@ def view(
     terminal.present(facts, *(f"written: {path} ({size / 1e6:.1f} MB)" for path, size in sizes), json=json)
     if browser and page is not None:
         typer.launch(page.resolve().as_uri())
-    verdicts = {path.name: verdict_of_file(load_dataset(path)) for path in results}
-    if doubts := [f"{v.describe()} ({name})" for name, v in verdicts.items() if not v.valid]:
-        exit_flagged("; ".join(doubts))
+    check_trust_of_files(*results)
 
 
 MarkdownOption = Annotated[bool, Option("--markdown", help="Print the table as Markdown.")]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,6 +17,7 @@ from pftwin.cli.plugins import with_former_names
 if TYPE_CHECKING:
     from pftwin.geometry.mesh.mesh import SurfaceMesh
     from pftwin.geometry.patch.fit import PatchFit
+    from pftwin.geometry.patch.region import TrochlearRegion
 
 
 @with_former_names({"tolerance": "--tolerance-mm", "half_width": "--half-width-mm"})
@@ -55,21 +57,14 @@ def fit_surface(
     if chart not in (None, "plane", "cylinder"):
         raise InputError(f"no chart {chart!r}", where="--chart", expected="plane or cylinder")
     terminal.start_computing()
-    import numpy as np
-
     from pftwin.geometry.mesh.mesh import load_mesh
     from pftwin.geometry.patch.fit import fit_named
-    from pftwin.geometry.patch.region import trochlear_region
 
     with terminal.spinner(f"reading {mesh}"):
         surface = load_mesh(mesh, units=units)
     with terminal.spinner("searching for the trochlea"):
-        limits = float(np.radians(angles[0])), float(np.radians(angles[1]))
-        wanted: dict[str, Any] = {"half_width": half, "angles": limits}
-        try:
-            region = trochlear_region(surface, **directions, **wanted)
-        except InputError as error:
-            raise _with_directions(error, surface, wanted, output) from None
+        limits = math.radians(angles[0]), math.radians(angles[1])
+        region = _region(surface, directions, {"half_width": half, "angles": limits}, output)
     with terminal.spinner("fitting"):
         fits = [fit_named(surface, name, chart=chart, region=region, **asked) for name in names]
     found = [_fit_facts(f) for f in fits]
@@ -87,15 +82,7 @@ def fit_surface(
         "region_half_width_m": region.half_width,
         "fits": found,
     }
-    sheet = Sheet(
-        f"{mesh.name}, heights over a {over}, {fits[0].n_vertices} vertices",
-        ("patch", "R^2 [%]", "rms [mm]", "max [mm]", "rms along normal [mm]"),
-        tuple(
-            (f.name, f"{100 * f.r_squared:.2f}", *(f"{1e3 * v:.3f}" for v in (f.rms, f.max_error, f.rms_normal)))
-            for f in fits
-        ),
-        words=(),
-    )
+    sheet = _sheet(f"{mesh.name}, heights over a {over}, {fits[0].n_vertices} vertices", fits)
     chosen = f"the chart is chosen: {fits[0].chart_chosen}" if fits[0].chart_chosen else ""
     terminal.present(facts, sheet, chosen, terminal.written_line([output]), json=json)
 
@@ -115,6 +102,28 @@ def _patches(kind: str, degree: str | None, tolerance: str | None) -> tuple[list
     if tolerance is not None:
         raise InputError("polynomials have no tolerance to choose", where="--tolerance", remedy="--kind spline")
     return [parse_name(name) for name in (degree or "P2,P4,P5").split(",")], {}
+
+
+def _sheet(title: str, fits: list[PatchFit]) -> Sheet:
+    """The table of fits."""
+    headings = ("patch", "R^2 [%]", "rms [mm]", "max [mm]", "rms along normal [mm]")
+    rows = (
+        (f.name, f"{100 * f.r_squared:.2f}", *(f"{1e3 * v:.3f}" for v in (f.rms, f.max_error, f.rms_normal)))
+        for f in fits
+    )
+    return Sheet(title, headings, tuple(rows), words=())
+
+
+def _region(
+    surface: SurfaceMesh, directions: dict[str, Any], wanted: dict[str, Any], output: Path | None
+) -> TrochlearRegion:
+    """The trochlear region; the error of a failed search proposes directions."""
+    from pftwin.geometry.patch.region import trochlear_region
+
+    try:
+        return trochlear_region(surface, **directions, **wanted)
+    except InputError as error:
+        raise _with_directions(error, surface, wanted, output) from None
 
 
 def _with_directions(

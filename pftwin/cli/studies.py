@@ -20,8 +20,7 @@ if TYPE_CHECKING:
     from pftwin.model.measured import Measured
     from pftwin.model.scene import Scene
     from pftwin.studies.accuracy.measure import SceneOf
-    from pftwin.studies.hard_cases import HardCase
-    from pftwin.studies.hard_cases import Selection as Selected
+    from pftwin.studies.hard_cases import HardCase, Selection
     from pftwin.studies.hard_cases.table import MatrixPiece
     from pftwin.studies.hard_cases.verdict import Cell
 
@@ -148,32 +147,13 @@ def hard_cases(
     """
     terminal.check_outputs(json, markdown)
     terminal.start_computing()
-    from pftwin.studies.hard_cases import (
-        CONTACTS,
-        DTYPES,
-        INTEGRATORS,
-        Selection,
-        case_named,
-        catalogue,
-        method_named,
-        table,
-    )
+    from pftwin.studies.hard_cases import CONTACTS, DTYPES, INTEGRATORS, case_named, catalogue, table
 
     cases = tuple(case_named(n) for n in case) if case else catalogue()
     if list_:
         terminal.show(table.named_cases(cases), json=json)
         return
-    methods = tuple(method_named(n) for n in integrator) if integrator else INTEGRATORS
-    for method in methods:
-        _ = method.integrator  # raises for an unknown name
-    chosen = Selection(
-        _known(contact, CONTACTS, "--contact"),
-        methods,
-        _known(dtype, DTYPES, "--dtype"),
-        derivatives=not quick,
-        batch_independence=not quick,
-        truths=not quick,
-    )
+    chosen = _selection(contact, integrator, dtype, quick)
     if into is not None:
         if case or dtype or quick or from_:
             raise InputError("--into given with a part of the matrix", expected="--contact and --integrator at most")
@@ -192,7 +172,26 @@ def hard_cases(
         exit_flagged(f"{failed} of {len(cells)} cells fail")
 
 
-def _run_missing(folder: Path, chosen: Selected, processes: int) -> None:
+def _selection(
+    contacts: list[str] | None, integrators: list[str] | None, dtypes: list[str] | None, quick: bool
+) -> Selection:
+    """The part of the matrix to run; InputError for an unknown name."""
+    from pftwin.studies.hard_cases import CONTACTS, DTYPES, INTEGRATORS, Selection, method_named
+
+    methods = tuple(method_named(n) for n in integrators) if integrators else INTEGRATORS
+    for method in methods:
+        _ = method.integrator  # raises for an unknown name
+    return Selection(
+        _known(contacts, CONTACTS, "--contact"),
+        methods,
+        _known(dtypes, DTYPES, "--dtype"),
+        derivatives=not quick,
+        batch_independence=not quick,
+        truths=not quick,
+    )
+
+
+def _run_missing(folder: Path, chosen: Selection, processes: int) -> None:
     """Runs the pieces that the folder lacks, with progress on stderr."""
     from pftwin.studies.hard_cases.whole import run_missing
 
@@ -204,7 +203,7 @@ def _run_missing(folder: Path, chosen: Selected, processes: int) -> None:
         raise Interrupted(folder) from None
 
 
-def _run(cases: tuple[HardCase, ...], chosen: Selected, json: str | None) -> MatrixPiece:
+def _run(cases: tuple[HardCase, ...], chosen: Selection, json: str | None) -> MatrixPiece:
     """Runs the selection, contact by contact, with progress on stderr; Ctrl-C keeps the finished contacts."""
     from pftwin.studies.hard_cases import run_matrix
     from pftwin.studies.hard_cases.table import MatrixPiece

@@ -100,13 +100,8 @@ def starting_state(scene: Scene, start: Solution) -> State:
 def _parts(now: Carry) -> tuple[Any, Any]:
     """The stored values of a frame in two parts, of which the second is not computed where only poses are used."""
     state, books = now
-    return (state.position, state.orientation), (
-        state.velocity,
-        state.spin,
-        state.memories,
-        state.solver_state,
-        books,
-    )
+    others = state.velocity, state.spin, state.memories, state.solver_state, books
+    return (state.position, state.orientation), others
 
 
 def frame_states(

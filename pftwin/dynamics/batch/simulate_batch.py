@@ -99,11 +99,7 @@ def simulate_batch(
     for group in groups:
         chosen.refuse_unfit(group.scene.effects)
     courses = _with_courses(groups, trajectories)
-    total = sum(len(g.places) for g in groups)
-    piece = piece_for(total, found_devices[0].platform)
-    pieces = _PIECES if found_devices[0].platform == "cpu" else 1
-    sharding = Sharding(found_devices, piece, chunk or pieces * piece * len(found_devices))
-    threads = feeding_threads(devices)
+    sharding = _sharding(sum(len(g.places) for g in groups), found_devices, chunk)
     substeps = [_substeps(group, chosen, dt, tolerance) for group in groups]
     tasks = [
         Task(g.scene, g.change, jnp.asarray(n), chosen, bool(energy_budget), courses, outcome, bool(estimate))
@@ -114,12 +110,19 @@ def simulate_batch(
     settings = {"integrator": chosen.text, "dt_s": dt_s, **({} if tolerance is None else {"tolerance": str(tolerance)})}
     values = scenes.values if isinstance(scenes, Variants) else None
     bad = () if not care else BAD_BY_DEFAULT if dt is None and tolerance is None else BAD
-    plan = BatchPlan(groups, tasks, values, settings, bad, sharding, threads)
+    plan = BatchPlan(groups, tasks, values, settings, bad, sharding, feeding_threads(devices))
     if parts is None:
         return _simulate_whole(plan, progress)
     from pftwin.dynamics.batch.resumable import InParts
 
-    return InParts(plan, Path(parts), unit_for(total, piece, chunk), share, progress).all()
+    return InParts(plan, Path(parts), unit_for(plan.total, sharding.piece, chunk), share, progress).all()
+
+
+def _sharding(total: int, devices: tuple[Any, ...], chunk: int | None) -> Sharding:
+    """How that many variants are divided into pieces for the devices."""
+    piece = piece_for(total, devices[0].platform)
+    pieces = _PIECES if devices[0].platform == "cpu" else 1
+    return Sharding(devices, piece, chunk or pieces * piece * len(devices))
 
 
 def _simulate_whole(plan: BatchPlan, progress: Callable[[int, int], None] | None) -> Dataset:

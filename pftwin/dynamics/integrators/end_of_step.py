@@ -61,15 +61,15 @@ def _by_mass(low: Lower | None, inverse: Row, b: Row) -> list[Scalar]:
     return solve(low, inverse, b)
 
 
-def _eliminate(mass: Row | Lower, constraints: Sequence[ConstraintRow]) -> _Eliminated:
+def _eliminate(mass: Row | Lower, terms: Sequence[ConstraintRow]) -> _Eliminated:
     if isinstance(mass[0], list):
         low, inverse = factor(mass)  # type: ignore[arg-type]
     else:
         low, inverse = None, [1 / d for d in mass]  # type: ignore[operator]
-    swept = [_by_mass(low, inverse, p.direction) for p in constraints]
-    r, m = len(constraints), sum(not p.unilateral for p in constraints)
-    gram = {(i, j): _dot(constraints[i].direction, swept[j]) for i in range(r) for j in range(i, r)}
-    rows = [[p.weight * gram[min(i, j), max(i, j)] for j in range(r)] for i, p in enumerate(constraints)]
+    swept = [_by_mass(low, inverse, p.direction) for p in terms]
+    r, m = len(terms), sum(not p.unilateral for p in terms)
+    gram = {(i, j): _dot(terms[i].direction, swept[j]) for i in range(r) for j in range(i, r)}
+    rows = [[p.weight * gram[min(i, j), max(i, j)] for j in range(r)] for i, p in enumerate(terms)]
     for i in range(r):
         rows[i][i] = rows[i][i] + 1
     pivots = []
@@ -96,12 +96,12 @@ def _free(e: _Eliminated, active: list[Scalar] | None, t: list[Scalar]) -> list[
 
 
 def _impulses(
-    e: _Eliminated, constraints: Sequence[ConstraintRow], rest: Row, given: Row, active: list[Scalar] | None
+    e: _Eliminated, terms: Sequence[ConstraintRow], rest: Row, given: Row, active: list[Scalar] | None
 ) -> tuple[list[Scalar], list[Scalar], list[Scalar] | None]:
     """dv and p for right-hand sides R = `rest`, P = `given`, and which unilateral terms push (computed if None)."""
     m = e.n_bilateral
     dv = _by_mass(e.low, e.inverse, rest)
-    t = [x - p.weight * _dot(p.direction, dv) for p, x in zip(constraints, given, strict=True)]
+    t = [x - p.weight * _dot(p.direction, dv) for p, x in zip(terms, given, strict=True)]
     for k in range(m):
         t = [x - e.rows[i][k] * t[k] if i > k else x for i, x in enumerate(t)]
     if active is None:
@@ -119,27 +119,25 @@ def _impulses(
 
 
 @eqx.filter_custom_jvp
-def end_of_step(
-    mass: Row | Lower, constraints: Sequence[ConstraintRow], rest: Row
-) -> tuple[list[Scalar], list[Scalar]]:
+def end_of_step(mass: Row | Lower, terms: Sequence[ConstraintRow], rest: Row) -> tuple[list[Scalar], list[Scalar]]:
     """Returns the change of velocity (six components) and the impulse of every term.
 
     Args:
         mass: M, as its diagonal or its lower triangle.
-        constraints: the terms, bilateral ones first.
+        terms: the terms, bilateral ones first.
         rest: R [N s, N m s].
     """
-    dv, p, _ = _impulses(_eliminate(mass, constraints), constraints, rest, [x.impulse for x in constraints], None)
+    dv, p, _ = _impulses(_eliminate(mass, terms), terms, rest, [x.impulse for x in terms], None)
     return dv, p
 
 
 @end_of_step.def_jvp
 def _end_of_step_jvp(primals: Any, tangents: Any) -> tuple[Any, Any]:
     """M d(dv) = dR - dM dv + sum dg_i p_i + sum g_i dp_i, and likewise for p: the same system."""
-    mass, constraints, rest = primals
-    d_mass, d_constraints, d_rest = tangents
-    e = _eliminate(mass, constraints)
-    dv, p, active = _impulses(e, constraints, rest, [x.impulse for x in constraints], None)
+    mass, terms, rest = primals
+    d_mass, d_terms, d_rest = tangents
+    e = _eliminate(mass, terms)
+    dv, p, active = _impulses(e, terms, rest, [x.impulse for x in terms], None)
     zero = jnp.zeros_like(dv[0])
     right = [zero if d is None else d for d in d_rest]
     for i, row in enumerate(d_mass):
@@ -152,15 +150,15 @@ def _end_of_step_jvp(primals: Any, tangents: Any) -> tuple[Any, Any]:
                 if i != j:
                     right[j] = right[j] - d * dv[i]
     given = []
-    for constraint, d, impulse in zip(constraints, d_constraints, p, strict=True):
+    for term, d, impulse in zip(terms, d_terms, p, strict=True):
         x = zero if d.impulse is None else d.impulse
         if d.weight is not None:
-            x = x - d.weight * _dot(constraint.direction, dv)
+            x = x - d.weight * _dot(term.direction, dv)
         turned = [(i, t) for i, t in enumerate(d.direction) if t is not None]
         for i, t in turned:
             right[i] = right[i] + t * impulse
         if turned:
-            x = x - constraint.weight * sum((t * dv[i] for i, t in turned), start=zero)
+            x = x - term.weight * sum((t * dv[i] for i, t in turned), start=zero)
         given.append(x)
-    d_dv, d_p, _ = _impulses(e, constraints, right, given, active)
+    d_dv, d_p, _ = _impulses(e, terms, right, given, active)
     return (dv, p), (d_dv, d_p)

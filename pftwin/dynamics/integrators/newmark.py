@@ -65,15 +65,13 @@ class _Step(NamedTuple):
 
     def end(self, velocity: Twist, w: Weights) -> tuple[State, Twist, Twist]:
         """The end state for an end velocity, its algorithmic acceleration, and the one required from the forces."""
-        solver_state, h = self.state.solver_state, self.length
+        last, h = self.state.solver_state, self.length
         start = Twist(self.state.velocity, self.state.spin)
-        a = velocity.plus(-1.0, start).plus(-h * (1 - w.gamma), solver_state.algorithmic).times(1 / (w.gamma * h))
-        displacement = start.times(h).plus(h * h * (0.5 - w.beta), solver_state.algorithmic).plus(h * h * w.beta, a)
+        a = velocity.plus(-1.0, start).plus(-h * (1 - w.gamma), last.algorithmic).times(1 / (w.gamma * h))
+        displacement = start.times(h).plus(h * h * (0.5 - w.beta), last.algorithmic).plus(h * h * w.beta, a)
         needed = a
         if w.alpha_m or w.alpha_f:
-            mixed = (
-                a.times(1 - w.alpha_m).plus(w.alpha_m, solver_state.algorithmic).plus(-w.alpha_f, solver_state.actual)
-            )
+            mixed = a.times(1 - w.alpha_m).plus(w.alpha_m, last.algorithmic).plus(-w.alpha_f, last.actual)
             needed = mixed.times(1 / (1 - w.alpha_f))
         return displaced_state(self.state, displacement, velocity), a, needed
 
@@ -161,8 +159,8 @@ def _solved(given: _Step, w: Weights) -> tuple[Twist, Scalar]:
     """Velocity at the end of the step, and its last change if the iteration has not converged, else 0."""
     impulse, settled = w.gamma * (1 - w.alpha_f) / (1 - w.alpha_m), SETTLED[str(given.length.dtype)]
     span = Span(impulse * given.length, (w.beta / w.gamma) * given.length)
-    solver_state = given.state.solver_state
-    guess = Twist(given.state.velocity, given.state.spin).plus(given.length, solver_state.algorithmic)
+    last = given.state.solver_state
+    guess = Twist(given.state.velocity, given.state.spin).plus(given.length, last.algorithmic)
 
     def improve(now: tuple[Twist, Scalar, Scalar]) -> tuple[Twist, Scalar, Scalar]:
         velocity, _, count = now

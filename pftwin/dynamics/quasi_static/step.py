@@ -82,9 +82,8 @@ def solved(branch: Branch) -> NextEquilibrium:
         return NextEquilibrium(at.d, place, snapped, residual, at.remainder, at.trial), tries + 1, again
 
     zero = jnp.zeros_like(branch.step)
-    start = NextEquilibrium(
-        ahead, branch.origin, zero, zero, branch.origin.solver_state.remainder, branch.origin.memories
-    )
+    origin = branch.origin
+    start = NextEquilibrium(ahead, origin, zero, zero, origin.solver_state.remainder, origin.memories)
     return jax.lax.while_loop(lambda now: now[2], attempt, (start, jnp.zeros((), int), jnp.array(True)))[0]
 
 
@@ -148,9 +147,8 @@ class QuasiStatic(Integrator):
         )
         share = jnp.where(snapped, 0.0, jnp.full_like(step, 1 / 3))
         remainder = jax.lax.stop_gradient(found.remainder)
-        solver_state = QuasiStaticStep(
-            displacement, share, remainder, state.solver_state.snaps + found.snapped, found.residual
-        )
+        snaps = state.solver_state.snaps + found.snapped
+        solver_state = QuasiStaticStep(displacement, share, remainder, snaps, found.residual)
         after = eqx.tree_at(lambda s: (s.memories, s.solver_state), after, (memories, solver_state))
         if ledger is None:
             return after, None

@@ -120,7 +120,7 @@ def _known(
     for part in segments:
         _refuse_few(part, places[part], least[part], filled, own, knee)
     whole = _stretch(filled, {p: list(places[p]) for p in segments}, least)
-    clusters = {p: _present_markers(held, whole, throughout=p != "patella") for p, held in places.items()}
+    clusters = {p: _present(held, whole, throughout=p != "patella") for p, held in places.items()}
     whole = with_centers(whole, centers, clusters)
     clusters["femur"] |= {c.name: c.place for c in centers}
     clusters = {p: clusters[p] for p in PARTS}
@@ -140,7 +140,7 @@ def _refuse_few(
     part: str, places: Mapping[str, Floats], least: int, filled: MarkerTrajectories,
     own: Sequence[OsimMarker], knee: OsimKnee,
 ) -> None:  # fmt: skip
-    present = list(_present_markers(places, filled, throughout=False))
+    present = list(_present(places, filled, throughout=False))
     if len(present) >= least:
         return
     model = ", ".join(m.name for m in own if m.part == part)
@@ -154,9 +154,7 @@ def _refuse_few(
     )
 
 
-def _present_markers(
-    places: Mapping[str, Floats], markers: MarkerTrajectories, *, throughout: bool
-) -> dict[str, Floats]:
+def _present(places: Mapping[str, Floats], markers: MarkerTrajectories, *, throughout: bool) -> dict[str, Floats]:
     """Markers that are present in every frame (`throughout`), or in any."""
     most = 0 if throughout else markers.times.size - 1  # largest number of frames in which a marker may be missing
     lost = dict(zip(markers.names, np.count_nonzero(markers.missing, axis=0), strict=True))
@@ -209,8 +207,8 @@ def _fit(
 ) -> PoseSeries:
     """Fits a segment's poses; adds notes on the markers' residuals and on the marker that is best left out."""
     poses = segment_poses(markers, cluster, source=f"{markers.source}, {body}")
-    places, measured = np.array([*cluster.values()]), markers.select(list(cluster)).positions
-    off = measured - poses.positions[:, None] - np.einsum("nij,mj->nmi", poses.matrices(), places)
+    places, points = np.array([*cluster.values()]), markers.select(list(cluster)).positions
+    off = points - poses.positions[:, None] - np.einsum("nij,mj->nmi", poses.matrices(), places)
     each = ", ".join(f"{n} {1e3 * v:.1f}" for n, v in zip(cluster, _rms(off, (0, 2)), strict=True))
     frames = _rms(off, (1, 2))
     note = (
@@ -219,22 +217,20 @@ def _fit(
         "model's"
     )
     if len(cluster) > LEAST:
-        left = {
-            n: _misfit(np.delete(measured, i, 1), np.delete(places, i, 0)) for i, n in enumerate(cluster) if n in own
-        }
+        left = {n: _misfit(np.delete(points, i, 1), np.delete(places, i, 0)) for i, n in enumerate(cluster) if n in own}
         name, best = min(left.items(), key=lambda item: item[1])
         note += f"; without {name} by {1e3 * best:.1f} mm rms"
     notes.append(note)
     return poses
 
 
-def _misfit(measured: Floats, places: Floats) -> float:
+def _misfit(points: Floats, places: Floats) -> float:
     """Root mean square distance of markers (n, m, 3) from the rigid body (m, 3) fitted to each frame [m].
 
     With the singular values s of the covariance, the residual sum of squares is |p|^2 + |r|^2 - 2 (s1 + s2 +- s3)
     (Soederkvist & Wedin 1993).
     """
-    p, r = measured - measured.mean(axis=1, keepdims=True), places - places.mean(axis=0)
+    p, r = points - points.mean(axis=1, keepdims=True), places - places.mean(axis=0)
     u, s, vt = np.linalg.svd(np.einsum("nmi,mj->nij", p, r))
     s[:, 2] *= np.linalg.det(u @ vt)
     left = (p**2).sum(axis=(1, 2)) + (r**2).sum() - 2 * s.sum(axis=1)

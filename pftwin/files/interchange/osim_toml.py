@@ -71,9 +71,8 @@ def scene_text(
         if layer.variable:
             imported.notes.append(f"{layer.mesh.name}: one thickness throughout, {1e3 * layer.thickness:g} mm")
     if contact is not None and contact.lumped:
-        imported.notes.append(
-            f"{contact.name}: two layers in series; the model lumps both into one of averaged modulus"
-        )
+        note = f"{contact.name}: two layers in series; the model lumps both into one of averaged modulus"
+        imported.notes.append(note)
     ligaments = _groups((strand.name, strand, wrap) for strand, wrap in strands)
     pulling = "quadriceps"  # no other effect's name starts with this
     while any(label.startswith(pulling) for label in ligaments):

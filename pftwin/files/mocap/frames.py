@@ -96,16 +96,7 @@ def cluster_poses(
         raise InputError(
             f"the reference lacks {shortened_list(bad)}", where=source, expected="all markers in the reference"
         )
-    present = np.asarray(np.isfinite(p).all(axis=2), dtype=np.bool_)
-    if (few := np.flatnonzero(present.sum(axis=1) < 3)).size:
-        absent = [labels[i] for i in np.flatnonzero(~present[few[0]])]
-        raise InputError(
-            f"fewer than three markers of {shortened_list(labels)} in frames {shortened_list(few + 1)} (from 1)"
-            + (f"; frame {few[0] + 1} lacks {shortened_list(absent)}" if absent else ""),
-            where=source,
-            expected="at least three markers seen",
-            remedy="fill the gaps, or use a part of the recording",
-        )
+    present = _present(p, labels, source)
     weight = (present / present.sum(axis=1, keepdims=True))[:, :, None]  # (n, m, 1)
     p = np.where(present[:, :, None], p, 0.0)
     p_mean, r_mean = (weight * p).sum(axis=1), (weight * r).sum(axis=1)  # (n, 3)
@@ -120,6 +111,21 @@ def cluster_poses(
     misfit = p_centred - np.einsum("nij,nmj->nmi", matrices, r_centred)
     residual = np.sqrt((weight * misfit**2).sum(axis=(1, 2)))
     return PoseSeries.from_matrices(times, positions, matrices, residual_rms=residual, source=source)
+
+
+def _present(measured: NDArray[np.float64], labels: list[str], source: str) -> NDArray[np.bool_]:
+    """Which markers of (n, m, 3) are present in which frame (n, m); InputError for a frame with fewer than three."""
+    present = np.asarray(np.isfinite(measured).all(axis=2), dtype=np.bool_)
+    if (few := np.flatnonzero(present.sum(axis=1) < 3)).size:
+        absent = [labels[i] for i in np.flatnonzero(~present[few[0]])]
+        raise InputError(
+            f"fewer than three markers of {shortened_list(labels)} in frames {shortened_list(few + 1)} (from 1)"
+            + (f"; frame {few[0] + 1} lacks {shortened_list(absent)}" if absent else ""),
+            where=source,
+            expected="at least three markers seen",
+            remedy="fill the gaps, or use a part of the recording",
+        )
+    return present
 
 
 def segment_poses(markers: MarkerTrajectories, reference: Mapping[str, ArrayLike], *, source: str = "") -> PoseSeries:

@@ -89,10 +89,14 @@ def sphere_center(points: ArrayLike, *, source: str = "joint centre") -> JointCe
     change, rays = found.fun, directions(found.x)
     noise = float(np.mean((change / np.maximum(distances(found.x), 1e-12)) ** 2))  # mean squared noise of directions
     deviation = _deviation(about_mean(rays), change, marker, marker.size - unknown, noise)
-    mean = rays - about_mean(rays)
+    largest = _largest_angle(rays, rays - about_mean(rays))
+    return JointCenter(middle + found.x, deviation, float(np.sqrt(np.mean(change**2))), largest)
+
+
+def _largest_angle(rays: NDArray[np.float64], mean: NDArray[np.float64]) -> float:
+    """Largest angle between unit vectors (k, 3) and their marker's mean direction (k, 3), of any length [rad]."""
     cosine = np.sum(rays * mean, axis=1) / np.maximum(np.linalg.norm(mean, axis=1), 1e-12)
-    reach = float(np.arccos(np.clip(cosine.min(), -1.0, 1.0)))
-    return JointCenter(middle + found.x, deviation, float(np.sqrt(np.mean(change**2))), reach)
+    return float(np.arccos(np.clip(cosine.min(), -1.0, 1.0)))
 
 
 def _deviation(

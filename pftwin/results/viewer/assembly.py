@@ -46,7 +46,8 @@ def plot(
     times = np.unique(np.round(np.concatenate([r.times for r in results]), 4))
     several = separate and len(results) > 1
     shown = views(results[0], several=several)
-    corners = extent([*shared, *(part for parts in own for part in parts)], shown["anterior"][3])
+    everything = [*shared, *(part for parts in own for part in parts)]
+    corners = extent(everything, shown["anterior"][3])
     made = k3d().plot(
         background_color=0xFFFFFF,
         grid_visible=False,
@@ -63,10 +64,8 @@ def plot(
         name=page.title(results),
         camera=[],  # the controls set it, to fit the page; k3d would set one given here again, after them
     )
-    for drawn in [*shared, *(part for parts in own for part in parts)]:
+    for drawn in [*everything, *sides(shown["anterior"][3:6], corners)]:
         made += drawn
-    for label in sides(shown["anterior"][3:6], corners):
-        made += label
     made += _text_label("legend", page.legend(results, codes, said, bare), (0.01, 0.015), "lt")
     numbers = time_series(times, [page.readout(results, codes, t) for t in times])
     made += _text_label("numbers", numbers, (0.99, 0.985), "rb")

@@ -99,26 +99,18 @@ def audit(
     # Limits are removed, because variants need not be plausible knees.
     listed = _selected_variants(replace(scene, limits=None), integrator, only)
     wanted = sorted((v for v in listed if isinstance(v, Variant)), key=lambda v: KINDS.index(v.kind))
-    alike = [v for v in wanted if v.alike]  # they differ only in parameter values, so they run in batches
-    groups = [alike] * bool(alike) + [[v] for v in wanted if not v.alike]
-    of = len(groups) + 3  # plus `simulate`, the scene's own run, and timing
+    of = len(_groups(wanted)) + 3  # plus `simulate`, the scene's own run, and timing
     progress(0, of, "the scene itself")
     simulated = simulate(scene, integrator=integrator, dt=dt)
     substeps = simulated.settings["substeps"]
     progress(1, of, "the scene itself")
     own = run_alone(scene, integrator, substeps)
-    runs = _runs(scene, groups, integrator, substeps, lambda k, group: progress(2 + k, of, _spelled(group)))
-    done = [v for v in wanted if (v.name, v.kind) in runs]
-    answers = [runs[v.name, v.kind] for v in done]
-    costs: list[Cost | None] = [None] * (1 + len(done))
-    if len(done) == len(wanted):
-        progress(of - 1, of, "times, in turn")
-        costs = _costs([own, *answers])
-        progress(of, of, "times, in turn")
-    rows = [
-        _worth(scene, v, run.result, own.result, share, tolerance if simulated.verdict.valid else None)
-        for v, run, share in zip(done, answers, costs[1:], strict=True)
-    ]
+    runs = _runs(scene, wanted, integrator, substeps, lambda k, group: progress(2 + k, of, _spelled(group)))
+    costs: list[Cost | None] = [None] * (1 + len(runs))
+    if len(runs) == len(wanted):
+        costs = _costs([own, *(run for _, run in runs)], lambda left: progress(of - left, of, "times, in turn"))
+    most = tolerance if simulated.verdict.valid else None
+    rows = (_worth(scene, v, run.result, own.result, t, most) for (v, run), t in zip(runs, costs[1:], strict=True))
     return Audit(
         scene=scene.name,
         synthetic=scene.synthetic,
@@ -130,10 +122,10 @@ def audit(
         verdict=simulated.verdict.describe(),
         **status_facts(simulated.flags),
         impact="" if simulated.impact is None else simulated.impact.describe(),
-        programs=_programs(scene, done, integrator),
+        programs=_programs(scene, [v for v, _ in runs], integrator),
         rows=tuple(rows),
         not_applicable=tuple(v for v in listed if isinstance(v, NotApplicable)),
-        missing=tuple(v.name for v in wanted if (v.name, v.kind) not in runs),
+        missing=tuple(v.name for v in wanted if all(v is not ran for ran, _ in runs)),
     )
 
 
@@ -151,18 +143,25 @@ def _selected_variants(
     return [v for v in listed if v.name in only]
 
 
+def _groups(wanted: list[Variant]) -> list[list[Variant]]:
+    """Variants to run together: those that differ only in parameter values run in batches, the others alone."""
+    alike = [v for v in wanted if v.alike]
+    return [alike] * bool(alike) + [[v] for v in wanted if not v.alike]
+
+
 def _spelled(group: list[Variant]) -> str:
     return group[0].name if len(group) == 1 else f"{len(group)} that differ in numbers"
 
 
 def _runs(
     scene: Scene,
-    groups: list[list[Variant]],
+    wanted: list[Variant],
     integrator: Integrator,
     substeps: int,
     before: Callable[[int, list[Variant]], None],
-) -> dict[tuple[str, Kind], VariantRun]:
+) -> list[tuple[Variant, VariantRun]]:
     """Runs each group, in batches if its variants are alike; after Ctrl-C, returns the finished runs."""
+    groups = _groups(wanted)
 
     def run(group: list[Variant]) -> list[VariantRun]:
         if group[0].alike:
@@ -171,7 +170,7 @@ def _runs(
 
     answers = run_each(groups, run, before=before)
     pairs = (pair for group, runs in zip(groups, answers, strict=False) for pair in zip(group, runs, strict=True))
-    return {(v.name, v.kind): answer for v, answer in pairs}
+    return sorted(pairs, key=lambda pair: next(k for k, v in enumerate(wanted) if v is pair[0]))
 
 
 def _programs(scene: Scene, wanted: list[Variant], integrator: Integrator) -> int:
@@ -186,13 +185,18 @@ def _programs(scene: Scene, wanted: list[Variant], integrator: Integrator) -> in
     return 1 + len(kinds) + len(moving) + (len(alone) < len(wanted))
 
 
-def _costs(runs: list[VariantRun]) -> list[Cost | None]:
-    """Times of the scene's own run and of all single runs, measured in turn; all None after Ctrl-C."""
+def _costs(runs: list[VariantRun], progress: Callable[[int], None]) -> list[Cost | None]:
+    """Times of the scene's own run and of all single runs, measured in turn; all None after Ctrl-C.
+
+    `progress` is called with the number of stages left, 1 and then 0.
+    """
+    progress(1)
     try:
-        costs = iter(time_in_turn([run.rerun for run in runs if run.rerun is not None]))
+        times = iter(time_in_turn([run.rerun for run in runs if run.rerun is not None]))
     except KeyboardInterrupt:
-        return [None] * len(runs)
-    return [None if run.rerun is None else next(costs) for run in runs]
+        times = None
+    progress(0)
+    return [None if times is None or run.rerun is None else next(times) for run in runs]
 
 
 def _worth(scene: Scene, v: Variant, result: Result, own: Result, share: Cost | None, tolerance: float | None) -> Worth:

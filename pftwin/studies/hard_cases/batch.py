@@ -251,8 +251,7 @@ class BatchRuns:
         for k, n in enumerate(substeps):
             choice = choose(partial(self.tried, k), n, method.integrator.order)
             error = choice.error.with_start(place_unknown(member(self._starts, k)))
-            flagged = eqx.tree_at(
-                lambda r: r.observation.status, choice.run, choice.run.observation.status | error.flags
-            )
+            status = choice.run.observation.status | error.flags
+            flagged = eqx.tree_at(lambda r: r.observation.status, choice.run, status)
             found.append(replace(choice, run=flagged, error=error))
         return found

@@ -37,7 +37,9 @@ def check_netcdf(file: Path) -> list[str]:
         with h5py.File(file, "r") as opened:
             total = [0]
             # A returned value ends the visit. Do not raise: an exception does not survive its way through HDF5.
-            wrong = opened.visititems_links(lambda name, link: _in_link(link, name, file))
+            wrong = opened.visititems_links(
+                lambda name, link: None if isinstance(link, h5py.HardLink) else _external_reference_error(name, file)
+            )
             wrong = wrong or opened.visititems(lambda name, item: _in_item(item, name, file, total))
             if wrong is not None:
                 raise wrong
@@ -46,10 +48,6 @@ def check_netcdf(file: Path) -> list[str]:
         raise
     except Exception as error:  # the library raises whatever its parsing of a damaged file runs into
         raise not_netcdf(file, error) from error
-
-
-def _in_link(link: Any, name: str, file: Path) -> InputError | None:
-    return None if isinstance(link, h5py.HardLink) else _external_reference_error(name, file)
 
 
 def _in_item(item: Any, name: str, file: Path, total: list[int]) -> InputError | None:

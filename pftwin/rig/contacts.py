@@ -72,7 +72,7 @@ def contact_fit(contact: str = "P5", *, chart: Literal["plane", "cylinder"] = "p
     """
     if chart not in ("plane", "cylinder"):
         raise InputError(f"no chart {chart!r}", where="chart", expected='"plane" or "cylinder"')
-    return _fit(parse_name(contact), chart, _float64())
+    return _fit(parse_name(contact), chart, canonicalize_dtype(float) == np.float64)
 
 
 def contact_effect(name: str, *, chart: Literal["plane", "cylinder"] = "plane") -> Effect:
@@ -94,10 +94,6 @@ def contact_effect(name: str, *, chart: Literal["plane", "cylinder"] = "plane") 
 def rig_law() -> Flores:
     """Returns the contact law of all the rig's contacts."""
     return Flores(number(rig.CONTACT_STIFFNESS), number(rig.RESTITUTION))
-
-
-def _float64() -> bool:
-    return canonicalize_dtype(float) == np.float64
 
 
 @lru_cache(maxsize=32)

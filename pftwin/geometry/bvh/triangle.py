@@ -109,7 +109,7 @@ def triangles_cross(s: Triangle, t: Triangle) -> Array:
     For batches of one shape. Uses only signed volumes of tetrahedra, no division: an edge that pierces a triangle
     passes all its edges on the same side. The nine volumes, of an edge of each triangle, serve both.
     """
-    turns = [_volumes(p, q, t) for p, q in _edges(s)]
+    turns = [_volumes(p, q, t) for p, q in ((s.a, s.b), (s.b, s.c), (s.c, s.a))]
     hit = jnp.zeros_like(s.a.x, dtype=bool)
     for k, crosses in enumerate(_edges_through(s, t)):
         hit = hit | (crosses & _same_sign(turns[k]))
@@ -166,10 +166,6 @@ def _edge_crossings(own: Triangle, other: Triangle) -> tuple[tuple[Vec3, Vec3], 
 def select(first: Array, p: T, q: T) -> T:
     """Elementwise choice between two pytrees: p where `first` is true, else q."""
     return jax.tree.map(lambda x, y: jnp.where(first, x, y), p, q)
-
-
-def _edges(t: Triangle) -> tuple[tuple[Vec3, Vec3], ...]:
-    return (t.a, t.b), (t.b, t.c), (t.c, t.a)
 
 
 def _volumes(start: Vec3, end: Vec3, t: Triangle) -> list[Scalar]:

@@ -130,6 +130,19 @@ def ball_arcs(t: Triangle, radius: Scalar) -> BallArcs:
     return BallArcs(jnp.where(disjoint, 0.0, turned), vectors[0], (vectors[1], vectors[2], vectors[3]))
 
 
+def edge_in_ball(q: Vec3, way: Vec3, radius: Scalar) -> tuple[Scalar, Scalar, Scalar, Scalar, Scalar]:
+    """|way|^2, q . way and |q|^2 - R^2 of an edge from q, and where it enters and leaves a ball about the origin.
+
+    These are shares of the edge's length; equal if it does not meet the ball.
+    """
+    length, half, excess = way.squared_norm(), q.dot(way), q.squared_norm() - radius * radius
+    over = 1 / jnp.where(length > 0, length, 1.0)
+    root = half * half - length * excess
+    half_chord = safe_sqrt(jnp.where(root > 0, root, 0.0))
+    enter, leave = (jnp.clip((sign * half_chord - half) * over, 0.0, 1.0) for sign in (-1.0, 1.0))
+    return length, half, excess, enter, leave
+
+
 class _Edge(NamedTuple):
     """The contribution of one directed edge."""
 
@@ -148,12 +161,7 @@ def _edge(q: Vec3, way: Vec3, arm: Scalar, circle: Scalar, radius: Scalar) -> _E
         arm: component of q along the edge's inward normal, times the edge's length.
         circle, radius: rho^2, and R.
     """
-    length, half, excess = way.squared_norm(), q.dot(way), q.squared_norm() - radius * radius
-    over = 1 / jnp.where(length > 0, length, 1.0)
-    root = half * half - length * excess
-    half_chord = safe_sqrt(jnp.where(root > 0, root, 0.0))
-    # Where the edge enters and leaves the circle, as shares of its length; equal if it does not meet the circle.
-    enter, leave = (jnp.clip((sign * half_chord - half) * over, 0.0, 1.0) for sign in (-1.0, 1.0))
+    length, half, excess, enter, leave = edge_in_ball(q, way, radius)
     inside, both = leave - enter, enter + leave
     stretch = -inside * (excess + half * both + length * (both * both - enter * leave) * (1 / 3))
     # Sum of the angles before and after the part inside, as the argument of the product of two complex numbers.

@@ -22,6 +22,7 @@ from pftwin.base.errors import InputError
 from pftwin.base.spatial import Scalar, Vec3, safe_sqrt
 from pftwin.geometry.bvh.triangle import Triangle, closest_on_triangle
 from pftwin.geometry.bvh.wide import BallListLengths, NearestTriangle, WideTree, nearest_wide, wide_tree
+from pftwin.geometry.contact.ball_cut import edge_in_ball
 from pftwin.geometry.contact.contact_mesh import border_edges, facet_tree
 from pftwin.geometry.mesh.mesh import SurfaceMesh
 from pftwin.geometry.patch.region import TrochlearRegion
@@ -120,11 +121,7 @@ def seam_depth(edges: Array, center: Vec3, radius: Scalar) -> SeamDepth:
     """Integrals along edges (n, 6), start and end, inside a ball; all in one frame [m]."""
     q = Vec3(*(edges[:, i] - c for i, c in enumerate((center.x, center.y, center.z))))
     way = Vec3(*(edges[:, 3 + i] - edges[:, i] for i in range(3)))
-    length, half, excess = way.squared_norm(), q.dot(way), q.squared_norm() - radius * radius
-    over = 1 / jnp.where(length > 0, length, 1.0)
-    root = half * half - length * excess
-    half_chord = safe_sqrt(jnp.where(root > 0, root, 0.0))
-    enter, leave = (jnp.clip((sign * half_chord - half) * over, 0.0, 1.0) for sign in (-1.0, 1.0))
+    length, _, _, enter, leave = edge_in_ball(q, way, radius)
     size = (leave - enter) * safe_sqrt(length)
     depth, square = jnp.zeros_like(size), jnp.zeros_like(size)
     depth_slope = square_slope = Vec3(*[jnp.zeros_like(size)] * 3)

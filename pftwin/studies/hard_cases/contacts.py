@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pftwin.base.leaves import number, vector
 from pftwin.geometry.bvh.corners import corner_tree
 from pftwin.geometry.contact.contact_mesh import ContactMesh, contact_mesh
-from pftwin.geometry.contact.patch_mesh import PatchMesh, patch_mesh
+from pftwin.geometry.contact.patch_mesh import patch_mesh
 from pftwin.geometry.mesh.icosphere import icosphere
 from pftwin.geometry.mesh.mesh import SurfaceMesh
 from pftwin.model.effects.base import Effect
@@ -43,7 +43,8 @@ def contact_on(knee: KneeNumbers, kind: str) -> Effect:
     mesh = knee.mesh(knee.ground)
     label = lateral_of(mesh) if knee.facets == 2 else None
     if kind == "volume":
-        made = _padded_edges(patch_mesh(mesh, knee.radius, label))
+        made = patch_mesh(mesh, knee.radius, label)
+        made = eqx.tree_at(lambda m: (m.seam, m.rim), made, (_padded_edges(made.seam), _padded_edges(made.rim)))
         return MeshVolumeContact(made, law, center, radius, number(knee.radius))
     femur = _padded_corners(contact_mesh(mesh, label), mesh)
     return MeshContact(femur, _button(knee.radius, canonicalize_dtype(float) == np.float64), law, center)
@@ -66,12 +67,8 @@ def _padded_corners(made: ContactMesh, mesh: SurfaceMesh) -> ContactMesh:
     return eqx.tree_at(lambda m: m.corners, made, corner_tree(points[repeated], normals[repeated]))
 
 
-def _padded_edges(made: PatchMesh) -> PatchMesh:
-    """Pads the mesh to the capacity of border and rim edges with points far away."""
-    return eqx.tree_at(lambda m: (m.seam, m.rim), made, (_edges(made.seam), _edges(made.rim)))
-
-
-def _edges(rows: jax.Array) -> jax.Array:
+def _padded_edges(rows: jax.Array) -> jax.Array:
+    """Pads border or rim edges to their capacity with points far away."""
     padded: NDArray = np.full((_EDGES, 6), _NOWHERE, np.asarray(rows).dtype)
     padded[: len(rows)] = np.asarray(rows)
     return jax.device_put(padded)

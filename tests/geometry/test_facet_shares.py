@@ -13,7 +13,7 @@ from pftwin.base.spatial import Vec3
 from pftwin.geometry.contact.patch_mesh import FacetPoint
 from pftwin.geometry.patch.polynomial import PolynomialPatch, exponents
 from pftwin.model.effects.contact_law import Hertz
-from pftwin.model.effects.mesh_sphere_contact import _shares
+from pftwin.model.effects.mesh_sphere_contact import _load_shares
 
 K = 2e8
 HALF = (0.024, 0.02)
@@ -130,7 +130,7 @@ def point(y: float, distance: float = RADIUS, on_seam: bool = False) -> FacetPoi
 
 @jax.jit
 def shares_of(one, two):
-    return _shares([one, two], J(RADIUS))
+    return _load_shares([one, two], J(RADIUS))
 
 
 @pytest.mark.parametrize("separation", [0.0, 0.015, 0.05, 0.11, 0.17, 0.21])

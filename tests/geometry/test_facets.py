@@ -11,7 +11,7 @@ from scenes import RADIUS, contact, fitted, flat_patch, look, patch_of, vec
 from scipy.optimize import minimize
 
 from pftwin import rig
-from pftwin.geometry.contact.facets import ASTRAY, FAN, SPACING, FollowedPoint, follow_facets, followed, scan_facets
+from pftwin.geometry.contact.facets import ASTRAY, FAN, SPACING, FollowedPoint, follow_facets, scan_facets, tracked_from
 from pftwin.geometry.patch.polynomial import PolynomialPatch, exponents
 from pftwin.model.effects.contact_law import Flores, Hertz
 
@@ -215,7 +215,7 @@ def tracked(surface, path, places):
     def step(places, c):
         found = follow_facets(surface, vec(*c), J(RADIUS), places)
         points = found.medial, found.lateral
-        return tuple(map(followed, points)), jnp.stack([p.distance for p in points])
+        return tuple(map(tracked_from, points)), jnp.stack([p.distance for p in points])
 
     starts = tuple(FollowedPoint(J(0.0), J(v), J(1.0), J(distance)) for v, distance in places)
     return jax.lax.scan(step, starts, J(path))[1]

@@ -38,7 +38,7 @@ def host_array(value: Vec3 | Quaternion | Rotation) -> Floats:
     return np.stack([host_array(p) if isinstance(p, Vec3) else np.asarray(p, np.float64) for p in parts], axis=-1)
 
 
-def what_changes(values: Tree, changes: Any) -> tuple[Tree, Tree]:
+def split_by_tangent(values: Tree, changes: Any) -> tuple[Tree, Tree]:
     """Partitions primals into those with a tangent and those whose tangent is None, as `equinox.partition` does.
 
     Instantiating zero tangents for large constant tables would cost as much memory traffic as the tables themselves.
@@ -46,7 +46,7 @@ def what_changes(values: Tree, changes: Any) -> tuple[Tree, Tree]:
     return eqx.partition(values, jax.tree.map(lambda c: c is not None, changes, is_leaf=lambda c: c is None))
 
 
-def all_changes(values: Tree, changes: Any) -> Tree:
+def filled_tangents(values: Tree, changes: Any) -> Tree:
     """Tangents of primals in a derivative rule, with zeros in place of None."""
 
     def known(x: Any, change: Any) -> Any:

@@ -56,7 +56,7 @@ class Sheet(NamedTuple):
 
         framed = sum(c.whole for c in columns) + 3 * len(part) + 1 <= width
         looks: dict[str, Any] = {} if framed else {"box": box.SIMPLE_HEAD, "padding": (0, 1, 0, 0)}
-        widths = [c.whole for c in columns] if framed else _widths(columns, width - _beside(len(part)))
+        widths = [c.whole for c in columns] if framed else _widths(columns, width - _frame_width(len(part)))
         out = Table(title=escape(title), **looks)
         for i, column, own in zip(part, columns, widths, strict=True):
             heading = "\n".join(
@@ -102,14 +102,14 @@ def _letters(text: str) -> int:
     return max(cell_len(text), 1)
 
 
-def _beside(columns: int) -> int:
+def _frame_width(columns: int) -> int:
     """Width of edges and spaces in a table without a frame."""
     return 2 * columns + 1
 
 
 def _least(columns: list[_Width]) -> int:
     """Minimum width of a table with these columns."""
-    return sum(c.least for c in columns) + _beside(len(columns))
+    return sum(c.least for c in columns) + _frame_width(len(columns))
 
 
 def _parts(columns: list[_Width], keys: int, width: int) -> list[list[int]]:

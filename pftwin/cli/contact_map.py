@@ -100,7 +100,7 @@ def contact_map(
         if figure is not None:
             with terminal.spinner("drawing"):
                 title = f"{patella.name} on {femur.name}, {law} foundation"
-                sides = None if outwards is None else _in_both(outwards, relative)
+                sides = None if outwards is None else _in_both_frames(outwards, relative)
                 terminal.save_picture(map_figure(found, thigh, button, title, lateral=sides), figure)
     facts = _facts(found)
     terminal.present({**settings, **facts}, _summary(facts), terminal.written_line([output, figure]), json=json)
@@ -118,8 +118,8 @@ def _summary(facts: dict[str, Any]) -> str:
 
 def _layers(modulus: str, poisson: str, thickness: str) -> list[tuple[float, float, float]]:
     """Modulus [Pa], Poisson ratio and thickness [m] of the femur's and the patella's layer."""
-    thick, moduli = _two("--thickness", thickness, "mm"), _two("--modulus-mpa", modulus)
-    numbers = zip(moduli, _two("--poisson", poisson), thick, strict=True)
+    thick, moduli = _one_or_two("--thickness", thickness, "mm"), _one_or_two("--modulus-mpa", modulus)
+    numbers = zip(moduli, _one_or_two("--poisson", poisson), thick, strict=True)
     return [(1e6 * e, nu, 1e-3 * t) for e, nu, t in numbers]
 
 
@@ -133,7 +133,7 @@ def _law(name: str, layers: list[tuple[float, float, float]]) -> FoundationLaw:
     return LAWS[name](*(checked_layer(*layer, where=f"{b} layer") for b, layer in zip(bodies, layers, strict=True)))
 
 
-def _two(option: str, text: str, unit: str = "") -> list[float]:
+def _one_or_two(option: str, text: str, unit: str = "") -> list[float]:
     """Parses one number for both layers, or one each for femur and patella, with an optional unit."""
     values = listed(text, unit, option)
     if len(values) not in (1, 2):
@@ -167,7 +167,7 @@ def _axis(text: str, figure: Path | None) -> Direction:
     return found
 
 
-def _in_both(direction: Direction, poses: PoseSeries) -> tuple[Any, Any]:
+def _in_both_frames(direction: Direction, poses: PoseSeries) -> tuple[Any, Any]:
     """A direction in the femur frame, and the same in the patella frame halfway through the recording."""
     import numpy as np
     from scipy.spatial.transform import Rotation

@@ -88,7 +88,7 @@ class Ledger(eqx.Module):
         zero = jnp.zeros_like(like)
         return Ledger(zero, zero, zero, Powers(zero, zero, zero, _no_load(zero), zero), zero, zero)
 
-    def entered(
+    def after_step(
         self, before: State, after: State, loads: Sequence[Load], step: Scalar, trial: Twist | None = None
     ) -> Ledger:
         """The ledger after one more step of length `step` [s], from the loads at its end.
@@ -109,7 +109,7 @@ class Ledger(eqx.Module):
         return Ledger(*sums, now, jnp.ones_like(known), self.approach_until(before, loads, trial))
 
     def approach_until(self, before: State, loads: Sequence[Load], trial: Twist) -> Scalar:
-        """`approach` after one more step, from the velocities at its start. Arguments as in `entered`."""
+        """`approach` after one more step, from the velocities at its start. Arguments as in `after_step`."""
         lost = trial.plus(-1.0, Twist(before.velocity, before.spin))
         fastest = jnp.zeros_like(lost.linear.x)
         for term in (term for load in loads for term in load.stiff if term.unilateral):

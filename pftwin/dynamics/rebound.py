@@ -78,20 +78,20 @@ def rebound_in_steps(law: ContactLaw, mass: float, speed: float, step: float, in
     """
     count = int(np.ceil(LASTS * impact_time(law, mass, speed) / step)) + 2 * PHASES
     law = jax.tree.map(lambda a: jnp.asarray(a, dtype=float) if eqx.is_array(a) else a, law)
-    ended = _thrown(
+    ended = _rebounds(
         Plate(law, name="plate"), *(jnp.asarray(float(a)) for a in (mass, speed, step)), integrator, jnp.asarray(count)
     )
     return np.maximum(np.asarray(ended), 0.0) / speed
 
 
 @Program
-def _thrown(plate: Plate, mass: Scalar, speed: Scalar, step: Scalar, integrator: Integrator, count: Array) -> Array:
+def _rebounds(plate: Plate, mass: Scalar, speed: Scalar, step: Scalar, integrator: Integrator, count: Array) -> Array:
     """Final velocities away from the plate, (PHASES,) [m/s]."""
     zero = jnp.zeros_like(mass)
     still = Guide(None, Frame.world(), zero)
     system = System(mass, Vec3(mass, mass, mass), (plate,))
 
-    def thrown(phase: Scalar) -> Scalar:
+    def rebound(phase: Scalar) -> Scalar:
         pose = Pose(Vec3(zero, zero, speed * step * phase), Quaternion(zero + 1, zero, zero, zero))
         memory = plate.remember(still.instant(Patella.at_rest(pose.position, pose.orientation), 0.0))
         state = eqx.tree_at(lambda s: s.velocity.z, system.at_rest(pose, (memory,)), -speed)
@@ -102,7 +102,7 @@ def _thrown(plate: Plate, mass: Scalar, speed: Scalar, step: Scalar, integrator:
 
         return jax.lax.fori_loop(0, count, further, state).velocity.z
 
-    return jax.vmap(thrown)((jnp.arange(PHASES, dtype=float) + 0.5) / PHASES)
+    return jax.vmap(rebound)((jnp.arange(PHASES, dtype=float) + 0.5) / PHASES)
 
 
 @dataclass(frozen=True)

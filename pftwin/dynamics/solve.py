@@ -20,7 +20,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from pftwin.base.leaves import what_changes
+from pftwin.base.leaves import split_by_tangent
 from pftwin.base.spatial import Scalar, Vec3
 
 Lower = list[list[Scalar]]  # row i holds columns 0..i
@@ -140,7 +140,7 @@ def tangent_of(residual: Callable[[Six], Six], x: Six) -> Array:
 
 def changed_by(function: Callable[[Any], Any], values: Any, changes: Any) -> Any:
     """Tangent of function(values) for tangents of the values; None marks a constant value."""
-    moving, still = what_changes(values, changes)
+    moving, still = split_by_tangent(values, changes)
     return jax.jvp(lambda m: function(eqx.combine(m, still)), (moving,), (changes,))[1]
 
 

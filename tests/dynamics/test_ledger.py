@@ -114,10 +114,10 @@ def test_the_fastest_approach_is_that_of_contacts_that_push_from_the_steps_start
     tied = StiffTerm(z, nothing, J(5.0), J(5.0), J(1e4), J(0.0), J(9.0))
     before, after = (State(nothing, Quaternion.identity(), _along(v), nothing, ()) for v in (-0.4, -0.1))
     looked = Twist(_along(-0.5), nothing)
-    ledger = Ledger.opened(J(0.0)).entered(before, after, [Load(stiff=(push, none, tied))], J(1e-3), looked)
+    ledger = Ledger.opened(J(0.0)).after_step(before, after, [Load(stiff=(push, none, tied))], J(1e-3), looked)
     assert float(ledger.approach) == pytest.approx(0.3 - 0.1)
     slower = eqx.tree_at(lambda t: t.rate, push, J(0.1))
-    later = ledger.entered(before, after, [Load(stiff=(slower,))], J(1e-3), looked)
+    later = ledger.after_step(before, after, [Load(stiff=(slower,))], J(1e-3), looked)
     assert float(later.approach) == pytest.approx(0.2)
 
 
@@ -128,7 +128,7 @@ def test_powers_are_summed_by_trapezoids_and_potential_forces_along_the_displace
     for k, fall in enumerate((1e-3, 2e-3, 3e-3)):
         before, after = (State(_along(z), Quaternion.identity(), _along(9.0), _along(0.0), ()) for z in (at, at - fall))
         pull = Load(wrench=Wrench(_along(float(k)), _along(0.0)))
-        ledger, at = ledger.entered(before, after, [weight, pull], J(1e-3)), at - fall
+        ledger, at = ledger.after_step(before, after, [weight, pull], J(1e-3)), at - fall
     assert float(ledger.work) == pytest.approx(1e-3 * 9.0 * (0 + 0.5 + 1.5))  # the first from its end alone
     assert float(ledger.done) == pytest.approx(5.0 * 6e-3 + float(ledger.work))
     assert float(ledger.heat) == 0.0

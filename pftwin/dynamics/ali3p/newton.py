@@ -21,7 +21,7 @@ import jax.numpy as jnp
 from jax.scipy.linalg import cho_factor, cho_solve
 from jaxtyping import Array
 
-from pftwin.base.leaves import all_changes
+from pftwin.base.leaves import filled_tangents
 from pftwin.base.spatial import Scalar
 from pftwin.dynamics.ali3p.bodies import Bodies, masses
 from pftwin.dynamics.ali3p.natural_coordinates import LENGTH, Driven, constraints, directions, jacobian
@@ -148,7 +148,7 @@ def _solved_step_jvp(primals: Any, tangents: Any) -> tuple[Any, Any]:
     place, _ = given.motion(second_rate)
     h = given.bodies.step
     moving, still = eqx.partition(given, eqx.is_inexact_array)
-    changes = all_changes(moving, tangents[0])
+    changes = filled_tangents(moving, tangents[0])
     per_metre = 1 / (BETA * h * h)
     basis = directions(place[0])
 

@@ -126,5 +126,5 @@ class ALI3P(Integrator):
         after = given.bodies.state(place, rate, state)
         after = eqx.tree_at(lambda s: (s.memories, s.solver_state), after, (memories, solver_state))
         if ledger is not None:
-            ledger = ledger.entered(state, after, loads, step)
+            ledger = ledger.after_step(state, after, loads, step)
         return after, ledger

@@ -60,11 +60,12 @@ class BatchPlan(NamedTuple):
         """Computes variants of group k from their rows; returns a pytree of arrays (n, ...)."""
         task = self.tasks[k]
         found = all_members(self.sharding, task, rows, threads=self.threads, progress=progress)
-        nothing = np.zeros(len(found["sensible"]), dtype=np.int8)
-        return {**found, "recomputed": with_care(self.sharding, task, rows, found, self.care) if self.care else nothing}
+        if not self.care:
+            return {**found, "recomputed": np.zeros(len(found["sensible"]), dtype=np.int8)}
+        return {**found, "recomputed": recompute_flagged(self.sharding, task, rows, found, self.care)}
 
 
-def some_of(group: Group, which: NDArray[np.int64]) -> Group:
+def subset(group: Group, which: NDArray[np.int64]) -> Group:
     """The group with only the variants of the indices `which`."""
     return group._replace(
         rows=_selected_rows(group.rows, which), places=group.places[which], names=[group.names[i] for i in which]
@@ -137,7 +138,7 @@ def all_members(
     return sharding.over(work, len(jax.tree.leaves(rows)[0]), threads, progress)
 
 
-def with_care(
+def recompute_flagged(
     sharding: Sharding, task: Task, rows: Any, found: Found, bad_ones: tuple[Status, ...] = BAD
 ) -> NDArray[np.int8]:
     """Recomputes variants with bad flags, in place: from a relaxed start, with smaller steps, or another integrator.
@@ -150,7 +151,7 @@ def with_care(
     lost = _flagged(found, (Status.START_NOT_IN_EQUILIBRIUM,)) & found["sensible"]
     if lost.any():
         better = all_members(sharding, task, _selected_rows(rows, lost), relaxed=True)
-        relaxed = _taken_over(found, better, lost, ~_flagged(better, (Status.START_NOT_IN_EQUILIBRIUM,)))
+        relaxed = _adopt_good(found, better, lost, ~_flagged(better, (Status.START_NOT_IN_EQUILIBRIUM,)))
         done[lost] = WAYS.index("in_vain")
         done[relaxed] = WAYS.index("relaxed_start")
     careful = task._replace(substeps=jnp.asarray(np.asarray(task.substeps) * SMALLER))
@@ -162,7 +163,7 @@ def with_care(
         for group, from_relaxed in ((bad & ~relaxed, False), (bad & relaxed, True)):
             if group.any():
                 better = all_members(sharding, with_more, _selected_rows(rows, group), relaxed=from_relaxed)
-                done[_taken_over(found, better, group, ~_flagged(better, bad_ones))] = way
+                done[_adopt_good(found, better, group, ~_flagged(better, bad_ones))] = way
     still = _flagged(found, bad_ones) & found["sensible"]
     done[still] = WAYS.index("in_vain")
     return done
@@ -190,7 +191,7 @@ def _selected_rows(rows: Any, which: NDArray[Any]) -> Any:
     return jax.tree.map(lambda a: np.asarray(a)[which], rows)
 
 
-def _taken_over(found: Found, better: Found, which: NDArray[np.bool_], good: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _adopt_good(found: Found, better: Found, which: NDArray[np.bool_], good: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Copies those recomputed variants that are good into `found`; returns which these are, (n,)."""
     places = np.flatnonzero(which)[good]
 

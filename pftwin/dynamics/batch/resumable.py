@@ -29,7 +29,7 @@ from pftwin.dynamics.batch.parts import (
     read_part,
     write_part,
 )
-from pftwin.dynamics.batch.plan import BatchPlan, batch_features, key_of, some_of
+from pftwin.dynamics.batch.plan import BatchPlan, batch_features, key_of, subset
 
 if TYPE_CHECKING:
     from xarray import Dataset
@@ -38,7 +38,7 @@ Share = tuple[int, int]  # (k, n): the k-th of n shares, k from 0
 Tell = Callable[[int, int], None]
 
 
-class InParts:
+class ResumableBatch:
     """One call's computation of a batch in a folder, in units of `unit` variants.
 
     Without a share it computes what is missing, with all processes. `tell` is called with the number of variants that
@@ -64,7 +64,7 @@ class InParts:
             OutputError: a part cannot be written.
             PftwinError: another process failed; the message contains its error.
         """
-        self._agree()
+        self._check_same_batch()
         if self.share is not None and self.share[0] >= len(self.units):
             raise InputError(
                 f"share {self.share[0]} of {len(self.units)} parts, counted from 0",
@@ -74,10 +74,10 @@ class InParts:
         asked = [u for u in range(len(self.units)) if self.share is None or u % self.share[1] == self.share[0]]
         missing = self._missing(asked)
         if missing and self.processes.count > 1:
-            self._together(lambda: check_shared_folder(self.folder, self.index, SHOWN))
+            self._on_all_processes(lambda: check_shared_folder(self.folder, self.index, SHOWN))
         while missing:
             shares = {p: missing[i :: len(self.processes.alive)] for i, p in enumerate(self.processes.alive)}
-            self._together(lambda own=shares[self.processes.index]: self._compute(own))
+            self._on_all_processes(lambda own=shares[self.processes.index]: self._compute(own))
             lost = [p for p in shares if p not in self.processes.alive]
             missing = self._missing([u for p in lost for u in shares[p]]) if lost else []
             if lost:
@@ -89,7 +89,7 @@ class InParts:
                 self.done[unit] = read_part(self.folder, unit, self.index, SHOWN)
         return concatenated_parts([self.done[u] for u in asked])
 
-    def _agree(self) -> None:
+    def _check_same_batch(self) -> None:
         """Checks that all processes have the same batch."""
         said = self.processes.gathered(json.dumps(self.index.features))
         first = json.loads(said[min(said)])
@@ -106,14 +106,14 @@ class InParts:
     def _missing(self, asked: Sequence[int]) -> list[int]:
         """Units without a valid part according to the first process, so that all processes use the same list."""
 
-        def look() -> list[int]:
+        def missing() -> list[int]:
             prepare_folder(self.folder, self.index)
-            return [u for u in asked if not self._sound(u)]
+            return [u for u in asked if not self._is_valid(u)]
 
         first = min(self.processes.alive) == self.processes.index
-        return self._together(look if first else list)[min(self.processes.alive)]
+        return self._on_all_processes(missing if first else list)[min(self.processes.alive)]
 
-    def _sound(self, unit: int) -> bool:
+    def _is_valid(self, unit: int) -> bool:
         path = part_file(self.folder, unit)
         if not path.exists():
             return False
@@ -124,7 +124,7 @@ class InParts:
             return False
         return True
 
-    def _together(self, work: Callable[[], Any]) -> dict[int, Any]:
+    def _on_all_processes(self, work: Callable[[], Any]) -> dict[int, Any]:
         """The result of `work` by process. If one fails, all raise an error, so that none waits forever.
 
         Raises:
@@ -152,12 +152,12 @@ class InParts:
             waiting = [u for u in units if self.units[u][0] == k]
             while waiting:
                 at_once = max(1, self.plan.sharding.most * self.plan.threads // self.index.units[waiting[0]])
-                self._written(k, waiting[:at_once])
+                self._compute_units(k, waiting[:at_once])
                 waiting = waiting[at_once:]
 
-    def _written(self, k: int, units: list[int]) -> None:
+    def _compute_units(self, k: int, units: list[int]) -> None:
         plan, tell = self.plan, self.tell
-        each = [some_of(plan.groups[k], self.units[u][1]) for u in units]
+        each = [subset(plan.groups[k], self.units[u][1]) for u in units]
         rows = jax.tree.map(lambda *a: np.concatenate(a), *[g.rows for g in each])
         progress = None if tell is None else (lambda done, _: tell(self.counted + done, self.own))
         found = plan.found(k, rows, progress)

@@ -113,9 +113,9 @@ def simulate_batch(
     plan = BatchPlan(groups, tasks, values, settings, bad, sharding, feeding_threads(devices))
     if parts is None:
         return _simulate_whole(plan, progress)
-    from pftwin.dynamics.batch.resumable import InParts
+    from pftwin.dynamics.batch.resumable import ResumableBatch
 
-    return InParts(plan, Path(parts), unit_for(plan.total, sharding.piece, chunk), share, progress).all()
+    return ResumableBatch(plan, Path(parts), unit_for(plan.total, sharding.piece, chunk), share, progress).all()
 
 
 def _sharding(total: int, devices: tuple[Any, ...], chunk: int | None) -> Sharding:

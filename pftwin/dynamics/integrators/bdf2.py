@@ -79,7 +79,7 @@ class BDF2(Integrator):
         after = eqx.tree_at(lambda s: (s.memories, s.solver_state), after, (memories, solver_state))
         if ledger is not None:
             ends = [load_at_end(load, dv, span) for load in loads]
-            ledger = ledger.entered(state, after, ends, step, expected)
+            ledger = ledger.after_step(state, after, ends, step, expected)
         return after, ledger
 
 

@@ -36,5 +36,5 @@ class LinearImplicit(Integrator):
         after = advance(state, state.velocity + Vec3(*dv[:3]), state.spin + Vec3(*dv[3:]), step, memories)
         if ledger is not None:
             ends = [load_at_end(load, dv, step) for load in loads]
-            ledger = ledger.entered(state, after, ends, step, Twist(state.velocity, state.spin))
+            ledger = ledger.after_step(state, after, ends, step, Twist(state.velocity, state.spin))
         return after, ledger

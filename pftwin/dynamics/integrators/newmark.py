@@ -150,7 +150,7 @@ class Newmark(Integrator):
             lambda s: (s.memories, s.solver_state), after, (memories, NewmarkStep(algorithmic, actual, residual))
         )
         if ledger is not None:
-            ledger = ledger.entered(state, after, loads, step)
+            ledger = ledger.after_step(state, after, loads, step)
         return after, ledger
 
 

@@ -57,7 +57,7 @@ class SymplecticEuler(Integrator):
         after = with_solver_state(after, EulerStep(beyond))
         if ledger is not None:
             ends, _ = system.loads(guide_at(1.0).instant(after.patella(), 0.0), memories)
-            ledger = ledger.entered(state, after, ends, step)
+            ledger = ledger.after_step(state, after, ends, step)
         return after, ledger
 
 

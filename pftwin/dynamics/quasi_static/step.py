@@ -114,10 +114,10 @@ def over_a_snap(ledger: Ledger, branch: Branch, landed: list[Any]) -> Ledger:
     held = branch._replace(rates=jnp.zeros_like(branch.rates))
     standing = held.after([jnp.zeros_like(branch.step)] * 6)
     loads, _ = branch.system.loads(branch.guide.instant(standing.patella(), 0.0), branch.origin.memories)
-    entered = ledger.entered(branch.origin, standing, loads, branch.step)
+    after_step = ledger.after_step(branch.origin, standing, loads, branch.step)
     stored = [sum((x.energy for x in own if x.energy is not None), jnp.zeros(())) for own in (loads, landed)]
-    heat, unknown = entered.heat + stored[0] - stored[1], jnp.zeros_like(entered.begun)
-    return eqx.tree_at(lambda a: (a.heat, a.begun), entered, (heat, unknown))
+    heat, unknown = after_step.heat + stored[0] - stored[1], jnp.zeros_like(after_step.begun)
+    return eqx.tree_at(lambda a: (a.heat, a.begun), after_step, (heat, unknown))
 
 
 @dataclass(frozen=True)
@@ -152,5 +152,5 @@ class QuasiStatic(Integrator):
         after = eqx.tree_at(lambda s: (s.memories, s.solver_state), after, (memories, solver_state))
         if ledger is None:
             return after, None
-        regular = ledger.entered(state, after, loads, step)
+        regular = ledger.after_step(state, after, loads, step)
         return after, jax.tree.map(lambda a, b: jnp.where(snapped, a, b), over_a_snap(ledger, branch, loads), regular)

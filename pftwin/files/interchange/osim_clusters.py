@@ -30,7 +30,7 @@ LEAST = 3  # smallest number of markers of a segment
 
 
 @dataclass
-class Recording:
+class MarkerRecording:
     """Markers of a knee in the usable time range of a recording, gaps filled, with their positions on the segments."""
 
     markers: MarkerTrajectories
@@ -50,7 +50,7 @@ def read_recording(
     units: str | None = None,
     without: Sequence[str] = (),
     joint_centers: bool = False,
-) -> Recording:
+) -> MarkerRecording:
     """Reads the longest range of a recording in which femur and tibia each have three or more markers.
 
     The options are those of `import_osim`. Raises InputError as the file's reader, for ambiguous names, fewer than
@@ -92,7 +92,7 @@ def read_recording(
     fits = {p: _fit(smooth, clusters[p], places[p], knee.name(p), notes) for p in ("femur", "tibia")}
     start, said = resting_patella(knee, fits["tibia"].relative_to(fits["femur"]))
     said += "; limits of how far from there it comes to rest are wide"
-    return Recording(selected, clusters, used, cutoff, start, [*notes, said])
+    return MarkerRecording(selected, clusters, used, cutoff, start, [*notes, said])
 
 
 def _mended(

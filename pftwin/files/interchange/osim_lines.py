@@ -85,7 +85,7 @@ class PatellarMuscle(NamedTuple):
         return f"its activation says how strongly it pulls: give a tension in [[prescribed_tension]]; {ends}"
 
 
-def pulls(
+def muscle_lines(
     knee: OsimKnee,
     moved: Motion | None,
     imported: Imported,

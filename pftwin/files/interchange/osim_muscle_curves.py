@@ -35,7 +35,7 @@ class Curves(NamedTuple):
     shortest: float  # normalised fibre length below which the active curve is not defined
 
 
-class _Point(NamedTuple):
+class _CurvePoint(NamedTuple):
     """A point at which two corners meet."""
 
     x: float
@@ -83,41 +83,41 @@ def millard(held: Sequence[Element], *, damped: bool) -> Curves:
     )
 
 
-def _active_corners(low: float, shoulder: float, high: float, floor: float, slope: float) -> list[_Point]:
+def _active_corners(low: float, shoulder: float, high: float, floor: float, slope: float) -> list[_CurvePoint]:
     """Points of five corners: foot, shoulder, top (at the optimal length), descent, and the other foot."""
     width = 0.05  # half that of the top
     rise = 1 - slope * (1 - width - shoulder)  # at the shoulder
     down = -1 / ((high - width) - (1 + width))
     return [
-        _Point(low, floor, 0.0),
-        _Point(0.5 * (low + shoulder), 0.5 * rise, 1.25 * rise / (shoulder - low)),
-        _Point(0.5 * (shoulder + 1 - width), 0.5 * (rise + 1), slope),
-        _Point(1.0, 1.0, 0.0),
-        _Point(0.5 * (1 + width + high), 0.5, down),
-        _Point(high, floor, 0.0),
+        _CurvePoint(low, floor, 0.0),
+        _CurvePoint(0.5 * (low + shoulder), 0.5 * rise, 1.25 * rise / (shoulder - low)),
+        _CurvePoint(0.5 * (shoulder + 1 - width), 0.5 * (rise + 1), slope),
+        _CurvePoint(1.0, 1.0, 0.0),
+        _CurvePoint(0.5 * (1 + width + high), 0.5, down),
+        _CurvePoint(high, floor, 0.0),
     ]
 
 
-def _passive_corners(zero: float, one: float, soft: float, stiff: float) -> list[_Point]:
+def _passive_corners(zero: float, one: float, soft: float, stiff: float) -> list[_CurvePoint]:
     """Points of a short foot of a tenth of the strain, then the rise to a normalised force of 1."""
     foot = 0.1 * min(1 / stiff, one - zero)
     return [
-        _Point(1 + zero, 0.0, 0.0),
-        _Point(1 + zero + foot, 0.5 * foot * soft, soft),
-        _Point(1 + one, 1.0, stiff),
+        _CurvePoint(1 + zero, 0.0, 0.0),
+        _CurvePoint(1 + zero + foot, 0.5 * foot * soft, soft),
+        _CurvePoint(1 + one, 1.0, stiff),
     ]
 
 
-def _tendon_corners(strain: float, stiffness: float, toe: float) -> list[_Point]:
+def _tendon_corners(strain: float, stiffness: float, toe: float) -> list[_CurvePoint]:
     """Points of two corners up to the end of the toe region, beyond which the curve is straight."""
     end, middle = (1 + strain + (force - 1) / stiffness for force in (toe, 0.5 * toe))
     foot = 1 + (end - 1) / 10
     slope = 0.5 * toe / (middle - foot)
     at = 0.5 * (foot + middle)
-    return [_Point(1.0, 0.0, 0.0), _Point(at, slope * (at - foot), slope), _Point(end, toe, stiffness)]
+    return [_CurvePoint(1.0, 0.0, 0.0), _CurvePoint(at, slope * (at - foot), slope), _CurvePoint(end, toe, stiffness)]
 
 
-def _curve(points: Sequence[_Point], curviness: float, said: Properties) -> Function:
+def _curve(points: Sequence[_CurvePoint], curviness: float, said: Properties) -> Function:
     """The curve of corners, continued along the tangents at its ends."""
     share = 0.1 + 0.8 * curviness
     u = np.linspace(0, 1, _SAMPLES)

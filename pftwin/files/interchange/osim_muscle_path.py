@@ -88,7 +88,7 @@ class MovingBodies:
         return self.pose(carrier) @ np.linalg.inv(rest) @ own
 
 
-class _Point(NamedTuple):
+class _PathPoint(NamedTuple):
     """A point of a path."""
 
     part: str  # of the knee, or another body's name
@@ -133,7 +133,7 @@ def path_over_motion(muscle: Element, bodies: MovingBodies, wraps: Sequence[Wrap
     return PathOverMotion(lengths, points[inserted[0]].own[0], bodies.seen_from(body, places), body)
 
 
-def _point(element: Element, bodies: MovingBodies) -> _Point:
+def _point(element: Element, bodies: MovingBodies) -> _PathPoint:
     part, pose = bodies.knee.placed(bodies.knee.model.frames.of(element))
     here, there = np.zeros((bodies.count, 3)), np.ones(bodies.count, bool)
     if element.tag == MOVING:
@@ -146,7 +146,7 @@ def _point(element: Element, bodies: MovingBodies) -> _Point:
         _, values = bodies.coordinate(element.needed("socket_coordinate").text, element.where)
         there = (values >= low - _SLACK) & (values <= high + _SLACK)
     own = here @ pose[:3, :3].T + pose[:3, 3]
-    return _Point(part, own, _moved(bodies.pose(part), own), there, element.tag != MOVING)
+    return _PathPoint(part, own, _moved(bodies.pose(part), own), there, element.tag != MOVING)
 
 
 def _moved(poses: np.ndarray, points: Floats) -> Floats:

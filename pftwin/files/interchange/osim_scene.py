@@ -13,7 +13,7 @@ from pftwin.base.text_files import write_text
 from pftwin.files.interchange import osim_motion
 from pftwin.files.interchange.osim_document import Element, read_osim
 from pftwin.files.interchange.osim_knee import FOLDER, PARTS, OsimKnee, Written, bones, find_knee, load_mesh
-from pftwin.files.interchange.osim_lines import POINTS, PatellarMuscle, ligament_lines, pulls
+from pftwin.files.interchange.osim_lines import POINTS, PatellarMuscle, ligament_lines, muscle_lines
 from pftwin.files.interchange.osim_model import CONTACT, LIGAMENT, SURFACE, LeftOut, OsimContact, read_model
 from pftwin.files.interchange.osim_toml import poses_csv, report, scene_text
 from pftwin.files.interchange.osim_wraps import Wraps
@@ -23,7 +23,7 @@ from pftwin.model.effects.tension import check_knots
 from pftwin.model.limits import Limits
 
 if TYPE_CHECKING:
-    from pftwin.files.interchange.osim_clusters import Recording
+    from pftwin.files.interchange.osim_clusters import MarkerRecording
 
 REPORT = "not_imported.md"
 RECORDING = "markers.trc"
@@ -146,7 +146,7 @@ def import_osim(
     drawn = list(bones(knee, places, {m.file for m in pressing}, imported.left_out))
     if drawn:
         imported.notes.append(f"bones: {len(drawn)} meshes lie in {FOLDER}/; a scene file has no table for them")
-    pulling, pulled = pulls(knee, moved, imported, quadriceps, activation, wraps)
+    pulling, pulled = muscle_lines(knee, moved, imported, quadriceps, activation, wraps)
     imported.left_out += _unused_elements(found.root, imported, recorded=recording is not None)
     if any(wrap is not None and wrap.kind == "cylinder" for _, wrap in (*strands, *pulling)):
         imported.notes.append("wrapping: cylinders are taken as endless")
@@ -166,7 +166,7 @@ def _recording(
     markers: str | os.PathLike[str] | None,
     imported: Imported,
     options: dict[str, Any],
-) -> Recording:
+) -> MarkerRecording:
     """Reads the knee's markers and their recording."""
     from pftwin.files.interchange.osim_clusters import read_recording
     from pftwin.files.interchange.osim_markers import markers_of

@@ -19,7 +19,7 @@ from pftwin.files.toml_text import render_toml
 
 if TYPE_CHECKING:
     from pftwin.files.interchange.osim_activation import Activated
-    from pftwin.files.interchange.osim_clusters import Recording
+    from pftwin.files.interchange.osim_clusters import MarkerRecording
     from pftwin.files.interchange.osim_scene import Imported
 
 # OpenSim's axes (x anterior, y proximal, z to the right) that are proximal, lateral, anterior.
@@ -50,7 +50,7 @@ def scene_text(
     moved: Motion | None,
     muscles: Sequence[tuple[PatellarMuscle, OsimWrap | None]],
     pulled: Activated | None,
-    recording: Recording | None,
+    recording: MarkerRecording | None,
     limits: Mapping[str, float],
     knots: Sequence[float],
 ) -> str:

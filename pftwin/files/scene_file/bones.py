@@ -17,7 +17,7 @@ from pftwin.model.motion import KneeMotion
 
 
 @dataclass(frozen=True, eq=False)
-class Bones:
+class BonePoses:
     """Poses of femur and tibia at the frames of a scene."""
 
     recording: SegmentRecording
@@ -27,7 +27,7 @@ class Bones:
     femur: PoseSeries | None  # poses of a moving femur in the world
 
     @staticmethod
-    def read(recording: SegmentRecording, side: Side, start: StartSection) -> Bones:
+    def read(recording: SegmentRecording, side: Side, start: StartSection) -> BonePoses:
         """Makes the bones' motion from a recording, from the first frame on in which they are in line.
 
         Raises InputError for a fixed tibia, and poses implausible for a knee.
@@ -47,10 +47,10 @@ class Bones:
             assert femur.fixed is not None
             fixed = side.pose("world", "femur", femur.fixed.pose())
             with document.naming("tibia"):
-                return Bones(recording, side, KneeMotion.from_poses(fixed.pose(), shin), fixed, None)
+                return BonePoses(recording, side, KneeMotion.from_poses(fixed.pose(), shin), fixed, None)
         thigh = side.poses("world", "femur", thigh)
         with document.naming("motion"):
-            return Bones(recording, side, KneeMotion.from_poses(thigh, shin), None, thigh)
+            return BonePoses(recording, side, KneeMotion.from_poses(thigh, shin), None, thigh)
 
     def patella(self, section: SegmentSection, *at: str) -> PoseSeries:
         """Recorded poses of the patella in the world; `at` is the location of its table in the file."""

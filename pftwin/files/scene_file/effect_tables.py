@@ -19,7 +19,7 @@ from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.base.leaves import number, vector
 from pftwin.base.quantities import Quantity, declared_field
-from pftwin.files.scene_file.bones import Bones
+from pftwin.files.scene_file.bones import BonePoses
 from pftwin.files.scene_file.document import Document, Place
 from pftwin.files.scene_file.section import (
     Name,
@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 class Setting:
     """Context from which a table builds an effect or a part of one."""
 
-    bones: Bones
+    bones: BonePoses
     mass: float  # of the patella [kg]
     start: HostPose  # pose of the patella in the femur's frame at the first frame
     contact: str | None = None  # polynomial requested on the command line, instead of the file's
@@ -153,7 +153,7 @@ class DampingSection(EffectSection):
         return LinearDamping(*rates, body=self.body, name=self.label)
 
 
-class Layout(NamedTuple):
+class FieldMapping(NamedTuple):
     """Mapping from a table's fields to those of an effect."""
 
     effect: Callable[..., Effect]
@@ -166,14 +166,14 @@ class Layout(NamedTuple):
 class DeclaredSection(EffectSection):
     """A table whose fields are generated from an effect's declarations: see `declared_table`."""
 
-    _layout: ClassVar[Layout]
+    _mapping: ClassVar[FieldMapping]
 
     def _check(self) -> None:
-        group_size(self, *self._layout.numbers, *self._layout.points)
+        group_size(self, *self._mapping.numbers, *self._mapping.points)
 
     def build(self, setting: Setting) -> Effect:
         """The effect, or a group of them."""
-        effect, numbers, points, unchanged, obstacles = self._layout
+        effect, numbers, points, unchanged, obstacles = self._mapping
         n = group_size(self, *numbers, *points)
         values: dict[str, Any] = {name: getattr(self, name) for name in unchanged}
         for label, name in numbers.items():
@@ -214,19 +214,19 @@ def declared_table(
         InputError: a field of another kind, or a point whose frame is not declared.
     """
     kind = kind or re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", effect.__name__).lower()
-    words, fields, layout = words or {}, {}, Layout(effect, {}, {}, [], [])
+    words, fields, mapping = words or {}, {}, FieldMapping(effect, {}, {}, [], [])
     for f in dataclasses.fields(effect):
         if f.name == "name":
             continue
         if "Obstacle" in str(f.type):
             fields[f.name] = Wrap, WRAP
-            layout.obstacles.append(f.name)
+            mapping.obstacles.append(f.name)
             continue
         declared = declared_field(effect, f.name)
         default: Any = {} if f.default is dataclasses.MISSING else {"default": f.default}
         if declared is None:
             fields[f.name] = _static(effect, f.name, f.type, default)
-            layout.unchanged.append(f.name)
+            mapping.unchanged.append(f.name)
             continue
         suffix = declared.unit.replace("/", "_per_").replace(" ", "_").replace("^", "")  # N_s_per_m
         label = f"{f.name}_{suffix}" if suffix else f.name
@@ -234,17 +234,17 @@ def declared_table(
         if "Vec3" in str(f.type):
             if not declared.frame:
                 raise _unreadable(effect, f.name, 'quantity(..., frame="patella"), "body", "femur", "tibia", "world"')
-            layout.points[label] = f.name, declared.frame
+            mapping.points[label] = f.name, declared.frame
             described = described if f.name in words else f"{f.name} [{declared.unit}], frame: {declared.frame}"
             fields[label] = Points, Field(description=described, **default)
         else:
-            layout.numbers[label] = f.name
+            mapping.numbers[label] = f.name
             default = default or ({"default": (defaults or {})[f.name]} if f.name in (defaults or {}) else {})
             default = {k: [float(v)] for k, v in default.items()}
             fields[label] = _values(declared), Field(description=f"{described} [{declared.unit or '-'}]", **default)
     doc = (effect.__doc__ or kind).splitlines()[0]
     made = create_model(f"{effect.__name__}Section", __base__=DeclaredSection, __doc__=doc, **fields)
-    made.kind, made._layout = kind, layout
+    made.kind, made._mapping = kind, mapping
     return made
 
 

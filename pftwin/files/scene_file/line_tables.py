@@ -17,7 +17,14 @@ from pftwin.base.leaves import number as leaf
 from pftwin.base.leaves import vector
 from pftwin.base.text_files import csv_cells, number, read_json, read_lines, refuse_repeated
 from pftwin.files.mocap.tables import unknown_name
-from pftwin.files.scene_file.effect_tables import Body, DeclaredSection, EffectSection, Layout, Setting, declared_table
+from pftwin.files.scene_file.effect_tables import (
+    Body,
+    DeclaredSection,
+    EffectSection,
+    FieldMapping,
+    Setting,
+    declared_table,
+)
 from pftwin.files.scene_file.section import FileName, NotNegatives, Points, Positives, group_size, problem
 from pftwin.files.scene_file.wrap_table import WRAP, Wrap, obstacle
 from pftwin.model.effects.base import Effect
@@ -43,7 +50,7 @@ class _DampedSection(DeclaredSection):
     def _check(self) -> None:
         if self.damping_time_s is not None and "damping_N_s_per_m" in self.model_fields_set:
             raise problem("both damping_N_s_per_m and damping_time_s are given", expected="one of them")
-        group_size(self, "damping_time_s", *self._layout.numbers, *self._layout.points)
+        group_size(self, "damping_time_s", *self._mapping.numbers, *self._mapping.points)
         if self.damping_time_s is not None:
             self.damping_N_s_per_m = list(np.asarray(self.stiffness_N_per_m) * np.asarray(self.damping_time_s))
 
@@ -70,7 +77,7 @@ class ViscoelasticTendonSection(DeclaredSection):
     """A standard linear solid: stiffness K relaxed, K + K1 at once. Lists instead of single values make a group."""
 
     kind: ClassVar[str] = "viscoelastic_tendon"
-    _layout: ClassVar[Layout] = Layout(
+    _mapping: ClassVar[FieldMapping] = FieldMapping(
         _viscoelastic_tendon,
         numbers={
             "stiffness_N_per_m": "stiffness",

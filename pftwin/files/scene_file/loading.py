@@ -14,7 +14,7 @@ from pydantic import Field, create_model
 
 from pftwin.base.errors import InputError
 from pftwin.base.program_cache import cached
-from pftwin.files.scene_file.bones import Bones
+from pftwin.files.scene_file.bones import BonePoses
 from pftwin.files.scene_file.document import Document
 from pftwin.files.scene_file.effect_tables import EffectSection, Setting
 from pftwin.files.scene_file.measured_table import MeasuredSection
@@ -155,7 +155,7 @@ def _loaded(
         limits = Limits.of({**file.limits, **own_limits})
     notes: list[str] = []
     segments = SegmentRecording(file.motion, {"femur": file.femur, "tibia": file.tibia}, document, notes, limits)
-    bones = Bones.read(segments, side, file.patella.start)
+    bones = BonePoses.read(segments, side, file.patella.start)
     start, beside_femur = bones.start_pose(file.patella.start)
     setting = Setting(bones, file.patella.mass_kg, beside_femur, contact, notes=notes)
     effects = tuple(  # in the file's order, which numbers K1, L1, K2, ...

@@ -12,7 +12,7 @@ from pftwin.base.errors import InputError
 from pftwin.files.mocap import Table, frame_means, read_readings, singular_spectrum_filter
 from pftwin.files.mocap.bones import in_words, jumps
 from pftwin.files.mocap.units import SI_UNITS, split_unit
-from pftwin.files.scene_file.bones import Bones
+from pftwin.files.scene_file.bones import BonePoses
 from pftwin.files.scene_file.document import Document
 from pftwin.files.scene_file.section import FileName, Section, problem
 from pftwin.files.scene_file.segments import SegmentSection
@@ -64,7 +64,7 @@ class MeasuredSection(Section):
         if self.patella is None and not self.markers:
             raise problem("neither patella nor markers", expected="how the patella was recorded")
 
-    def build(self, scene: Scene, bones: Bones) -> Measured:
+    def build(self, scene: Scene, bones: BonePoses) -> Measured:
         """Reads the measurements, in the femur's frame, at the scene's frames.
 
         Raises InputError for files that cannot be used, missing columns, and forces that do not cover the motion.
@@ -91,7 +91,7 @@ class MeasuredSection(Section):
         )
 
     def _pose(
-        self, patella: SegmentSection, scene: Scene, bones: Bones
+        self, patella: SegmentSection, scene: Scene, bones: BonePoses
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], str]:
         """Times, positions of the tracked point and quaternions, in the femur's frame, and their source."""
         document = bones.recording.document
@@ -111,7 +111,7 @@ class MeasuredSection(Section):
             )
         return poses.times, center, quaternions, poses.source
 
-    def _markers(self, scene: Scene, bones: Bones) -> dict[str, NDArray[np.float64]]:
+    def _markers(self, scene: Scene, bones: BonePoses) -> dict[str, NDArray[np.float64]]:
         """Positions of the skin markers in the femur's frame, by the names of results of [[marker]]."""
         if not self.markers:
             return {}

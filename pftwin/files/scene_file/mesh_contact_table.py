@@ -13,10 +13,10 @@ from pftwin.base.leaves import number, vector
 from pftwin.files.scene_file.contact_table import LAW, FrictionSection, Law
 from pftwin.files.scene_file.effect_tables import EffectSection, Setting
 from pftwin.files.scene_file.mesh_tables import (
-    ButtonMesh,
     ButtonSection,
     FemurMesh,
     FemurMeshSection,
+    PlacedButton,
     check_start,
     refuse_patch,
 )
@@ -84,13 +84,13 @@ class MeshContactSection(_MeshesSection):
         center, radius = self.button.sphere(setting.at("button"), self.label)
         from pftwin.geometry.mesh.icosphere import icosphere
 
-        check_start(femur, ButtonMesh(icosphere(radius, _COARSE), center), setting)
+        check_start(femur, PlacedButton(icosphere(radius, _COARSE), center), setting)
         build = self._nearest if self.method == "nearest" else self._volume
         with setting.naming():
             contact = build(femur, center, radius, surface)
             return contact if self.friction is None else self.friction.added(contact)
 
-    def _contours(self, femur: FemurMesh, button: ButtonMesh, surface: Surface | None) -> Contact:
+    def _contours(self, femur: FemurMesh, button: PlacedButton, surface: Surface | None) -> Contact:
         from pftwin.geometry.contact.contact_mesh import contact_mesh
         from pftwin.model.effects.mesh_contact import MeshContact
 

@@ -59,7 +59,7 @@ class FemurMeshSection(MeshFileSection):
         return FemurMesh(mesh, lateral_of_groove(mesh, region), region)
 
 
-class ButtonMesh(NamedTuple):
+class PlacedButton(NamedTuple):
     """The button's mesh in the patella's axes."""
 
     mesh: SurfaceMesh  # relative to the origin
@@ -76,7 +76,7 @@ class MeshButtonSection(MeshFileSection):
         default=None, description="for the fitted sphere: largest deviation of the spherical part [m]"
     )
 
-    def triangles(self, setting: Setting) -> ButtonMesh:
+    def triangles(self, setting: Setting) -> PlacedButton:
         """The mesh."""
         _refuse_given(self, "tolerance_m", "there is no sphere to fit: the triangles themselves touch", setting)
         from pftwin.geometry.mesh.mesh import SurfaceMesh
@@ -84,7 +84,7 @@ class MeshButtonSection(MeshFileSection):
         mesh = setting.side.mesh("patella", self.read(setting))
         center = self.mesh_pose.position_m if self.center_m is None else self.center_m
         origin = setting.points("patella", center)
-        return ButtonMesh(SurfaceMesh(mesh.vertices - origin, mesh.faces, mesh.source), origin)
+        return PlacedButton(SurfaceMesh(mesh.vertices - origin, mesh.faces, mesh.source), origin)
 
     def sphere(self, setting: Setting, label: str) -> tuple[Floats, float]:
         """See `Setting.sphere`."""
@@ -101,13 +101,13 @@ class SphereButtonSection(Section):
         default=None, description="largest deviation of triangles from the sphere [m]; 0.006 mm by default"
     )
 
-    def triangles(self, setting: Setting) -> ButtonMesh:
+    def triangles(self, setting: Setting) -> PlacedButton:
         """The coarsest icosphere within the deviation."""
         from pftwin.geometry.mesh.icosphere import RESOLUTIONS, button_mesh
 
         with setting.naming("deviation_m"):
             mesh = button_mesh(self.radius_m, self.deviation_m or RESOLUTIONS["FM"])
-        return ButtonMesh(mesh, setting.points("patella", self.center_m))
+        return PlacedButton(mesh, setting.points("patella", self.center_m))
 
     def sphere(self, setting: Setting, label: str) -> tuple[Floats, float]:
         """Centre (3,) in the patella's frame and radius of the exact sphere [m]."""
@@ -141,7 +141,7 @@ def refuse_patch(setting: Setting) -> None:
         )
 
 
-def check_start(femur: FemurMesh, button: ButtonMesh, setting: Setting) -> None:
+def check_start(femur: FemurMesh, button: PlacedButton, setting: Setting) -> None:
     """Checks the start for poses from which no equilibrium can be found; adds a note if it may be difficult.
 
     Raises InputError for most of the button behind the femur's surface, or all of it far away.

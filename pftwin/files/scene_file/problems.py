@@ -11,7 +11,7 @@ from pydantic import ValidationError
 
 from pftwin.base.errors import InputError
 from pftwin.files.scene_file.document import MISSING, Document
-from pftwin.files.scene_file.section import Reading, Section
+from pftwin.files.scene_file.section import Section, ValidationRecords
 
 Table = TypeVar("Table", bound=Section)
 Found = tuple[str, str | None, str | None]  # problem, expected, remedy
@@ -22,7 +22,7 @@ def validated(document: Document, model: type[Table]) -> tuple[Table, Document]:
 
     Raises one InputError that lists all problems.
     """
-    reading = Reading()
+    reading = ValidationRecords()
     try:
         table = model.model_validate(document.data, context=reading)
     except ValidationError as error:
@@ -30,7 +30,7 @@ def validated(document: Document, model: type[Table]) -> tuple[Table, Document]:
     return table, replace(document, wrapped=tuple(reading.wrapped))
 
 
-def _scene_error(error: ValidationError, document: Document, reading: Reading) -> InputError:
+def _scene_error(error: ValidationError, document: Document, reading: ValidationRecords) -> InputError:
     found: list[InputError] = []
     located = [(detail, *document.locate(detail["loc"])) for detail in error.errors()]
     misspelt = {

@@ -12,7 +12,7 @@ from pydantic_core import PydanticCustomError
 
 
 @dataclass
-class Reading:
+class ValidationRecords:
     """Records of a validation for its messages, by the identity of the file's values."""
 
     models: dict[int, type[Section]] = field(default_factory=dict)
@@ -30,7 +30,7 @@ class Section(BaseModel):
     def _lengths_in_metres(cls, data: Any, info: ValidationInfo) -> Any:
         if not isinstance(data, dict):
             return data
-        if isinstance(info.context, Reading):
+        if isinstance(info.context, ValidationRecords):
             info.context.models[id(data)] = cls
         out = dict(data)
         for name in cls.model_fields:
@@ -40,7 +40,7 @@ class Section(BaseModel):
                     raise problem(f"both {name} and {label} are given", expected="one of them")
                 written = out.pop(label)
                 out[name] = _scaled(written, factor)
-                if isinstance(info.context, Reading):
+                if isinstance(info.context, ValidationRecords):
                     info.context.originals[id(out[name])] = out[name], written
         return out
 
@@ -125,7 +125,7 @@ def _point_or_points(value: Any, info: ValidationInfo) -> Any:
 
 
 def _wrapped(value: Any, info: ValidationInfo) -> list[Any]:
-    if isinstance(info.context, Reading) and isinstance(value, list | dict):
+    if isinstance(info.context, ValidationRecords) and isinstance(value, list | dict):
         _, written = info.context.originals.get(id(value), (value, value))
         info.context.wrapped.add(id(written))
     return [value]

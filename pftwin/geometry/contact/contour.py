@@ -21,7 +21,7 @@ import jax.numpy as jnp
 from jax.lax import stop_gradient
 from jaxtyping import Array
 
-from pftwin.base.leaves import all_changes, what_changes
+from pftwin.base.leaves import filled_tangents, split_by_tangent
 from pftwin.base.spatial import Pose, Scalar, Vec3
 from pftwin.geometry.bvh.corners import ray_depth
 from pftwin.geometry.bvh.deepest import Deepest, DepthSearch, depth_search
@@ -167,7 +167,7 @@ def _contour_sums_jvp(primals: Any, tangents: Any) -> tuple[ContourSums, Contour
     if jax.tree.leaves(tangents[0]):
         return _jvp_over_room(_sums_over_pairs, primals, tangents)
     sums, slopes = _sloped_sums(*primals)
-    changes = jnp.stack(jax.tree.leaves(all_changes(primals[1], tangents[1])))
+    changes = jnp.stack(jax.tree.leaves(filled_tangents(primals[1], tangents[1])))
     return sums, jax.tree.map(lambda slope: slope @ changes, slopes)
 
 
@@ -206,7 +206,7 @@ def _over_room(of_piece: Piece[T], meshes: MeshPair, X_AB: Pose, pairs: Pairs) -
 def _jvp_over_room(of_piece: Piece[T], primals: Any, tangents: Any) -> tuple[T, T]:
     meshes, X_AB, pairs = primals
     changes = tuple(tangents[:2])
-    moving, still = what_changes((meshes, X_AB), changes)
+    moving, still = split_by_tangent((meshes, X_AB), changes)
 
     def sums(moving: Any) -> T:
         meshes, X_AB = eqx.combine(moving, still)

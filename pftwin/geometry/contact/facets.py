@@ -147,7 +147,7 @@ def _too_far(beyond: Scalar, at_end: list[Scalar], limit: Scalar) -> Scalar:
     return ((beyond < -limit) & ~at_end[0]) | ((beyond > limit) & ~at_end[1])
 
 
-def _other_minimum(section: Section, here: Scalar) -> Scalar:
+def _other_minimum(section: GrooveSection, here: Scalar) -> Scalar:
     """Offset from a minimum `here` to the other minimum of a quartic polynomial; 0 if it has none; in spacings.
 
     Up to a factor its slope is (x - here) times (x - ridge) times (x - other).
@@ -166,7 +166,7 @@ def _without_derivatives(surface: Surface) -> Surface:
     return jax.tree.map(lambda a: stop_gradient(a) if eqx.is_inexact_array(a) else a, surface)
 
 
-class Section(NamedTuple):
+class GrooveSection(NamedTuple):
     """Derivatives of half the squared distance across the groove, at the fan's middle, per spacing [m^2]."""
 
     second: Scalar
@@ -174,7 +174,7 @@ class Section(NamedTuple):
     fourth: Scalar
 
 
-def scan_facets(surface: Surface, c: Vec3, radius: Scalar, u: Scalar) -> tuple[tuple[Scalar, Scalar], Section]:
+def scan_facets(surface: Surface, c: Vec3, radius: Scalar, u: Scalar) -> tuple[tuple[Scalar, Scalar], GrooveSection]:
     """Elements of `FAN` at the first and the last local minimum of the distance, at one u near both; and the section.
 
     Along the groove the distance has a single regular minimum, which each sample approaches by a Newton step of u. The
@@ -199,7 +199,7 @@ def scan_facets(surface: Surface, c: Vec3, radius: Scalar, u: Scalar) -> tuple[t
         first = jnp.where(before < after, FAN[k], first)
     a, b, m, d, e = phi[len(FAN) // 2 - 2 : len(FAN) // 2 + 3]
     second, third = (16 * (b + d) - (a + e) - 30 * m) / 12, 0.5 * (e - a) - (d - b)
-    return (first, last), Section(second, third, a + e - 4 * (b + d) + 6 * m)
+    return (first, last), GrooveSection(second, third, a + e - 4 * (b + d) + 6 * m)
 
 
 def medial_of_groove(surface: Surface, p: ClosestPoint) -> Scalar:

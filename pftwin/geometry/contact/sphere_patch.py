@@ -18,7 +18,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from pftwin.base.leaves import all_changes
+from pftwin.base.leaves import filled_tangents
 from pftwin.base.spatial import Scalar, Vec3
 from pftwin.geometry.bvh.loops import member_by_member
 from pftwin.geometry.bvh.triangle import Triangle
@@ -61,7 +61,7 @@ def _patch_jvp(primals: Any, tangents: Any) -> tuple[Patch, Patch]:
     parts = []
     if jax.tree.leaves(of_sphere):
         arcs = _outline_arcs(mesh, center, radius)
-        dc, dr = all_changes((center, radius), of_sphere)
+        dc, dr = filled_tangents((center, radius), of_sphere)
         cuts = [_moved(cut, arc, radius, dc, dr) for cut, arc in zip(patch.sums.facets, arcs, strict=True)]
         seam = eqx.filter_jvp(lambda c, r: seam_depth(mesh.seam, c, r), (center, radius), (dc, dr))[1]
         parts.append(PatchSums((cuts[0], cuts[1]), seam))

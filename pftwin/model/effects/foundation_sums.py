@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from pftwin.base.leaves import what_changes
+from pftwin.base.leaves import split_by_tangent
 from pftwin.base.spatial import Rotation, Scalar, Vec3
 from pftwin.geometry.bvh.loops import member_by_member, most_in_batch
 from pftwin.geometry.contact.depth_search import TouchingLeaves
@@ -116,7 +116,7 @@ def _sum_contacts(at: Bedded, found: TouchingLeaves) -> Lanes:
 @_sum_contacts.def_jvp
 def _summed_jvp(primals: Any, tangents: Any) -> tuple[Lanes, Lanes]:
     at, found = primals
-    moving, still = what_changes(at, tangents[0])
+    moving, still = split_by_tangent(at, tangents[0])
     most = most_in_batch(found.total)
 
     def total(moving: Any) -> Lanes:

@@ -13,7 +13,7 @@ from pftwin.base.errors import InputError
 from pftwin.results.metrics import validate
 from pftwin.results.plots import style
 from pftwin.results.plots.quantities import PlottedQuantity, provenance, quantities
-from pftwin.results.plots.strokes import WAYS, Course, Strokes, by_outcome, common_grid
+from pftwin.results.plots.strokes import WAYS, FlexionCurve, Strokes, by_outcome, common_grid
 from pftwin.results.tracking import find_dislocations, groove_offset
 
 if TYPE_CHECKING:
@@ -105,13 +105,13 @@ def knee_flexion(result: Result) -> Floats:
     return np.degrees(np.asarray(result.knee.flexion, dtype=np.float64))
 
 
-def _source(result: Result, measured: Measured | None) -> Callable[[PlottedQuantity], Course]:
+def _source(result: Result, measured: Measured | None) -> Callable[[PlottedQuantity], FlexionCurve]:
     """A function that returns the curve of a quantity, simulated or measured, with NaN values if it is missing."""
     flexion, out = knee_flexion(result), _dislocated(result, measured)
 
-    def course(quantity: PlottedQuantity) -> Course:
-        values = quantity.simulated(result) if measured is None else quantity.measured(measured)
-        return Course(flexion, np.full_like(flexion, np.nan) if values is None else values, out, result.scene_name)
+    def course(quantity: PlottedQuantity) -> FlexionCurve:
+        y = quantity.simulated(result) if measured is None else quantity.measured(measured)
+        return FlexionCurve(flexion, np.full_like(flexion, np.nan) if y is None else y, out, result.scene_name)
 
     return course
 
@@ -127,7 +127,7 @@ def _dislocated(result: Result, measured: Measured | None) -> NDArray[np.bool_]:
     return np.zeros(times.size, dtype=bool) if groove is None else find_dislocations(times, groove[1]).dislocated
 
 
-def _draw(ax: Axes, courses: list[Course], grid: Floats, way: Strokes, name: str, colour: str) -> bool:
+def _draw(ax: Axes, courses: list[FlexionCurve], grid: Floats, way: Strokes, name: str, colour: str) -> bool:
     """Draws the curves of one group; returns whether a stroke among them dislocates."""
     dislocates = False
     for words, (found, alone) in by_outcome(courses, grid, way).items():
@@ -143,7 +143,7 @@ def _draw(ax: Axes, courses: list[Course], grid: Floats, way: Strokes, name: str
     return dislocates
 
 
-def _draw_alone(ax: Axes, strokes: list[Course], label: str, dashes: Any, colour: str) -> None:
+def _draw_alone(ax: Axes, strokes: list[FlexionCurve], label: str, dashes: Any, colour: str) -> None:
     """Draws single strokes with gaps between them; the solid and dotted parts share the frame where they meet."""
     x, y = (np.concatenate([np.append(c[k], np.nan) for c in strokes]) for k in (0, 1))
     out = np.concatenate([np.append(c.out, False) for c in strokes])

@@ -24,7 +24,7 @@ WAYS: dict[str, tuple[tuple[str, tuple[bool, ...]], ...]] = {
 }
 
 
-class Course(NamedTuple):
+class FlexionCurve(NamedTuple):
     """A quantity over a recording's n frames."""
 
     flexion: Floats  # (n,) of the knee [deg]
@@ -120,18 +120,18 @@ class Averaged(NamedTuple):
     """
 
     band: Band  # average of the strokes in which the patella stays in its groove in every frame
-    alone: list[Course]  # the other strokes, with all their frames in order of time
+    alone: list[FlexionCurve]  # the other strokes, with all their frames in order of time
 
 
-def by_outcome(courses: Sequence[Course], grid: Floats, way: Strokes = "apart") -> dict[str, Averaged]:
+def by_outcome(courses: Sequence[FlexionCurve], grid: Floats, way: Strokes = "apart") -> dict[str, Averaged]:
     """Averages the strokes of recordings at flexions (k,) [deg], by direction; the keys are suffixes of the legend."""
     averaged: dict[str, list[tuple[Floats, Floats]]] = {words: [] for words, _ in WAYS[way]}
-    alone: dict[str, list[Course]] = {words: [] for words, _ in WAYS[way]}
+    alone: dict[str, list[FlexionCurve]] = {words: [] for words, _ in WAYS[way]}
     for flexion, values, out, name in courses:
         for frames, bending, whole in strokes_of(flexion, name):
             for words in (words for words, which in WAYS[way] if bending in which):
                 if out[whole].any():
-                    alone[words].append(Course(flexion[whole], values[whole], out[whole], name))
+                    alone[words].append(FlexionCurve(flexion[whole], values[whole], out[whole], name))
                 else:
                     rising = frames if bending else frames[::-1]
                     averaged[words].append((flexion[rising], values[rising]))

@@ -24,7 +24,7 @@ GEOMETRY = Status.NO_CONTACT | Status.LEFT_PATCH | Status.DEEP_INDENTATION  # fl
 ERRORS = Status.INACCURATE | Status.FACETS_INACCURATE | Status.PEAK_UNKNOWN
 
 
-class Tolerance(NamedTuple):
+class CheckTolerances(NamedTuple):
     """Tolerances of the checks for a float type."""
 
     unit: float  # of the quaternion's norm
@@ -37,8 +37,8 @@ class Tolerance(NamedTuple):
 
 
 TOLERANCES = {
-    "float64": Tolerance(1e-9, 0.02, 1e-6, 2e-5, 1e-7, 1e-7, 1e-6),
-    "float32": Tolerance(1e-5, 0.02, 1e-4, 5e-5, 1e-3, 2e-3, 2e-4),
+    "float64": CheckTolerances(1e-9, 0.02, 1e-6, 2e-5, 1e-7, 1e-7, 1e-6),
+    "float32": CheckTolerances(1e-5, 0.02, 1e-4, 5e-5, 1e-3, 2e-3, 2e-4),
 }
 
 
@@ -49,7 +49,7 @@ class Look(NamedTuple):
     knee: KneeNumbers | RigNumbers
     contact: str
     run: CaseRun
-    tolerance: Tolerance
+    tolerance: CheckTolerances
     step: float  # [s]
     depth: Floats  # (n,) penetration of the button, by exhaustive search [m]
     inertia: bool = True  # whether the motion has inertia, hence kinetic energy

@@ -48,7 +48,7 @@ class Truth(NamedTuple):
 
     def finds_right(self, ran: CaseRun) -> bool:
         """Whether a run is accurate even with the uncertainty added, except in as many frames as a verdict allows."""
-        return deserved(self.off(ran, 2.0))[1] <= most_frames(Status.INACCURATE, len(self.course.center))
+        return expected_flags(self.off(ran, 2.0))[1] <= most_frames(Status.INACCURATE, len(self.course.center))
 
     def off(self, ran: CaseRun, known_to: float) -> ErrorEstimate:
         """Returns the difference of a run from this one at every frame, plus `known_to` times the uncertainty."""
@@ -83,7 +83,7 @@ def restitution_remarked(scene: Scene, ran: CaseRun, integrator: Integrator, ste
     return impact is not None and impact.unresolved
 
 
-def deserved(off: ErrorEstimate) -> tuple[NDArray[np.int64], int]:
+def expected_flags(off: ErrorEstimate) -> tuple[NDArray[np.int64], int]:
     """Returns the flags that a run with these errors should have (n,), and its number of INACCURATE frames."""
     wrong = np.asarray(off.flags_beyond(ALLOWED_PATH_ERROR), np.int64)
     return wrong, int(((wrong & int(Status.INACCURATE)) > 0).sum())
@@ -96,7 +96,7 @@ _UNRELATED = int(Status.START_NOT_IN_EQUILIBRIUM | Status.NO_CONTACT | Status.DE
 def silent_error(ran: CaseRun, truth: Truth, remarked: Callable[[], bool] = lambda: False) -> str | None:
     """Describes an error that a run does not report by flags, verdict or remark; None if there is none."""
     off, flags = truth.off(ran, -2.0), np.asarray(ran.observation.status, np.int64)
-    (wrong, frames), said = deserved(off), Status(int(np.bitwise_or.reduce(flags)))
+    (wrong, frames), said = expected_flags(off), Status(int(np.bitwise_or.reduce(flags)))
     enough = Status.INACCURATE | UNKNOWN
     pairs = (Status.INACCURATE, enough), (Status.FACETS_INACCURATE, Status.FACETS_INACCURATE | enough)
     if any((wrong & int(flag)).any() and not said & told for flag, told in pairs):

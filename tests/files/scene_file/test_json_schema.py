@@ -14,7 +14,7 @@ from toy_scene_files import DM_SCENE, LIGHT, SCENE, changed, load, write_toy
 
 from pftwin.files.scene_file.json_schema import scene_json_schema
 from pftwin.files.scene_file.loading import SCHEMA, scene_file_model
-from pftwin.files.scene_file.section import Reading, other_unit
+from pftwin.files.scene_file.section import ValidationRecords, other_unit
 from pftwin.rig.scene_template import write_example
 
 DOCS = Path(__file__).resolve().parents[3] / "docs"
@@ -33,7 +33,7 @@ def schema() -> Draft202012Validator:
 def read(data: dict[str, Any]) -> bool:
     """Whether the reader's own models take it."""
     try:
-        scene_file_model().model_validate(data, context=Reading())
+        scene_file_model().model_validate(data, context=ValidationRecords())
     except ValidationError:
         return False
     return True

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from pftwin.base.errors import InputError
-from pftwin.results.plots.strokes import Course, band, by_outcome, common_grid, strokes_of
+from pftwin.results.plots.strokes import FlexionCurve, band, by_outcome, common_grid, strokes_of
 
 
 def test_three_cycles_have_three_strokes_each_way():
@@ -94,7 +94,7 @@ def test_strokes_that_dislocate_are_never_averaged():
     out = (t > 2.75) | ((t > 2.1) & (t < 2.2))
     values = np.where(out, 100.0, np.floor(t))
     grid = np.linspace(1, 89, 89)
-    found = by_outcome([Course(flexion, values, out, "walk")], grid)
+    found = by_outcome([FlexionCurve(flexion, values, out, "walk")], grid)
     bending, straightening = found[", bending"], found[", straightening"]
     np.testing.assert_allclose(bending.band.mean, 0.5)  # of the first cycle and the second
     np.testing.assert_allclose(straightening.band.mean, 0.5)
@@ -109,7 +109,7 @@ def test_strokes_that_dislocate_are_never_averaged():
 def test_both_ways_together_are_apart_by_outcome():
     flexion = np.concatenate([np.linspace(0, 60, 61), np.linspace(59, 0, 60)])
     out = np.arange(121) > 100
-    found = by_outcome([Course(flexion, flexion, out, "walk")], np.arange(61.0), "together")[""]
+    found = by_outcome([FlexionCurve(flexion, flexion, out, "walk")], np.arange(61.0), "together")[""]
     assert len(found.band.there) == len(found.alone) == 1
 
 
@@ -133,7 +133,7 @@ def ramps(*flexions):
 def test_no_frame_out_of_the_groove_is_overlooked(flexion, out, averaged):
     outside = np.zeros(flexion.size, dtype=bool)
     outside[out] = True
-    found = by_outcome([Course(flexion, flexion, outside, "walk")], np.arange(61.0)).values()
+    found = by_outcome([FlexionCurve(flexion, flexion, outside, "walk")], np.arange(61.0)).values()
     assert tuple(len(f.band.there) for f in found) == averaged
     assert [len(f.alone) for f in found] == [1 - n for n in averaged]
     for course in (course for f in found for course in f.alone):

@@ -11,7 +11,7 @@ from pressed_button import disc
 from scipy.spatial.transform import Rotation
 from typer.testing import CliRunner
 
-from pftwin.cli.contact_map import _in_both
+from pftwin.cli.contact_map import _in_both_frames
 from pftwin.cli.program import app
 from pftwin.files.mocap.poses import PoseSeries
 from pftwin.geometry.mesh.mesh import SurfaceMesh
@@ -96,7 +96,7 @@ def test_the_button_is_seen_from_the_side_that_is_pressed(angles, closed):
 def test_a_direction_in_the_patellas_frame():
     turned = Rotation.from_euler("z", 90, degrees=True).as_quat(scalar_first=True)
     poses = PoseSeries(np.arange(3.0), np.zeros((3, 3)), np.tile(turned, (3, 1)))
-    there, here = _in_both((1.0, 0.0, 0.0), poses)
+    there, here = _in_both_frames((1.0, 0.0, 0.0), poses)
     np.testing.assert_allclose(there, [1, 0, 0])
     np.testing.assert_allclose(here, [0, -1, 0], atol=1e-12)
 

@@ -39,7 +39,7 @@ def test_rms_is_over_frames():
     assert accuracy.rms(np.array([3.0, 4.0])) == pytest.approx(np.sqrt(12.5))
 
 
-def test_cold_and_warm_calls_are_kept_apart():
+def test_cold_and_warm_calls_are_timed_separately():
     calls = []
     times = measure(lambda: calls.append(1), runs=3, seconds=0.0)
     assert len(times.warm) == 3
@@ -133,7 +133,7 @@ def test_constants_are_taken_from_the_rows():
         extrapolation.costs_of(rows[:4])
 
 
-def test_the_kept_figures_make_the_page(tmp_path):
+def test_the_page_follows_from_the_stored_figures(tmp_path):
     root = Path(__file__).resolve().parents[1]
     newest = max((root / "docs" / "benchmarks").glob("scaling-*.json"))
     answer = RUNNER.invoke(extrapolation.app, [str(newest)])

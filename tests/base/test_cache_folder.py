@@ -21,14 +21,14 @@ def place(tmp_path):
     folder.use_cache_folder(before)
 
 
-def test_what_was_kept_is_read(place):
+def test_a_stored_value_is_read_back(place):
     folder.write("things", "a", b"content")
     assert folder.read("things", "a") == b"content"
     assert folder.read("things", "b") is None
     assert [p.name for p in (place / "things").iterdir()] == ["a"]  # no temporary file is left
 
 
-def test_without_a_folder_nothing_is_kept(place):
+def test_without_a_folder_nothing_is_stored(place):
     folder.use_cache_folder(None)
     folder.write("things", "a", b"content")
     assert folder.read("things", "a") is None

@@ -75,7 +75,7 @@ class Colour(enum.Enum):
     "value",
     [len, object(), np.array([object()]), {1, 2}, jax.random.key(0), lambda: None, jnp.asarray(2.0), Colour.RED],
 )
-def test_what_is_not_plain_is_not_kept(value):
+def test_values_that_are_no_plain_data_are_refused(value):
     with pytest.raises(NotPlainError):
         to_bytes([value])
 
@@ -90,7 +90,7 @@ class Sprung:
         return (Path.touch, (self.path,))
 
 
-def test_a_pickle_in_a_kept_file_is_not_run(tmp_path):
+def test_a_pickle_in_a_stored_file_is_not_executed(tmp_path):
     sprung = pickle.dumps(Sprung(tmp_path / "run"))
     pickle.loads(sprung)
     (tmp_path / "run").unlink()  # so it does run where it is unpickled
@@ -139,7 +139,7 @@ def test_values_that_differ_have_fingerprints_that_differ():
 
 
 @pytest.mark.parametrize("value", [lambda: 0, object(), Colour.RED, np.array([None]), (1, object())])
-def test_what_cannot_be_told_apart_is_refused(value):
+def test_values_that_cannot_be_distinguished_are_refused(value):
     with pytest.raises(NotPlainError):
         fingerprint(value)
 

@@ -87,7 +87,7 @@ def test_rows_are_numbered_where_what_names_them_leaves_no_room():
     assert [line for line in lines if "row" in line] == [["row", *keys], ["row", "offset", "[mm]"]]
 
 
-def test_a_word_wider_than_the_terminal_is_broken_and_kept():
+def test_a_word_wider_than_the_terminal_is_broken_but_complete():
     path = "/".join(["a-long-folder-name"] * 6)
     text = printed(Sheet("", ("file", "bytes"), ((path, "123"),), words=(0,)), 80)
     assert re.sub(r"\s", "", text).replace("123", "", 1).endswith(path)

@@ -83,7 +83,7 @@ def test_a_run_whose_numbers_are_doubtful_is_code_3_and_is_written(toy, tmp_path
         assert output.is_file()
 
 
-def test_what_is_kept_is_what_was_written_anew(tmp_path):
+def test_an_interrupt_reports_the_files_that_were_written(tmp_path):
     old, new, never = (tmp_path / n for n in ("old", "new", "never"))
     old.write_text("from before")
 

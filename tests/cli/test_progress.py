@@ -47,7 +47,7 @@ def test_a_bar_tells_n_of_n_and_the_time_left(screen, clock):
     assert len(last) <= 80
 
 
-def test_the_time_left_is_told_where_a_step_takes_minutes(screen, clock):
+def test_progress_shows_the_time_left_if_a_step_takes_minutes(screen, clock):
     """Four of ten in 16 min leave 24 min."""
     with terminal.progress("counting") as shown:
         for done in range(5):

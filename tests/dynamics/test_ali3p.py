@@ -254,7 +254,7 @@ def thrown_heights(theta, integrator: Integrator = ALI3P()):
 
 
 @pytest.mark.slow
-def test_derivatives_apart_touching_and_after_lift_off_and_a_batch():
+def test_derivatives_without_contact_in_contact_and_after_lift_off_and_a_batch():
     """Forward is reverse is central differences; a batch is its members one by one."""
     zero, h = jnp.zeros(3), 1e-6
     one = jnp.eye(3)

@@ -140,7 +140,7 @@ def test_runs_that_do_not_count_leave_the_error_unknown():
 
 
 @pytest.mark.parametrize(("n", "sound_from", "made"), [(10, 1, [10, 5]), (10, 10, [10, 5, 20]), (1, 1, [1, 2])])
-def test_steps_that_were_asked_for_are_kept(n, sound_from, made):
+def test_given_steps_are_not_changed(n, sound_from, made):
     """Half as many steps tell the error; twice as many where they do not, or where they say that it is large."""
     run, seen = falling(1e-4, 1.0)
     found = with_estimate(lambda k: run(k)._replace(sound=k >= sound_from), n, BDF2().order)

@@ -99,7 +99,7 @@ def test_the_change_of_momentum_is_the_impulse_of_the_forces_at_the_end(made):
     np.testing.assert_allclose(momentum, float(SPANS.impulse) * total, rtol=1e-8, atol=1e-10 * np.abs(momentum).max())
 
 
-def test_what_a_bed_stores_at_the_end_lacks_what_damping_takes():
+def test_elastic_load_of_a_foundation_at_the_end_excludes_damping():
     made = KINDS["bed"]
     (load,) = (x for x in made.loads if x.bed is not None)
     dv = np.array([0.01, -0.02, 0.03, 0.5, -0.4, 0.3])
@@ -121,7 +121,7 @@ def between(arm: float, length: float) -> System:
     return system(line(1), line(-1), mass=MASS, inertia=INERTIA)
 
 
-def test_a_bed_of_contacts_turns_with_the_body_as_one_force_does():
+def test_a_foundation_turns_with_the_body_as_one_force_does():
     """Pressed with f in all, and of no stiffness: f / L across itself and f l about, whatever its direction."""
     zero = vec(0, 0, 0)
     pressed = AggregateStiffness(J(np.zeros(6)), J(np.zeros(6)), J(np.zeros((6, 6))), J(0.0), J(FORCE), zero, zero)

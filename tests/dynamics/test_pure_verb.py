@@ -110,7 +110,7 @@ def test_the_readmes_three_lines(small: Scene, hung: Scene, touching: bool) -> N
 
 
 @pytest.mark.slow
-def test_apart_nothing_depends_on_the_contact(small: Scene) -> None:
+def test_without_contact_nothing_depends_on_its_parameters(small: Scene) -> None:
     """A slack patella far from the femur falls: no force, no derivative, and none that is not finite."""
     high = eqx.tree_at(lambda s: s.start.position, small, vec(-0.005, 0.001, 0.5))
     high = high.set("quadriceps.slack_length", 1.0).set("patellar_tendon.slack_length", 1.0)

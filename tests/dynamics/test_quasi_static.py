@@ -202,7 +202,7 @@ def over_the_ridge():
 
 
 @pytest.mark.slow
-def test_a_fold_is_found_crossed_and_told(over_the_ridge, by_energy):
+def test_a_fold_is_found_crossed_and_flagged(over_the_ridge, by_energy):
     """It leaves its groove in the frame in which that has no equilibrium any more, and lands in the other groove."""
     _, (found, seen) = over_the_ridge
     snaps = np.flatnonzero(np.asarray(seen.status) & int(Status.SNAPPED))

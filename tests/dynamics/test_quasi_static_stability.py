@@ -73,7 +73,7 @@ class Sheared(Effect):
         return Load(wrench=Wrench(force, Vec3(0.0 * p.x, 0.0 * p.x, 0.0 * p.x))), memory
 
 
-def test_forces_without_a_potential_are_followed_and_not_left():
+def test_motion_under_forces_without_a_potential_has_no_snap():
     """In a viscous medium it comes home as x = e^(-k t / c) (x0 - a t / c y0), without a snap."""
     k, a, c, y0, duration = 200.0, 1500.0, 20.0, 0.004, 0.2
     medium = LinearDamping(J(c), J(1e-3), "ground")

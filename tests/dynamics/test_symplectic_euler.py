@@ -37,7 +37,7 @@ OTHER = pushing((0.8, 0.0, 0.6), (0.0, 0.01, 0.0), 1e4)
 
 
 @pytest.mark.parametrize("terms", [(ONE,), (ONE, ONE)])
-def test_terms_that_push_one_way_are_known_exactly(terms):
+def test_the_largest_stiffness_of_unilateral_terms_is_exact(terms):
     step = J(4e-4)
     found = _stiffest(system(mass=MASS, inertia=INERTIA), [Load(stiff=terms)], step)
     assert float(found) == pytest.approx(largest(terms, step), rel=1e-12)
@@ -53,7 +53,7 @@ def test_a_group_is_its_terms():
 
 
 @pytest.mark.parametrize(("share", "told"), [(0.95, False), (1.05, True)])
-def test_a_spring_is_told_where_its_oscillation_begins_to_grow(share, told):
+def test_a_spring_is_flagged_if_its_oscillation_grows(share, told):
     """h^2 k = 4 m for a spring that pulls through the centre of mass."""
     stiffness = 4e3
     sys = system(Tendon(J(stiffness), J(0.05), J(0.0), vec(0, 0, 0), vec(0, 0, 0.1), body="ground", name="tendon"))

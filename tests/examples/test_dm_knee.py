@@ -97,7 +97,7 @@ def test_contact_force_and_tendon_tension_are_the_recordings(outcome):
     assert "mean distance" in str(comparison)
 
 
-def test_the_button_is_loaded_beyond_its_cap_and_the_user_is_told(outcome):
+def test_a_load_beyond_the_buttons_cap_gives_a_warning(outcome):
     knee, result, _ = outcome
     with pytest.warns(PftwinWarning, match=r"DM knee: contact left the button's spherical cap \(3[12] deg"):
         use = check_cap(result, knee.sphere)

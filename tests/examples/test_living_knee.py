@@ -47,7 +47,7 @@ def test_the_patellar_tendon_is_as_long_as_its_strands_were_measured(outcome):
     assert 0.055 < length < 0.060
 
 
-def test_with_nothing_tuned_the_start_is_told_wrong(outcome):
+def test_without_tuning_the_start_is_reported_as_wrong(outcome):
     estimate, _ = outcome
     found = pftwin.simulate(estimate.trials[0].nominal)
     assert not found.verdict.valid

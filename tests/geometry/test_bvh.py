@@ -83,7 +83,7 @@ def test_one_program_serves_moved_meshes_and_maps_over_them():
     assert jax.tree.structure(moved[0]) == jax.tree.structure(moved[1])
 
 
-def test_a_tree_is_built_once_and_found_again(tmp_path, monkeypatch):
+def test_a_tree_is_built_once_and_then_read_from_the_cache(tmp_path, monkeypatch):
     mesh = implant_mesh()
     calls = []
 

@@ -112,7 +112,7 @@ def test_a_batch_is_what_its_members_are(groove):
 
 
 @pytest.mark.slow
-def test_nothing_is_found_where_the_meshes_are_apart(groove):
+def test_nothing_is_found_if_the_meshes_do_not_touch(groove):
     search = depth_search(groove[0], groove[1].corners, LIMIT)
     found, depths = searched(search, on_the_groove(4, -0.5e-3, seed=1))
     assert not found.found.any()

@@ -52,7 +52,7 @@ def test_a_sphere_in_a_plate(on_a_plate):
     assert not found.merged
 
 
-def test_apart_there_is_nothing_and_its_gradient_is_finite(on_a_plate):
+def test_without_contact_contours_and_their_gradients_are_zero(on_a_plate):
     def some(z):
         (c,) = on_a_plate.contacts(_lifted(z)).each
         return c.indentation + c.area + c.normal.z + c.point.x
@@ -132,7 +132,7 @@ def test_a_contact_across_the_border_of_the_facets_is_one():
         np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-12)
 
 
-def test_deeper_than_is_looked_for_is_flagged(on_a_plate):
+def test_deeper_than_the_search_is_flagged(on_a_plate):
     assert contacts(on_a_plate, at(0.0, 0.0, RADIUS - 8e-3)).too_deep
     assert not contacts(on_a_plate, at(0.0, 0.0, RADIUS - 1e-3)).too_deep
 

@@ -115,7 +115,7 @@ def test_a_frame_shows_the_contact_that_the_step_has_had():
     assert float(report["force"]) == pytest.approx(alone, rel=1e-4)
 
 
-def test_a_converged_point_is_kept_where_the_fan_sees_no_minimum():
+def test_a_converged_point_stays_if_the_fan_finds_no_minimum():
     """A button at the rim of the rig's spline after a dislocation: the polynomial that the fan samples is 0.9 mm off
     there and puts the minimum at the fan's end, 3.3 mm from the true one. A restart there would strike the button on
     every other step, with several times the force.

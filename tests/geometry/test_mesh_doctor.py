@@ -134,7 +134,7 @@ def test_a_third_sheet_on_an_edge_and_a_two_faced_sheet_are_refused():
         repaired(p, both)
 
 
-def test_debris_is_reported_and_kept():
+def test_debris_is_reported_but_not_removed():
     p, f = joined(ball(0.03), (0.05 + 0.05 * ball()[0], ball()[1]))
     found = examine(p, f)
     assert kinds(found) == {"isolated_part": 1}

@@ -152,7 +152,7 @@ def test_area_weights_and_emphasis_are_heeded():
     assert error(np.where(part, 30.0, 1.0)) < 0.9 * error(None)
 
 
-def test_a_tolerance_out_of_reach_warns_and_gives_the_best():
+def test_an_unreachable_tolerance_warns_and_gives_the_best():
     u, v = grid(21)
     noisy = wavy(u, v) + np.random.default_rng(0).normal(0, 0.2e-3, u.size)
     with pytest.warns(PftwinWarning, match=r"comes within 0\.\d+ mm rms of the 441 vertices, not within 0\.020 mm"):

@@ -219,7 +219,7 @@ def test_no_force_jumps_where_two_contacts_become_one(plant):
     assert np.abs(np.diff(totals)).max() < 0.01 * max(totals)
 
 
-def test_energy_is_kept_without_drag_friction_and_damping(plant, rest):
+def test_energy_is_conserved_without_drag_friction_and_damping(plant, rest):
     """Thrown off its rest on both facets; with the plant's drag the same throw loses much of its energy."""
     springs = tuple(s._replace(damping=0.0) for s in plant.springs)
     femur = plant.bones.at(0.0)

@@ -99,7 +99,7 @@ def exchanged(path):
         (exchanged, "belongs to another batch, or to another place in it"),
     ],
 )
-def test_a_damaged_part_is_told_and_computed_anew(cheap, filled, harm, words):
+def test_a_damaged_part_is_reported_and_computed_anew(cheap, filled, harm, words):
     harm(filled / "part_00003.nc")
     with pytest.raises(InputError, match=r"1 of 5 parts are missing or damaged: part_00003\.nc"):
         read_parts(filled)

@@ -92,7 +92,7 @@ def test_parts_change_no_bit(monkeypatch, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_bad_member_is_done_again_and_its_mates_stay_as_they_were():
+def test_a_bad_member_is_recomputed_and_the_others_do_not_change():
     """One tendon is so stiff that the explicit step is too long for it alone."""
     rows, mates = rows_of(COUNT), [0, 1, 3, 4]
     rows[2, 0] = 1e5
@@ -112,7 +112,7 @@ def test_a_bad_member_is_done_again_and_its_mates_stay_as_they_were():
 
 
 @pytest.mark.slow
-def test_members_with_large_errors_are_done_again_unless_the_step_was_asked_for():
+def test_members_with_large_errors_are_recomputed_unless_the_step_was_given():
     """A contact a hundred thousand times as stiff as usual, tendons without damping: 1 ms is too long for it."""
     scene = small_scene(31).set("quadriceps.damping", 0.0).set("patellar_tendon.damping", 0.0)
     rows = np.array([[1.0], [1e5]])
@@ -204,7 +204,7 @@ def test_refusals(call, words):
         ),
     ],
 )
-def test_outcomes_that_cannot_be_kept_are_refused_before_anything_runs(outcome, words, monkeypatch):
+def test_outcomes_that_cannot_be_stored_are_refused_before_anything_runs(outcome, words, monkeypatch):
     monkeypatch.setattr("pftwin.dynamics.batch.plan.all_members", None)
     with pytest.raises(InputError, match=words):
         simulate_batch(Variants(small(), bent, rows_of(1)), dt=DT, devices=1, outcome=outcome)

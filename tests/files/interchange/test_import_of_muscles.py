@@ -136,7 +136,7 @@ def test_a_muscle_without_length_is_left_out_by_name(tmp_path):
     assert why["twice"] == why["once"] == "its path has no length: all its points are in the same place"
 
 
-def test_names_that_a_scene_cannot_tell_apart_are_refused():
+def test_names_that_are_equal_in_a_scene_are_refused():
     at = np.array([0.1, 0.2, 0.3])
     alike = [
         PatellarMuscle(Element("Muscle", name, "m.osim", 1), at, at, "femur", 800.0) for name in ("vas int", "vas_int")

@@ -21,7 +21,7 @@ def bare(folder: Path, text: str, **options):
     return import_osim(folder / "bare.osim", folder / "out", **options)
 
 
-def test_meshes_are_looked_for_beside_the_model_only(tmp_path):
+def test_meshes_are_searched_beside_the_model_only(tmp_path):
     """A path in a stranger's file leads nowhere."""
     secret = tmp_path / "secret"
     write_knee(secret)

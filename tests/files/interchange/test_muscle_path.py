@@ -189,7 +189,7 @@ def changed(folder: Path, points: tuple[str, ...]) -> Knee:
     return made
 
 
-def test_paths_that_no_single_line_stands_for_are_told_apart(tmp_path):
+def test_paths_that_no_single_line_represents_are_not_read(tmp_path):
     start, end = point("a", FEMUR, (0.035, 0.22, 0.012)), point("c", *END)
     over = (start, end, point("d", TIBIA, (0.04, -0.07, 0.0)))
     leaving = (start, conditional("c", *END, 0.5, 2.0))

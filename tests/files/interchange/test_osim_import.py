@@ -172,7 +172,7 @@ def test_blanks_and_underscores_in_a_files_name_do_not_matter(tmp_path):
     assert any(p.name == "femur_cartilage.stl" for p in import_osim(path, tmp_path / "third").files)
 
 
-def test_strands_that_cannot_wrap_are_told_in_one_line(tmp_path):
+def test_strands_that_cannot_wrap_are_reported_in_one_note(tmp_path):
     wrap = "<PathWrap><wrap_object>{}</wrap_object></PathWrap>"
     numbered = [("PT1", "PatTen_r"), ("PT2", "PatTen_r"), ("PT3", "PatTen_r"), ("MPFL", "condyle")]
     forces = "".join(
@@ -209,7 +209,7 @@ def test_a_file_that_is_there_is_not_overwritten(knee):
     assert (folder / "scene" / "scene.toml").read_text() == before
 
 
-def test_a_left_knee_is_told_by_its_names_and_mirrored(tmp_path):
+def test_a_left_knee_is_recognised_by_its_names_and_mirrored(tmp_path):
     text = model(forces=ligaments(), meshes=False)
     told = bare(tmp_path, as_left(text))
     scene = load_scene_file(told.scene).scene
@@ -232,7 +232,7 @@ def test_a_bone_of_the_other_side_is_not_taken(tmp_path):
 
 
 @pytest.mark.parametrize("without", [r"patella", r"(patella|femur)"])
-def test_the_side_is_told_by_the_names_that_have_one(tmp_path, without):
+def test_the_side_follows_from_the_names_that_have_one(tmp_path, without):
     left = re.sub(rf"{without}_l\b", lambda m: m[0][:-2], as_left(model(forces=ligaments(), meshes=False)))
     assert 'side = "left"' in bare(tmp_path, left).scene.read_text()
 

@@ -258,7 +258,7 @@ def test_a_left_knee_has_their_mirror_images(tmp_path):
     np.testing.assert_allclose(other.center.array(), mirror * b.center.array(), atol=1e-12)
 
 
-def test_what_a_scene_cannot_have_is_told(tmp_path):
+def test_wraps_that_a_scene_cannot_have_are_reported(tmp_path):
     scene, told = scene_of(
         tmp_path,
         ("A1", FEMUR, ("torus",)),

@@ -48,7 +48,7 @@ def spoiled(poses: PoseSeries, frames, angle: float, away: float) -> PoseSeries:
 
 @pytest.mark.parametrize("fastest", [1.0, 6.0, 15.0, 30.0])  # a slow bend, gait, a kick
 @pytest.mark.parametrize("shank", [0.0, 0.4])
-def test_a_healthy_knee_is_kept(fastest, shank):
+def test_a_healthy_knee_is_not_changed(fastest, shank):
     for seed in range(3):
         femur, tibia = knee(fastest=fastest, shank=shank, seed=seed)
         found = mended_bones(femur, tibia, **LIMITS)
@@ -108,7 +108,7 @@ def test_longer_stretches_and_ends_are_refused_by_frames(frames, named):
     assert "at most 0.1 s (max_gap_s) to fill, not at the end" in str(told.value)
 
 
-def test_measured_and_simulated_knees_are_kept(healthy_knee, dm_knee):
+def test_measured_and_simulated_knees_are_not_changed(healthy_knee, dm_knee):
     with pytest.warns(match="rows"):
         living = read_poses(healthy_knee / "passive_body_transformations.sto", rate=30)
     assert mended_bones(living["femur_distal_r"], living["tibia_proximal_r"], **LIMITS)[2] == []

@@ -89,7 +89,7 @@ def test_signals_of_low_rank_pass_exactly(level, slope, frequency, amplitude):
         np.testing.assert_allclose(singular_spectrum_filter(signal), signal, atol=1e3 * scale)
 
 
-def test_noise_is_removed_without_being_told_how_much():
+def test_noise_is_removed_without_a_given_cutoff():
     t = np.arange(720) / 100
     truth = 40 + 25 * np.sin(2 * np.pi * 0.3 * t)
     noisy = truth + np.random.default_rng(3).normal(size=t.size)

@@ -36,14 +36,14 @@ def spoiled(frames, angle: float, away: float) -> PoseSeries:
     return series(places, turns * Rotation.from_rotvec(more))
 
 
-def test_a_good_recording_is_kept():
+def test_a_good_recording_is_not_changed():
     assert not jumps(series(*flexing())).any()
     places, turns = flexing()
     assert not jumps(PoseSeries(np.arange(N) / 2e3, places, turns.as_quat(scalar_first=True))).any()  # 2 s in 30 ms
     assert not jumps(PoseSeries(np.arange(1), places[:1], turns[:1].as_quat(scalar_first=True))).any()
 
 
-def test_a_patella_that_stands_still_and_then_moves_is_kept():
+def test_a_patella_that_stands_still_and_then_moves_is_not_changed():
     places, turns = flexing()
     still = np.r_[np.zeros(N, int), np.arange(N)]
     held = PoseSeries(np.arange(2 * N) / RATE, places[still], turns[still].as_quat(scalar_first=True))
@@ -84,7 +84,7 @@ def test_frames_are_named_as_people_count_them():
     assert in_words(np.arange(40) % 2 == 0) == "frames 1, 3, 5, 7, 9, 11, 13, 15 and 12 more stretches"
 
 
-def test_a_living_knees_recording_is_kept(healthy_knee):
+def test_a_living_knees_recording_is_not_changed(healthy_knee):
     with pytest.warns(match="rows"):
         poses = read_poses(healthy_knee / "passive_body_transformations.sto", rate=30)
     assert not jumps(poses["patella_r"].relative_to(poses["femur_distal_r"])).any()

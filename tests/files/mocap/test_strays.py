@@ -36,7 +36,7 @@ def mended(points: np.ndarray):
 
 @settings(max_examples=25, deadline=None)
 @given(markers=st.integers(3, 5), seed=st.integers(0, 2**31), skin=st.floats(0, 1e-2))
-def test_a_good_recording_is_kept_as_it_is(markers, seed, skin):
+def test_a_good_cluster_is_not_changed(markers, seed, skin):
     points = walking(markers, seed, skin)
     points[np.random.default_rng(seed).random(points.shape[:2]) < 0.05] = np.nan
     got, strays = mended(points)
@@ -136,7 +136,7 @@ def test_frames_without_three_markers_stay_as_they_are():
     ["L_Shank_Superior", "L_Shank_Inferior", "L_Shank_Lateral"],
     ["R_Asis", "L_Asis", "R_Psis", "L_Psis"],
 ])  # fmt: skip
-def test_a_persons_gait_is_kept(dm_knee, names):
+def test_a_persons_gait_is_not_changed(dm_knee, names):
     markers = read_trc(dm_knee / "DM_smooth1_new.trc")
     got, strays = mended_cluster(markers, mean_cluster(markers, names))
     assert strays == []
@@ -144,7 +144,7 @@ def test_a_persons_gait_is_kept(dm_knee, names):
 
 
 @pytest.mark.parametrize("case", [1, 2, 3, 4])
-def test_the_rigs_recordings_are_kept(case):
+def test_the_rigs_recordings_are_not_changed(case):
     markers = read_trc(recording_files(case)[0])
     for cluster in (rig.TIBIA_MARKERS, rig.PATELLA_MARKERS):
         assert mended_cluster(markers, cluster)[1] == []

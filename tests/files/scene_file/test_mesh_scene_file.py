@@ -198,7 +198,7 @@ def test_a_smooth_surface_tells_results_where_the_groove_is(toy: Path) -> None:
         assert scene.contact is the(scene)
 
 
-def test_kept_scenes_are_read_anew_where_a_mesh_has_changed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_cached_scenes_are_read_anew_if_a_mesh_has_changed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pftwin, "imported_at", np.inf)  # whoever edits the source while this runs
     before = cache_folder.chosen()
     cache_folder.use_cache_folder(tmp_path / "kept")

@@ -90,7 +90,7 @@ def test_every_field_that_names_a_file_is_watched(scene, tmp_path, text, name, w
         load_scene(scene(text.replace(f'"{name}"', f'"../elsewhere/{name}"')))
 
 
-def test_what_stands_elsewhere_is_not_even_looked_at(scene, tmp_path):
+def test_files_outside_the_folder_are_not_opened(scene, tmp_path):
     """A scene's name, say, that is the name of a file: its content is no part of what is kept."""
     from pftwin.files.scene_file.document import Document
 

@@ -114,7 +114,7 @@ MISTAKES = [
 
 
 @pytest.mark.parametrize(("old", "new", "said"), MISTAKES)
-def test_mistakes_are_told_with_their_place(toy: Path, old: str, new: str, said: str) -> None:
+def test_mistakes_are_reported_with_their_place(toy: Path, old: str, new: str, said: str) -> None:
     assert old in CYLINDER
     message = refused(toy, LIGHT + "\n[[strands]]\n" + TABLES["strands"] + CYLINDER.replace(old, new))
     assert "[[strands]]" in message
@@ -130,13 +130,13 @@ SPHERE_MISTAKES = [
 
 
 @pytest.mark.parametrize(("old", "new", "said"), SPHERE_MISTAKES)
-def test_mistakes_of_a_sphere_are_told(toy: Path, old: str, new: str, said: str) -> None:
+def test_mistakes_of_a_sphere_are_reported(toy: Path, old: str, new: str, said: str) -> None:
     assert old in SPHERE
     message = refused(toy, LIGHT + "\n[[strands]]\n" + TABLES["strands"] + SPHERE.replace(old, new))
     assert said in message, message
 
 
-def test_lists_of_an_ellipsoid_that_do_not_match_are_told(toy: Path) -> None:
+def test_lists_of_an_ellipsoid_that_do_not_match_are_reported(toy: Path) -> None:
     two = ELLIPSOID.replace("[10, 2, -3]", "[[10, 2, -3], [11, 2, -3]]").replace(
         "radii_mm = [", "radii_mm = [[9, 9, 9], [8, 8, 8], ["
     )
@@ -152,7 +152,7 @@ DEEP = {  # by hand: two lines end 5 mm from an axis, or from a sphere's centre;
 
 
 @pytest.mark.parametrize("depth", DEEP)
-def test_an_end_within_what_its_line_runs_over_is_told(toy: Path, depth: str) -> None:
+def test_an_end_inside_its_obstacle_is_reported(toy: Path, depth: str) -> None:
     """The line would run straight through it."""
     text = LIGHT + "\n[[strands]]\n" + TABLES["strands"] + f"wrap = {{ {DEEP[depth]} }}\n"
     message = refused(toy, text)

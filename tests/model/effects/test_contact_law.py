@@ -57,7 +57,7 @@ def test_stored_energy_is_the_work_of_the_elastic_force(p):
 
 
 @pytest.mark.parametrize("p", EXPONENTS)
-def test_apart_there_is_nothing_in_value_and_gradient(p):
+def test_without_contact_force_and_gradient_are_zero(p):
     for law in laws(p):
         for depth in (-1e-3, -1e-12):
             answer = law.force(J(depth), RATE, V0)

@@ -114,7 +114,7 @@ def test_a_tenth_of_a_millimetre_is_not(scene):
 
 
 @pytest.mark.parametrize("height", [0.054, 0.1, 1.0])
-def test_apart_nothing_touches(scene, height):
+def test_nothing_touches_above_the_bone(scene, height):
     assert first_status(scene, height) == Status.NO_CONTACT
 
 

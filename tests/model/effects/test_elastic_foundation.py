@@ -154,7 +154,7 @@ def test_the_sums_are_those_of_the_list_of_triangles(effect):
     assert float(load.dissipation()) == pytest.approx(heat, rel=1e-10)
 
 
-def test_apart_nothing_is_borne(effect):
+def test_without_contact_a_foundation_bears_nothing(effect):
     load, report = seen(effect, at_depth(-1e-3))
     np.testing.assert_array_equal(load.total().force.array(), 0)
     assert report["area"] == 0

@@ -73,7 +73,7 @@ def slopes_of(f: Callable[..., jax.Array]) -> Callable[..., tuple[np.ndarray, np
     return differentiated
 
 
-def test_forces_in_touch_and_apart(side):
+def test_gradients_of_forces_with_and_without_contact(side):
     scene = knee(side)
 
     def force(by, depth):
@@ -121,7 +121,7 @@ def check(slopes: np.ndarray, differences: np.ndarray) -> None:
 
 
 @pytest.mark.parametrize("side", ["triangles", pytest.param("table", marks=pytest.mark.slow)])
-def test_a_hundredth_of_a_second_from_in_touch_and_from_apart(side):
+def test_gradients_of_a_hundredth_of_a_second_from_contact_and_without(side):
     """With small steps: damping makes a force jump where a triangle comes into contact, from one step to the next."""
     scene = knee(side)
 

@@ -79,7 +79,7 @@ def test_derivatives_by_parameters_are_those_of_the_implicit_function():
 
 
 @pytest.mark.parametrize("law", [LinearFoundation(SOFT, SOFT), LogarithmicFoundation(SOFT, SOFT)])
-def test_apart_nothing_is_borne_and_gradients_are_finite(law):
+def test_without_contact_pressure_is_zero_and_gradients_are_finite(law):
     answer = press(law, jnp.asarray([-1.0, -1e-9, 0.0]))
     assert all(np.all(np.asarray(a) == 0) for a in answer)
     assert np.isfinite(jax.jit(jax.grad(lambda x: law.press(x).energy))(jnp.asarray(0.0)))

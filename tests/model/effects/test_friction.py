@@ -159,7 +159,7 @@ def test_an_impact_slows_a_block_by_mu_times_its_normal_impulse(step, gap):
     assert along == pytest.approx(0.1 * normal, rel=0.05 if step > 1e-4 else 0.005)
 
 
-def test_apart_there_is_nothing():
+def test_without_contact_there_is_no_friction():
     effect = rough()
 
     def everything(z, mu, creep, v):

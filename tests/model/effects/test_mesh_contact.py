@@ -74,7 +74,7 @@ def test_force_moment_energy_and_rate_on_a_plate(on_a_plate):
 
 
 @pytest.mark.slow
-def test_apart_nothing_pushes_and_no_approach_is_remembered(on_a_plate):
+def test_without_contact_there_is_no_force_and_no_approach_speed(on_a_plate):
     now = instant(vec(0.0, 0.0, RADIUS + 0.02), vec(0.0, 0.0, -1.0), vec(0.0, 0.0, 0.0))
     (load, speeds), (report, energy) = loaded(on_a_plate, now, (J(0.3),))
     assert float(load.stiff[0].force) == 0

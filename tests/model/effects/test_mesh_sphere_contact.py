@@ -67,7 +67,7 @@ def test_a_plate_pushes_by_the_law_alone():
     assert set(seen) == set(MeshSphereContact.observables)
 
 
-def test_a_vee_is_touched_on_both_sides_at_once_and_told_apart():
+def test_both_sides_of_a_vee_are_separate_contacts():
     depth, aside = 1e-4, 2e-5
     z = (RADIUS - depth) / np.cos(SLOPE)
     _, total, seen = loaded(on(VEE), look((0.001, aside, z)))

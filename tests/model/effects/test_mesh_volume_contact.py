@@ -53,7 +53,7 @@ def test_a_plate_of_two_triangles_holds_a_sphere_as_well():
     np.testing.assert_allclose(total.force.z, K * 1e-6, rtol=1e-4)
 
 
-def test_a_vee_is_touched_on_both_sides_and_told_apart():
+def test_both_sides_of_a_vee_are_separate_volumes():
     depth, aside = 1e-4, 2e-5
     _, total, seen = loaded(VEE, look((0.001, aside, (RADIUS - depth) / np.cos(SLOPE))))
     for facet, side in (("medial", -1), ("lateral", 1)):
@@ -209,7 +209,7 @@ def test_derivatives_are_finite_and_those_of_differences(spot, rates):
         assert float(found[3]) > 0
 
 
-def test_deep_inside_is_pushed_out_or_seen():
+def test_deep_inside_is_pushed_out_or_flagged():
     """A sphere whose centre is behind a plate goes the long way; one that has no surface in it is at least seen."""
     _, total, seen = loaded(PLATE, look((0.0, 0.0, -0.018)))
     assert float(total.force.z) > 0

@@ -29,7 +29,7 @@ from pftwin.rig.contacts import implant_mesh
 
 
 @pytest.mark.slow
-def test_energy_is_kept_by_a_sphere_that_bounces_on_a_ball_of_triangles():
+def test_energy_is_conserved_by_a_sphere_that_bounces_on_a_ball_of_triangles():
     """Elastic law, small steps: there is no heat, and what the steps take tends to zero with them."""
     taken = []
     ball = icosphere(0.03, 16)

@@ -45,7 +45,7 @@ def test_drag_is_proportional_and_only_takes_energy():
     assert float(load.power(now.patella)) == pytest.approx(-lost)
 
 
-def test_a_patella_carried_along_rigidly_feels_no_drag():
+def test_a_patella_moving_rigidly_with_the_medium_has_no_drag():
     spin = vec(0.4, -0.3, 0.2)  # world axes
     still = look((0.1, 0.2, 0.3), orientation=TURN)
     origin, linear = vec(0.05, 0.0, -0.1), vec(0.3, 0.2, 0.1)

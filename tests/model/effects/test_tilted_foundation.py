@@ -180,7 +180,7 @@ def test_a_moving_femur_puts_in_its_own_power(found, by_hand):
 FASTER = np.array([0.3, 0.1, 0, 0, 2, 0])
 
 
-def test_a_patella_that_was_faster_than_it_was_looked_at(found, by_hand):
+def test_a_patella_faster_than_its_trial_twist(found, by_hand):
     """The femur's own motion is told by the look, whatever the patella does; the rate is that of the velocity."""
     looked, faster = Twist(vec(*V), vec(*SPIN)), Twist(vec(*(V + FASTER[:3])), vec(*(SPIN + FASTER[3:])))
     powers = Powers.of([found[0]], looked, faster)

@@ -225,7 +225,7 @@ def status_at_rest(scene: Any) -> jax.Array:
     return status_of_lines(System.of(scene), patella_at_rest(first_guide(scene), scene.center_of_mass_pose()))
 
 
-def test_insertions_are_looked_for_where_they_are_and_not_from_the_centre_of_mass():
+def test_an_insertion_inside_a_post_is_found_relative_to_the_patellas_origin():
     """A post of 3 mm on the insertion, and one beside it by the centre of mass, which is 4.1 mm from the origin."""
     scene = knee(5)
     com = scene.patella.center_of_mass

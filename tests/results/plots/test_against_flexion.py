@@ -66,7 +66,7 @@ def test_mean_and_band_are_of_the_results(variants, name):
     assert ax.get_xlabel() == "knee flexion [deg]"
 
 
-def test_one_stroke_has_no_band_and_both_ways_are_told_apart(variants):
+def test_one_stroke_has_no_band_and_directions_are_distinguished(variants):
     figure = variants[0].plot.against_flexion()
     assert len(figure.axes) == 4
     for ax in figure.axes:
@@ -179,7 +179,7 @@ def test_a_stroke_that_dislocates_stands_alone_dotted_from_a_cross_on(variants):
     assert "each by itself" not in footer_of(against_flexion(dislocating, show=("shift",), strokes="bending"))
 
 
-def test_dislocations_are_looked_for_once_in_each_result(variants, monkeypatch):
+def test_dislocations_are_computed_once_for_each_result(variants, monkeypatch):
     asked, module = [], sys.modules[against_flexion.__module__]
 
     def seen(times, offset):
@@ -191,7 +191,7 @@ def test_dislocations_are_looked_for_once_in_each_result(variants, monkeypatch):
     assert [id(offset) for offset in asked] == [id(result.groove[1]) for result in variants]
 
 
-def test_strokes_of_an_invalid_motion_are_apart_too_and_the_footer_says_so(variants):
+def test_strokes_of_an_invalid_motion_are_separate_and_the_footer_says_so(variants):
     """An untrustworthy motion that leaves the groove is averaged with nothing either."""
     left = displaced(variants[0], slice(5, None), 0.030)
     invalid = dataclasses.replace(left, flags=np.full_like(left.flags, int(Status.NOT_FINITE)))
@@ -204,7 +204,7 @@ def test_strokes_of_an_invalid_motion_are_apart_too_and_the_footer_says_so(varia
     assert "INVALID" not in footer_of(figures[0])
 
 
-def test_measured_strokes_are_apart_by_their_own_outcome(variants):
+def test_measured_strokes_are_separated_by_their_own_outcome(variants):
     one = variants[0]
     knee = one.knee.flexion
     frames = slice(int(np.argmax(knee)) + 3, None)

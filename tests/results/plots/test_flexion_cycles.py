@@ -106,7 +106,7 @@ def test_strokes_that_dislocate_are_never_averaged():
     assert down.flexion[np.argmax(down.out)] == pytest.approx(45, abs=2)
 
 
-def test_both_ways_together_are_apart_by_outcome():
+def test_strokes_of_both_directions_are_separated_by_outcome():
     flexion = np.concatenate([np.linspace(0, 60, 61), np.linspace(59, 0, 60)])
     out = np.arange(121) > 100
     found = by_outcome([FlexionCurve(flexion, flexion, out, "walk")], np.arange(61.0), "together")[""]

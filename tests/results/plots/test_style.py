@@ -58,7 +58,7 @@ def test_settings_come_back_after_an_error():
     assert settings() == before
 
 
-def test_figures_are_not_kept_by_pyplot(result):
+def test_pyplot_does_not_hold_figures(result):
     import matplotlib.pyplot as plt
 
     result.plot.against_flexion()

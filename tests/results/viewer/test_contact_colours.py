@@ -49,7 +49,7 @@ def test_a_ball_covers_points_by_their_distance_from_its_centre(mesh):
     assert np.abs(found[20] - expected).max() > 0.1  # elsewhere in another frame
 
 
-def test_a_knee_apart_has_no_colours():
+def test_a_knee_without_contact_has_no_colours():
     recorded = Recorded.of(small_result())
     assert depths_on_femur(recorded, np.array([[0.0, 0.0, 900.0]])) is None
     bare = recorded.geometry.drop_vars(["button_center", "button_radius"])

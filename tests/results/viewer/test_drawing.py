@@ -213,7 +213,7 @@ def test_a_surface_goes_on_to_where_any_result_touched_it(result):
     assert names.count("surface continued") == 1
 
 
-def test_like_names_are_told_apart(file):
+def test_equal_names_are_made_unique(file):
     assert [r.name for r in recorded([file, file])] == ["knee (1)", "knee (2)"]
 
 

@@ -56,7 +56,7 @@ def test_strands_side_by_side_are_one_ribbon_in_their_order_across():
 
 
 @pytest.mark.parametrize("strands", [fan(0.013), Strands(np.eye(3)[:2] * 0.005, np.eye(3)[:2] * 0.05)])
-def test_muscles_apart_and_pairs_are_tubes(strands):
+def test_separate_muscles_and_pairs_are_tubes(strands):
     expected = tubes(1e3 * strands.paths, 0.55, 10)
     for one, other in zip(line_shape(strands.paths, strands.radius), expected, strict=True):
         np.testing.assert_array_equal(one, other)

@@ -150,7 +150,7 @@ def test_a_result_can_be_hidden(page):
     assert near(picture(page), ORANGE) == pytest.approx(shown, rel=0.1)
 
 
-def test_views_look_from_elsewhere_and_a_picture_is_kept(page, tmp_path):
+def test_views_change_the_camera_and_a_picture_is_saved(page, tmp_path):
     slide(page, "Home")
     folder = Path(os.environ.get("PFTWIN_ARTIFACTS", tmp_path))
     folder.mkdir(parents=True, exist_ok=True)

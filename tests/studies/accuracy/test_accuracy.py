@@ -160,7 +160,7 @@ def test_the_command_refuses(tmp_path):
     assert "omit --full" in full.stderr
 
 
-def test_a_table_that_was_kept_is_read_back(tmp_path):
+def test_a_stored_table_is_read_back(tmp_path):
     """With a column that an older version did not know, one that no version knows, and what is said of the machine."""
     good = [row(0.1, 1000.0), row(0.01, np.nan, dtype="float32", status="one, two")]
     path = tmp_path / "kept.csv"

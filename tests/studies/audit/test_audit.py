@@ -135,7 +135,7 @@ def test_what_stands_still_needs_neither_damping_nor_inertia(found):
     assert row(found, "steps half as long").cost is not None
 
 
-def test_it_falls_apart_without_what_holds_it(found):
+def test_effects_that_hold_the_patella_are_indispensable(found):
     lost_ones = [r for r in found.rows if r.changes is None]
     assert {r.kind for r in lost_ones} <= {"left out"}
     for r in lost_ones:

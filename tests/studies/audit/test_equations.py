@@ -61,14 +61,14 @@ def added() -> dict:
 
 
 @pytest.mark.parametrize("name", ["tendon", "toe", "strands", "relaxing", "contact"])
-def test_an_effect_that_has_gone_leaves_no_equation(name):
+def test_a_removed_effect_leaves_no_equation(name):
     before = equations(bare())
     more = bare().with_effect(added()[name])
     assert equations(more) > before
     assert equations(more.without(name)) == before
 
 
-def test_an_effect_that_has_gone_leaves_the_very_same_program():
+def test_a_removed_effect_leaves_the_very_same_program():
     more = bare().with_effect(added()["strands"])
     jaxprs = [jax.make_jaxpr(lambda a, s=s: _step(s, a))(J(1e-3)) for s in (bare(), more.without("strands"))]
     assert str(jaxprs[0]) == str(jaxprs[1])
@@ -83,7 +83,7 @@ def _step(s: Scene, step: jax.Array):
     return LinearImplicit().advance(System.of(s), state, guide_over(piece, J(0.0), step), step, None)[0]
 
 
-def test_friction_that_has_gone_leaves_no_equation():
+def test_removed_friction_leaves_no_equation():
     rough = scene().with_effect(scene().effect("contact").with_friction(Friction(J(0.1), J(1e-3))))
     smooth, whole = parts(rough)[-1], equations(rough)
     assert smooth.name == "contact: friction"

@@ -159,7 +159,7 @@ def test_times_are_relative_to_the_first():
 
 
 @pytest.mark.slow
-def test_shares_are_what_is_gone_without_the_part(monkeypatch):
+def test_shares_of_time_follow_from_runs_without_the_part(monkeypatch):
     """Quiet times make exact shares: whatever the machine does."""
     monkeypatch.setattr(module, "time_in_turn", lambda runs, before: [Cost(1.0, 1.0, 0.0)] + [Cost(0.6, 0.6, 0.01)] * 5)
     again = explain(rough())

@@ -65,7 +65,7 @@ def test_pressures_and_areas(found):
     np.testing.assert_allclose(found.pressure, np.tile(found.max_pressure[:, None], len(BUTTON.faces)), rtol=1e-6)
 
 
-def test_depths_are_told_down_to_the_band(found):
+def test_depths_are_reported_down_to_the_band(found):
     """A millimetre outside by default: 0.5 mm apart is told, 2 mm is not."""
     np.testing.assert_allclose(found.largest_depth, np.maximum(DEPTHS, 0), atol=1e-12)
     told = np.where(DEPTHS > -1e-3, DEPTHS, np.nan)

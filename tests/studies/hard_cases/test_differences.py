@@ -29,7 +29,7 @@ def test_differences_by_changes_of_two_sizes_are_known_until_they_part():
     assert derivatives.disagree(LONG, found, "float64") is None
 
 
-def test_a_wrong_derivative_is_told_from_a_wild_motion():
+def test_a_wrong_derivative_is_distinguished_from_a_wild_motion():
     found = derivatives.agreeing_differences(differences(1.0), differences(derivatives.FINER))
     wrong = LONG.copy()
     wrong[:, :, 2] *= 1.05

@@ -34,7 +34,7 @@ def test_a_piece_is_read_as_it_was_written(tmp_path):
     assert runs([wanted]).rows == (("2026-01-01T10:00", "1.0", "P5", "newmark", "float64", "2", "the run alone"),)
 
 
-def test_what_was_looked_at_is_told_of_each_piece(tmp_path):
+def test_each_piece_states_what_was_checked(tmp_path):
     path = tmp_path / "piece.json"
     for truths, words in ((True, "everything"), (False, "everything but converged runs")):
         whole_piece = piece("pass", "a")._replace(quick=False, truths=truths)
@@ -115,7 +115,7 @@ def test_every_contact_has_its_place_in_the_order_of_work():
     assert sorted(whole.LONGEST_FIRST) == sorted(CONTACTS)
 
 
-def test_a_part_of_the_matrix_is_not_kept_as_if_it_were_whole(tmp_path):
+def test_a_part_of_the_matrix_is_not_saved_as_complete(tmp_path):
     from typer.testing import CliRunner
 
     from pftwin.cli.program import app

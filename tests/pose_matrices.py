@@ -23,8 +23,8 @@ def written(path: Path, bodies: dict[str, np.ndarray], times: np.ndarray | None 
     """As OpenSim JAM does, each matrix row by row."""
     times = 0.02 * np.arange(FRAMES) if times is None else times
     labels = [f"{body}_T{i}{j}" for body in bodies for i in (1, 2, 3, 4) for j in (1, 2, 3, 4)]
-    told = {"nRows": len(times), "nColumns": 1 + len(labels), **header}
+    fields = {"nRows": len(times), "nColumns": 1 + len(labels), **header}
     rows = np.column_stack([times, *(m.reshape(len(times), 16) for m in bodies.values())])
-    lines = ["poses", *(f"{key}={value}" for key, value in told.items()), "endheader", "\t".join(["time", *labels])]
+    lines = ["poses", *(f"{key}={value}" for key, value in fields.items()), "endheader", "\t".join(["time", *labels])]
     path.write_text("\n".join([*lines, *("\t".join(f"{v:.17g}" for v in row) for row in rows)]) + "\n")
     return path

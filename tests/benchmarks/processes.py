@@ -41,7 +41,7 @@ class Team:
             found.bind(("127.0.0.1", 0))
             port = found.getsockname()[1]
         common = {"count": count, "port": port, "members": members, "cache": cache}
-        told = [{"index": i, **common} for i in range(count)]
+        tasks = [{"index": i, **common} for i in range(count)]
         self._processes = [
             subprocess.Popen(
                 [sys.executable, "-m", "tests.benchmarks.processes", json.dumps(one)],
@@ -49,7 +49,7 @@ class Team:
                 stdout=subprocess.PIPE,
                 text=True,
             )
-            for one in told
+            for one in tasks
         ]
 
     def seconds(self, folder: str) -> tuple[float, float]:

@@ -285,8 +285,8 @@ def test_one_scene_is_needed(toy: Path) -> None:
 def test_the_natural_knee_has_one_contact() -> None:
     assert "--knee: found 'E'; expected: one of: normal, A, B, C, D" in refused("equilibrium", "--knee", "E")
     assert "--activity: given without --knee" in refused("equilibrium", "--case", 1, "--activity", "squat")
-    told = refused("equilibrium", "--knee", "normal", "--activity", "walk")
-    assert "activity: found 'walk'; expected: one of: squat, extension" in told
+    message = refused("equilibrium", "--knee", "normal", "--activity", "walk")
+    assert "activity: found 'walk'; expected: one of: squat, extension" in message
     assert "--contact: given with --knee" in refused("equilibrium", "--knee", "normal", "--contact", "P5")
 
 

@@ -280,8 +280,8 @@ def test_a_scene_that_is_never_accurate_needs_the_most_runs_and_one_that_always_
 
 def test_simulate_tells_which_run_it_is_and_the_steps_done():
     """Five intervals between frames, in 1, 2, 4, ..., 256 steps each until the tolerance is met."""
-    told: list[tuple[int, int, str]] = []
-    result = pftwin.simulate(small_scene(6), tolerance="0.1 um", progress=lambda *counts: told.append(counts))
-    assert told[:2] == [(0, 2555, "runs 1 and 2 of at most 9"), (15, 2555, "run 3 of at most 9")]
-    assert [done for done, _, _ in told[1:]] == [5 * (2**k - 1) for k in range(2, 1 + len(told))]
-    assert result.settings["substeps"] == 2 ** (len(told) - 1)
+    calls: list[tuple[int, int, str]] = []
+    result = pftwin.simulate(small_scene(6), tolerance="0.1 um", progress=lambda *counts: calls.append(counts))
+    assert calls[:2] == [(0, 2555, "runs 1 and 2 of at most 9"), (15, 2555, "run 3 of at most 9")]
+    assert [done for done, _, _ in calls[1:]] == [5 * (2**k - 1) for k in range(2, 1 + len(calls))]
+    assert result.settings["substeps"] == 2 ** (len(calls) - 1)

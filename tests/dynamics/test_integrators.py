@@ -252,9 +252,9 @@ def test_what_an_integrator_carries_it_knows(held):
     for name in (*NAMES, "quasi_static", "diffrax:Tsit5"):
         chosen = integrator_from_text(name)
         state = eqx.filter_eval_shape(begun, chosen, *held)
-        solver_state, told = state.solver_state, eqx.filter_eval_shape(chosen.diagnostics, state)
+        solver_state, diagnostics = state.solver_state, eqx.filter_eval_shape(chosen.diagnostics, state)
         fields = set(getattr(solver_state, "_fields", ())) & set(Diagnostics._fields)
-        assert {n for n, value in told._asdict().items() if value is not None} == fields
+        assert {n for n, value in diagnostics._asdict().items() if value is not None} == fields
         assert chosen.inertia is (name != "quasi_static")
 
 

@@ -98,26 +98,26 @@ def test_a_medium_that_moves_does_work_and_a_known_pull_too():
     assert float(powers.work) == pytest.approx(0.45 + pull * 0.2)
     assert float(powers.heat) == pytest.approx(0.27)
     assert float(powers.lossy) == pytest.approx(0.18 + pull * 0.2)
-    looked = Twist(_along(0.25), _along(0.0))  # the drag was told another velocity: the medium's is the same
-    told = eqx.tree_at(lambda d: d.velocity, drag, _along(0.25 - medium))
+    trial = Twist(_along(0.25), _along(0.0))  # the drag was computed at another velocity of the same medium
+    other = eqx.tree_at(lambda d: d.velocity, drag, _along(0.25 - medium))
     for a, b in zip(
-        Powers.of([Load(drag=told)], looked, body)[:3], Powers.of([Load(drag=drag)], body, body), strict=False
+        Powers.of([Load(drag=other)], trial, body)[:3], Powers.of([Load(drag=drag)], body, body), strict=False
     ):
         assert float(a) == pytest.approx(float(b))
 
 
 def test_the_fastest_approach_is_that_of_contacts_that_push_from_the_steps_start():
-    """A term says how fast it closes with the velocity that it was told: 0.3 of 0.5 m/s, of which 0.4 there were."""
+    """A term says how fast it closes at its trial velocity: 0.3 of 0.5 m/s, of which 0.4 there were."""
     nothing, z = _along(0.0), _along(1.0)
     push = StiffTerm(z, nothing, J(5.0), J(5.0), J(1e4), J(0.0), J(0.3), unilateral=True)
     none = eqx.tree_at(lambda t: (t.force, t.rate), push, (J(0.0), J(9.0)))
     tied = StiffTerm(z, nothing, J(5.0), J(5.0), J(1e4), J(0.0), J(9.0))
     before, after = (State(nothing, Quaternion.identity(), _along(v), nothing, ()) for v in (-0.4, -0.1))
-    looked = Twist(_along(-0.5), nothing)
-    ledger = Ledger.opened(J(0.0)).after_step(before, after, [Load(stiff=(push, none, tied))], J(1e-3), looked)
+    trial = Twist(_along(-0.5), nothing)
+    ledger = Ledger.opened(J(0.0)).after_step(before, after, [Load(stiff=(push, none, tied))], J(1e-3), trial)
     assert float(ledger.approach) == pytest.approx(0.3 - 0.1)
     slower = eqx.tree_at(lambda t: t.rate, push, J(0.1))
-    later = ledger.after_step(before, after, [Load(stiff=(slower,))], J(1e-3), looked)
+    later = ledger.after_step(before, after, [Load(stiff=(slower,))], J(1e-3), trial)
     assert float(later.approach) == pytest.approx(0.2)
 
 

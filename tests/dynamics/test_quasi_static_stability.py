@@ -47,16 +47,16 @@ def test_eigenvalues_tell(block, wanted):
 def test_agrees_with_eigenvalues_at_random():
     """Stiffnesses over five decades, along directions that are not perpendicular."""
     rng = np.random.default_rng(0)
-    told, wanted = [], []
-    while len(told) < 300:
+    found, wanted = [], []
+    while len(found) < 300:
         values = 10 ** rng.uniform(1.5, 6.2, 6) * rng.choice([1, -1], 6, p=[0.9, 0.1])
         along = np.linalg.qr(rng.normal(size=(6, 6)))[0] + 0.3 * rng.normal(size=(6, 6))
         k = along @ np.diag(values) @ np.linalg.inv(along)
         least, trace = values.min(), values.sum()
         if trace > 0 and abs(least) > 3 * NEUTRAL * trace:
-            told.append(bool(_stable(J(k))))
+            found.append(bool(_stable(J(k))))
             wanted.append(least > 0)
-    assert told == wanted
+    assert found == wanted
     assert 50 < sum(wanted) < 250
 
 

@@ -52,8 +52,8 @@ def test_a_group_is_its_terms():
     assert 0.5 * largest(single, step) < float(apart) <= largest(single, step)
 
 
-@pytest.mark.parametrize(("share", "told"), [(0.95, False), (1.05, True)])
-def test_a_spring_is_flagged_if_its_oscillation_grows(share, told):
+@pytest.mark.parametrize(("share", "flagged"), [(0.95, False), (1.05, True)])
+def test_a_spring_is_flagged_if_its_oscillation_grows(share, flagged):
     """h^2 k = 4 m for a spring that pulls through the centre of mass."""
     stiffness = 4e3
     sys = system(Tendon(J(stiffness), J(0.05), J(0.0), vec(0, 0, 0), vec(0, 0, 0.1), body="ground", name="tendon"))
@@ -65,7 +65,7 @@ def test_a_spring_is_flagged_if_its_oscillation_grows(share, told):
     assert before is not None
     assert now is not None
     assert float(before) == 0
-    assert (float(now) > 0) == told
+    assert (float(now) > 0) == flagged
 
 
 def test_one_step_is_the_pull_and_its_moment_on_the_free_body():

@@ -78,15 +78,15 @@ def main() -> int:
     parser.add_argument("--first", type=int, default=0, help="the first seed")
     parser.add_argument("--findings", type=Path, default=Path(tempfile.gettempdir()) / "fuzz_findings")
     parser.add_argument("formats", nargs="*", default=FORMATS)
-    told = parser.parse_args()
-    shutil.rmtree(told.findings, ignore_errors=True)
-    told.findings.mkdir(parents=True)
+    args = parser.parse_args()
+    shutil.rmtree(args.findings, ignore_errors=True)
+    args.findings.mkdir(parents=True)
     total = 0
-    for name in told.formats:
+    for name in args.formats:
         began = time.perf_counter()
-        found = fuzz(name, told.first, told.first + told.count, told.findings)
+        found = fuzz(name, args.first, args.first + args.count, args.findings)
         total += len(found)
-        print(f"{name}: {told.count} files in {time.perf_counter() - began:.0f} s, {len(found)} findings", flush=True)
+        print(f"{name}: {args.count} files in {time.perf_counter() - began:.0f} s, {len(found)} findings", flush=True)
         for wrong, seeds in sorted(found.items(), key=lambda item: -len(item[1])):
             print(f"  {len(seeds)} times, first seed {seeds[0]}: {wrong}", flush=True)
     return int(total > 0)

@@ -43,32 +43,32 @@ def _look(whole, p, wanted):
     return behind(*whole, p, wanted)
 
 
-def told(mesh: SurfaceMesh, points: list[list[float]], wanted: bool = True) -> list[bool]:
+def are_behind(mesh: SurfaceMesh, points: list[list[float]], wanted: bool = True) -> list[bool]:
     return [bool(found.there) for found in looks(mesh, points, wanted)]
 
 
 def test_inside_a_closed_mesh_and_outside():
-    assert told(BALL, [[0, 0, 0], [0.018, 0, 0], [0, -0.0195, 0]]) == [True] * 3
-    assert told(BALL, [[0.0205, 0, 0], [0, 0, 1], [0.03, 0.03, 0]]) == [False] * 3
+    assert are_behind(BALL, [[0, 0, 0], [0.018, 0, 0], [0, -0.0195, 0]]) == [True] * 3
+    assert are_behind(BALL, [[0.0205, 0, 0], [0, 0, 1], [0.03, 0.03, 0]]) == [False] * 3
 
 
 def test_a_hollow_part_inside_is_outside():
     hollow = icosphere(0.01, 3).flipped()
     faces = np.concatenate([BALL.faces, hollow.faces + len(BALL.vertices)])
     bone = SurfaceMesh(np.concatenate([BALL.vertices, hollow.vertices]), faces)
-    assert told(bone, [[0, 0, 0], [0.015, 0, 0], [0.03, 0, 0]]) == [False, True, False]
+    assert are_behind(bone, [[0, 0, 0], [0.015, 0, 0], [0.03, 0, 0]]) == [False, True, False]
 
 
 def test_an_open_mesh_has_a_front_and_a_back():
-    assert told(square(), [[0, 0, -0.01], [0.02, -0.03, -0.04]]) == [True] * 2
-    assert told(square(), [[0, 0, 0.01], [0.02, -0.03, 0.04], [0.2, 0, -0.01], [0, 0, 1.0]]) == [False] * 4
+    assert are_behind(square(), [[0, 0, -0.01], [0.02, -0.03, -0.04]]) == [True] * 2
+    assert are_behind(square(), [[0, 0, 0.01], [0.02, -0.03, 0.04], [0.2, 0, -0.01], [0, 0, 1.0]]) == [False] * 4
 
 
 def test_far_behind_an_open_mesh_is_behind_but_not_past_its_rim():
     """A patella that hangs 75 mm below a femur's surface of 50 mm sees little of its back, and is not free of it."""
     below, past = [[0, 0, -1.0], [0.09, -0.09, -0.3]], [[0.11, 0, -1.0], [0.11, 0.2, -0.3], [0.11, 0.11, -0.05]]
-    assert told(square(), below) == [True] * 2
-    assert told(square(), past) == [False] * 3
+    assert are_behind(square(), below) == [True] * 2
+    assert are_behind(square(), past) == [False] * 3
 
 
 def test_it_says_how_far():
@@ -85,7 +85,7 @@ def test_the_solid_angle_of_a_square():
 
 
 def test_what_is_not_asked_for_is_no():
-    assert told(BALL, [[0, 0, 0]], wanted=False) == [False]
+    assert are_behind(BALL, [[0, 0, 0]], wanted=False) == [False]
 
 
 def test_a_batch_is_its_members():

@@ -195,11 +195,11 @@ def test_the_command_reports_repairs_and_refuses(tmp_path):
     refused = command(tmp_path / "cup.obj", "--repair", tmp_path / "sub" / ".." / "cup.obj")
     assert refused.exit_code == 2
     assert (tmp_path / "cup.obj").read_bytes() == before
-    told = command(tmp_path / "cup.obj", "--repair", tmp_path / "healed.ply", "--json", tmp_path / "o.json")
-    assert told.exit_code == 0, told.output
-    assert "7 triangles face the other side than their neighbours" in told.stdout
-    assert "likely unit: mm" in told.stdout
-    assert "verdict: to be repaired: mixed_winding (--repair does it)" in told.stdout
+    result = command(tmp_path / "cup.obj", "--repair", tmp_path / "healed.ply", "--json", tmp_path / "o.json")
+    assert result.exit_code == 0, result.output
+    assert "7 triangles face the other side than their neighbours" in result.stdout
+    assert "likely unit: mm" in result.stdout
+    assert "verdict: to be repaired: mixed_winding (--repair does it)" in result.stdout
     facts = json.loads((tmp_path / "o.json").read_text())
     assert facts["findings"][0]["kind"] == "mixed_winding"
     assert facts["repaired"]["verdict"] == "usable"
@@ -234,10 +234,10 @@ def test_the_command_proposes_the_axes_along_which_there_is_a_groove(tmp_path):
     mesh = rig_implant().mesh(deviation=0.05e-3)
     swapped = np.stack([-mesh.vertices[:, 2], mesh.vertices[:, 0], -mesh.vertices[:, 1]], axis=1)
     save_mesh(SurfaceMesh(1e3 * swapped, mesh.faces), tmp_path / "femur.stl")
-    told = command(tmp_path / "femur.stl", "-o", tmp_path / "axes.png", "--json", tmp_path / "o.json")
-    assert told.exit_code == 0, told.output
-    assert "a groove along --anterior=-x --proximal=+y" in told.stdout
-    assert "principal" not in told.stdout
+    result = command(tmp_path / "femur.stl", "-o", tmp_path / "axes.png", "--json", tmp_path / "o.json")
+    assert result.exit_code == 0, result.output
+    assert "a groove along --anterior=-x --proximal=+y" in result.stdout
+    assert "principal" not in result.stdout
     found = json.loads((tmp_path / "o.json").read_text())["axes"]
     assert (found["unit"], found["grooves"][0]["anterior"], found["grooves"][0]["proximal"]) == ("mm", "-x", "+y")
     assert (tmp_path / "axes.png").read_bytes().startswith(b"\x89PNG")
@@ -245,11 +245,11 @@ def test_the_command_proposes_the_axes_along_which_there_is_a_groove(tmp_path):
 
 def test_without_a_groove_it_gives_the_principal_directions(tmp_path):
     save_mesh(SurfaceMesh(*box(20.0, 60.0, 35.0)), tmp_path / "box.stl")
-    told = command(tmp_path / "box.stl", "--units", "mm", "-o", tmp_path / "axes.png")
-    assert told.exit_code == 0, told.output
-    assert "no trochlear groove is found" in told.stdout
-    assert "principal direction 1: (0.000, 1.000, 0.000), 60.0 mm long" in told.stdout
-    assert "principal direction 3: (1.000, 0.000, 0.000), 20.0 mm long" in told.stdout
+    result = command(tmp_path / "box.stl", "--units", "mm", "-o", tmp_path / "axes.png")
+    assert result.exit_code == 0, result.output
+    assert "no trochlear groove is found" in result.stdout
+    assert "principal direction 1: (0.000, 1.000, 0.000), 60.0 mm long" in result.stdout
+    assert "principal direction 3: (1.000, 0.000, 0.000), 20.0 mm long" in result.stdout
     assert (tmp_path / "axes.png").read_bytes().startswith(b"\x89PNG")
 
 

@@ -59,10 +59,10 @@ def test_points_of_the_ground_move_in_a_femur_that_moves():
     motion, point = moving_knee(), np.array([[0.1, 0.2, 0.3], [0.0, -0.1, 0.0]])
     femur, _ = frames(motion, motion.times)
     assert femur is not None
-    seen = seen_from_femur(motion, point)
+    points = seen_from_femur(motion, point)
     for k, p in enumerate(point):
         there = Vec3(*(jnp.full(motion.n_frames, c) for c in p))
-        np.testing.assert_allclose(seen[:, k], rows(femur.to_local(there)), atol=1e-12)
+        np.testing.assert_allclose(points[:, k], rows(femur.to_local(there)), atol=1e-12)
     still = small_scene().motion
     assert seen_from_femur(still, point) is point
 

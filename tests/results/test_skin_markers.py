@@ -59,9 +59,9 @@ def test_nothing_is_said_of_the_place(result: pftwin.Result) -> None:
     assert (found.x, found.y, found.z, found.mean_distance, found.frames_compared) == (None, None, None, None, 0)
     assert not found.readings
     assert all(row.value is None for row in found.to_rows()[:10])
-    told = found.to_dict()
-    assert told["skin_markers"]["m1.z"]["note"] == QUALITATIVE
-    assert json.loads(json.dumps(told))["skin_markers"]["m1.y"]["frames"] == FRAMES
+    data = found.to_dict()
+    assert data["skin_markers"]["m1.z"]["note"] == QUALITATIVE
+    assert json.loads(json.dumps(data))["skin_markers"]["m1.y"]["frames"] == FRAMES
     assert mean_of([found, found]).mean_distance is None
 
 
@@ -99,12 +99,12 @@ def test_the_command_shows_them_with_what_they_can_mean(toy, tmp_path) -> None:
     text = changed('body = "tibia"\n\n[patella]', f"cluster_m = {{ {cluster} }}\n\n[patella]", text)
     text += '\n[measured]\nmarkers = { "p1" = "P1" }\n\n[[marker]]\nname = "p1"\npoint_m = [0.02, 0.015, 0.03]\n'
     (toy / "skin.toml").write_text(text)
-    told = tmp_path / "skin.json"
-    done = CliRunner().invoke(app, ["validate", str(toy / "skin.toml"), "--dt", "0.002", "--json", str(told)])
+    path = tmp_path / "skin.json"
+    done = CliRunner().invoke(app, ["validate", str(toy / "skin.toml"), "--dt", "0.002", "--json", str(path)])
     assert done.exit_code == 0, done.output
     assert "markers on the skin" in done.output
     assert "skin slides over the bone" in " ".join(done.output.split())
-    found = json.loads(told.read_text())
+    found = json.loads(path.read_text())
     assert found["mean_distance"] is None
     assert found["skin_markers"]["p1.x"]["measured_range"] == pytest.approx(0, abs=1e-5)  # walk.trc: it stands still
     assert found["skin_markers"]["p1.x"]["simulated_range"] > 0.1

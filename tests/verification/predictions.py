@@ -75,10 +75,10 @@ def judged(case: int, scenes: int, seed: int) -> tuple[int, int, int, int]:
     known = np.abs(truth - finer) <= 0.2 * limit
     off = np.abs(found[PEAK].values - truth)
     flags = found["flag"].values.tolist()
-    told = found["failed"].values | (found["status_frames"].values[..., flags.index("inaccurate")] > 0)
-    clean, holds = known & ~told, (off <= limit) & known
+    flagged = found["failed"].values | (found["status_frames"].values[..., flags.index("inaccurate")] > 0)
+    clean, holds = known & ~flagged, (off <= limit) & known
     print(
-        f"case {case}: {off.size} predictions; peak force holds in {np.sum(holds)}; flagged {np.sum(told)};"
+        f"case {case}: {off.size} predictions; peak force holds in {np.sum(holds)}; flagged {np.sum(flagged)};"
         f" truth not known {np.sum(~known)}; of {np.sum(clean)} others hold {np.sum(holds & clean)};"
         f" error median {np.nanmedian(off):.3f} N, 95 % below {np.nanquantile(off, 0.95):.2f} N,"
         f" largest {np.nanmax(off):.2f} N; {spent:.0f} s with compiling",

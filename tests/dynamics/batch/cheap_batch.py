@@ -98,9 +98,9 @@ class Ended(NamedTuple):
 def ended(folder: Path, count: int, calls: list[dict[str, Any]], **more: Any) -> list[Ended]:
     """Processes that make these calls, once they have ended; `more` is for `main`."""
     port = free_port()
-    told = [{"index": i, "count": count, "port": port, "calls": calls, **more} for i in range(count)]
+    tasks = [{"index": i, "count": count, "port": port, "calls": calls, **more} for i in range(count)]
     folder.mkdir()
-    return run_together(folder, [[__file__, json.dumps(what)] for what in told], LIMIT)
+    return run_together(folder, [[__file__, json.dumps(what)] for what in tasks], LIMIT)
 
 
 def run_together(

@@ -77,8 +77,8 @@ def brought_in(folder, muscles: str = VASTUS + RECTUS, **options):
 
 @pytest.fixture(scope="module")
 def knee(tmp_path_factory):
-    path, told = brought_in(tmp_path_factory.mktemp("activated"))
-    return path, told, load_scene_file(told.scene).scene
+    path, report = brought_in(tmp_path_factory.mktemp("activated"))
+    return path, report, load_scene_file(report.scene).scene
 
 
 def inserted(t):
@@ -92,7 +92,7 @@ def along(*points) -> np.ndarray:
 
 
 def test_tensions_follow_from_lengths_of_whole_paths_and_the_activation(knee):
-    path, told, scene = knee
+    path, report, scene = knee
     forces = {
         m.name: read_force(m, {})
         for k in ("Millard2012EquilibriumMuscle", "Thelen2003Muscle")
@@ -107,21 +107,21 @@ def test_tensions_follow_from_lengths_of_whole_paths_and_the_activation(knee):
         np.testing.assert_allclose(np.asarray(tension), expected, rtol=1e-5)
         np.testing.assert_allclose(np.asarray(origin.array()), [ANATOMICAL @ VIA, ANATOMICAL @ pelvis], atol=1e-6)
         if t == 0:
-            assert told.tensions == pytest.approx(dict(zip(lengths, expected, strict=True)), rel=1e-6)
+            assert report.tensions == pytest.approx(dict(zip(lengths, expected, strict=True)), rel=1e-6)
     assert effect.body == "femur"
     np.testing.assert_allclose(np.asarray(effect.insertion.array()), [ANATOMICAL @ INSERTION] * 2, atol=1e-7)
     assert min(expected) > 50
 
 
 def test_notes_say_what_was_assumed(knee):
-    _, told, scene = knee
+    _, report, scene = knee
     tensions = np.asarray(scene.effect("quadriceps").tension).sum(axis=1)
-    (said,) = [n for n in told.notes if n.startswith("tensions by activations of 0.2")]
+    (said,) = [n for n in report.notes if n.startswith("tensions by activations of 0.2")]
     assert "no force-velocity" in said
     assert f"together {tensions[0]:.3g} N in the first frame, {tensions.min():.3g} to {tensions.max():.3g} N" in said
-    assert "lengths of muscles: with the patella where the model has it" in told.notes
-    assert any(n.startswith("recfem from the pelvis: the line begins where") for n in told.notes)
-    assert not {"vas int", "recfem"} & {part.name for part in told.left_out}
+    assert "lengths of muscles: with the patella where the model has it" in report.notes
+    assert any(n.startswith("recfem from the pelvis: the line begins where") for n in report.notes)
+    assert not {"vas int", "recfem"} & {part.name for part in report.left_out}
 
 
 def test_a_file_has_an_activation_for_each_muscle_over_time(tmp_path):
@@ -135,15 +135,15 @@ def test_a_file_has_an_activation_for_each_muscle_over_time(tmp_path):
     tables = []
     for kind in ("sto", "csv"):
         (tmp_path / kind).mkdir()
-        path, told = brought_in(tmp_path / kind, activation=tmp_path / f"a.{kind}")
-        tables.append((told.scene.parent / "tensions.csv").read_text())
+        path, report = brought_in(tmp_path / kind, activation=tmp_path / f"a.{kind}")
+        tables.append((report.scene.parent / "tensions.csv").read_text())
     assert tables[0] == tables[1]
     t = 0.34
-    tension = load_scene_file(told.scene).scene.effect("quadriceps").at(t)[0]
+    tension = load_scene_file(report.scene).scene.effect("quadriceps").at(t)[0]
     force = read_force(next(read_osim(path).all("Millard2012EquilibriumMuscle")), {})
     expected = force.tensions(along(START, VIA, inserted(t)), np.array([0.1 + 0.6 * t]))
     assert float(tension[0]) == pytest.approx(expected[0], rel=1e-5)
-    assert any("activations below the model's minimum_activation" in n and "recfem 0.01" in n for n in told.notes)
+    assert any("activations below the model's minimum_activation" in n and "recfem 0.01" in n for n in report.notes)
 
 
 WRONG = {  # what is in the file, and what is said of it
@@ -181,21 +181,21 @@ def test_muscles_of_which_no_force_is_known_are_named(tmp_path):
     odd = muscle("odd", (FEMUR, VIA), (PATELLA, INSERTION), kind="RigidTendonMuscle")
     off = muscle("off", (FEMUR, VIA), (PATELLA, INSERTION), more=FORCE + "<appliesForce>false</appliesForce>")
     over = muscle("over", (FEMUR, VIA), (PATELLA, INSERTION), (TIBIA, (0.045, -0.07, 0.0)))
-    _, told = brought_in(tmp_path, odd + VASTUS + off + over)
-    assert [*told.tensions] == ["vas int"]
-    assert "odd: no tension, for none follows from the activation of a <RigidTendonMuscle>" in told.notes
-    assert "off: no tension, it is switched off in the model" in told.notes
-    assert "without a tension: odd, off, over" in told.notes
-    assert {"odd", "off", "over"} <= {part.name for part in told.left_out}
+    _, report = brought_in(tmp_path, odd + VASTUS + off + over)
+    assert [*report.tensions] == ["vas int"]
+    assert "odd: no tension, for none follows from the activation of a <RigidTendonMuscle>" in report.notes
+    assert "off: no tension, it is switched off in the model" in report.notes
+    assert "without a tension: odd, off, over" in report.notes
+    assert {"odd", "off", "over"} <= {part.name for part in report.left_out}
     (tmp_path / "none").mkdir()
     with pytest.raises(InputError, match="no muscle of the patella can have a tension"):
         brought_in(tmp_path / "none", odd + off + over)
 
 
 def test_a_patella_that_stays_while_the_knee_bends_is_said_loudly(tmp_path):
-    _, told = brought_in(tmp_path, motion=None)
-    assert any("IT DOES NOT MOVE in the femur while the knee bends" in note for note in told.notes)
-    table = np.loadtxt(told.scene.parent / "tensions.csv", delimiter=",", skiprows=1)
+    _, report = brought_in(tmp_path, motion=None)
+    assert any("IT DOES NOT MOVE in the femur while the knee bends" in note for note in report.notes)
+    table = np.loadtxt(report.scene.parent / "tensions.csv", delimiter=",", skiprows=1)
     np.testing.assert_allclose(np.ptp(table[:, 1:], axis=0), 0, atol=1e-9)
 
 
@@ -211,10 +211,10 @@ def test_a_measured_patella_gives_the_lengths_and_one_that_jumps_does_not(tmp_pa
     patella[12, :3, 3] += (0.0, -0.04, 0.0)
     bodies = {"femur_r": femur, "tibia_r": femur @ tibia, "patella_r": femur @ patella}
     recording = written(tmp_path / "measured.sto", bodies, np.arange(n))
-    path, told = brought_in(tmp_path, VASTUS, motion=recording, rate=30.0)
-    (said,) = [note for note in told.notes if note.startswith("lengths of muscles: ")]
+    path, report = brought_in(tmp_path, VASTUS, motion=recording, rate=30.0)
+    (said,) = [note for note in report.notes if note.startswith("lengths of muscles: ")]
     assert "as it was measured, in frame 13, where that is out of line, as between the frames around" in said
-    table = np.loadtxt(told.scene.parent / "tensions.csv", delimiter=",", skiprows=1)
+    table = np.loadtxt(report.scene.parent / "tensions.csv", delimiter=",", skiprows=1)
     force = read_force(next(read_osim(path).all("Millard2012EquilibriumMuscle")), {})
     lengths[12] = 0.5 * (lengths[11] + lengths[13])
     np.testing.assert_allclose(table[:, 1], force.tensions(lengths, np.full(n, 0.2)), rtol=1e-6)

@@ -30,8 +30,8 @@ def imported(folder: Path, recorded: dict[str, np.ndarray], text: str | None = N
     return import_osim(folder / "knee.osim", folder / "out", motion=record(folder / "gait.trc", recorded), **options)
 
 
-def load(told: Imported) -> Scene:
-    return load_scene_file(told.scene).scene
+def load(report: Imported) -> Scene:
+    return load_scene_file(report.scene).scene
 
 
 def poses(guided: SegmentMotion, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -49,23 +49,23 @@ def check_bone(guided: SegmentMotion, expected: np.ndarray) -> None:
 
 
 def test_bones_move_as_their_markers(tmp_path: Path) -> None:
-    told = imported(tmp_path, seen())
-    scene, bodies = load(told), motion()
+    report = imported(tmp_path, seen())
+    scene, bodies = load(report), motion()
     np.testing.assert_allclose(scene.motion.times, TIMES)
     check_bone(scene.motion.femur, bodies["femur_r"])
     check_bone(scene.motion.tibia, bodies["tibia_r"])
-    renamed = next(n for n in told.notes if "spells otherwise" in n)
+    renamed = next(n for n in report.notes if "spells otherwise" in n)
     assert "R.Thigh.A is R_Thigh_A" in renamed
-    assert any("femur_r: 3 markers are off a rigid body by 0.0 mm rms" in n for n in told.notes)
-    assert any("Butterworth, 12 Hz, order 2" in n for n in told.notes)
+    assert any("femur_r: 3 markers are off a rigid body by 0.0 mm rms" in n for n in report.notes)
+    assert any("Butterworth, 12 Hz, order 2" in n for n in report.notes)
     assert (
-        "no body and no frame is called '/bodyset/hand'" in {part.name: part.why for part in told.left_out}["R.Wrist"]
+        "no body and no frame is called '/bodyset/hand'" in {part.name: part.why for part in report.left_out}["R.Wrist"]
     )
 
 
 def test_the_marker_on_the_patella_is_what_is_compared(tmp_path: Path) -> None:
-    told = imported(tmp_path, seen())
-    scene = load(told)
+    report = imported(tmp_path, seen())
+    scene = load(report)
     np.testing.assert_allclose(
         np.asarray(scene.effect("r_patella").point.array()),  # type: ignore[attr-defined]
         ANATOMICAL @ PLACES["patella_r"]["R.Patella"],
@@ -85,8 +85,8 @@ def test_the_marker_on_the_patella_is_what_is_compared(tmp_path: Path) -> None:
 def test_a_marker_file_of_opensim_3_stands_in_for_the_models_own(tmp_path: Path, head: str) -> None:
     (tmp_path / "own.xml").write_text(head + marker_set(prefix="") + ("</OpenSimDocument>" if head else ""))
     elsewhere = {body: dict.fromkeys(held, (0.1, 0.2, 0.3)) for body, held in PLACES.items()}
-    told = imported(tmp_path, seen(), osim(marker_set(elsewhere)), markers=tmp_path / "own.xml")
-    check_bone(load(told).motion.tibia, motion()["tibia_r"])
+    report = imported(tmp_path, seen(), osim(marker_set(elsewhere)), markers=tmp_path / "own.xml")
+    check_bone(load(report).motion.tibia, motion()["tibia_r"])
 
 
 def test_the_longest_stretch_in_which_both_bones_are_known_is_taken(tmp_path: Path) -> None:
@@ -99,14 +99,14 @@ def test_the_longest_stretch_in_which_both_bones_are_known_is_taken(tmp_path: Pa
     extra = {**PLACES, "femur_r": {**PLACES["femur_r"], "R.Thigh.D": (0.04, 0.05, 0.03)}}
     markers["R_Thigh_D"] = seen(extra)["R_Thigh_D"]
     markers["R_Thigh_D"][60:90] = np.nan
-    told = imported(tmp_path, markers, osim(marker_set(extra)))
-    scene = load(told)
+    report = imported(tmp_path, markers, osim(marker_set(extra)))
+    scene = load(report)
     np.testing.assert_allclose(scene.motion.times[[0, -1]], TIMES[[50, 149]])
-    stretch = next(n for n in told.notes if n.startswith("stretch: "))
+    stretch = next(n for n in report.notes if n.startswith("stretch: "))
     assert f"{TIMES[50]:g} to {TIMES[149]:g} s of {TIMES[0]:g} to {TIMES[-1]:g} s" in stretch
-    why = {part.name: part.why for part in told.left_out}
+    why = {part.name: part.why for part in report.left_out}
     assert why["R.Thigh.D"] == "it is not in the recording, or not seen throughout, or was left out"
-    assert "R_Shank_A: filled frames 81 to 85" in told.notes
+    assert "R_Shank_A: filled frames 81 to 85" in report.notes
     places, _ = poses(scene.motion.femur, TIMES[60:140:20])
     np.testing.assert_allclose(places, motion()["femur_r"][60:140:20, :3, 3], rtol=0, atol=3e-6)
     assert scene.measured is not None
@@ -119,9 +119,9 @@ def test_markers_that_were_exchanged_are_put_back_before_anything_else(tmp_path:
     markers = seen(more)
     a, b = markers["R_Thigh_A"].copy(), markers["R_Thigh_B"].copy()
     markers["R_Thigh_A"][60:63], markers["R_Thigh_B"][60:63] = b[60:63], a[60:63]
-    told = imported(tmp_path, markers, osim(marker_set(more)))
-    assert any("R_Thigh_A, R_Thigh_B exchanged in frames 61 to 63" in n for n in told.notes), told.notes
-    check_bone(load(told).motion.femur, motion()["femur_r"])
+    report = imported(tmp_path, markers, osim(marker_set(more)))
+    assert any("R_Thigh_A, R_Thigh_B exchanged in frames 61 to 63" in n for n in report.notes), report.notes
+    check_bone(load(report).motion.femur, motion()["femur_r"])
 
 
 def test_hip_and_knee_count_as_markers_of_the_femur(tmp_path: Path) -> None:
@@ -130,18 +130,18 @@ def test_hip_and_knee_count_as_markers_of_the_femur(tmp_path: Path) -> None:
     markers = seen(everything)
     for lost in ("R_Thigh_B", "R_Thigh_C"):
         markers[lost][:] = np.nan
-    told = imported(tmp_path, markers, recorded_knee.with_pelvis(), joint_centers=True)
-    said = next(n for n in told.notes if n.startswith("hip_center counts as a marker of femur_r"))
+    report = imported(tmp_path, markers, recorded_knee.with_pelvis(), joint_centers=True)
+    said = next(n for n in report.notes if n.startswith("hip_center counts as a marker of femur_r"))
     assert said.endswith("determined from the markers of pelvis")
-    written = read_trc(told.scene.with_name("markers.trc"))
+    written = read_trc(report.scene.with_name("markers.trc"))
     femur = motion()["femur_r"]
     hip = femur[:, :3, :3] @ HIP_IN_FEMUR + femur[:, :3, 3]
     np.testing.assert_allclose(written.marker("hip_center"), hip, rtol=0, atol=1e-8)
     np.testing.assert_allclose(written.marker("knee_r_center"), motion()["tibia_r"][:, :3, 3], rtol=0, atol=1e-8)
-    text = told.scene.read_text()
+    text = report.scene.read_text()
     assert '"hip_center" = [0.003, 0.404, -0.002]' in text
     assert '"knee_r_center" = [0, 0, 0]' in text  # by knee_models.START; it is recorded 2.2 mm from there
-    guided = load(told).motion.femur
+    guided = load(report).motion.femur
     places, _ = poses(guided, TIMES[::40])
     off = np.linalg.norm(places - femur[::40, :3, 3], axis=1)
     assert 1e-4 < off.max() < 2.3e-3
@@ -152,16 +152,16 @@ def test_hip_and_knee_count_as_markers_of_the_femur(tmp_path: Path) -> None:
 def test_the_patella_starts_where_the_models_knee_has_it(tmp_path: Path) -> None:
     """By default; or where the flexing coordinate moves it, at the angle that was recorded first: here 0.2 rad."""
 
-    def start(told: Imported) -> np.ndarray:
-        scene = load(told)
+    def start(report: Imported) -> np.ndarray:
+        scene = load(report)
         places, turns = poses(scene.motion.femur, TIMES[:1])
         return turns[0].T @ (np.asarray(scene.start.position.array()) - places[0])
 
-    told = imported(tmp_path, seen())
+    report = imported(tmp_path, seen())
     assert any(
-        n.startswith("patella_r starts where the model has it in femur_r by default; limits") for n in told.notes
+        n.startswith("patella_r starts where the model has it in femur_r by default; limits") for n in report.notes
     )
-    np.testing.assert_allclose(start(told), [-0.005, 0.001, 0.0499], atol=1e-9)
+    np.testing.assert_allclose(start(report), [-0.005, 0.001, 0.0499], atol=1e-9)
     coupled = (
         '<ConstraintSet><objects><CoordinateCouplerConstraint name="c"><coupled_coordinates_function><LinearFunction>'
         "<coefficients>-0.05 0.02</coefficients></LinearFunction></coupled_coordinates_function>"
@@ -170,16 +170,16 @@ def test_the_patella_starts_where_the_models_knee_has_it(tmp_path: Path) -> None
         "</ConstraintSet></Model>"
     )
     (tmp_path / "coupled").mkdir()
-    told = imported(tmp_path / "coupled", seen(), osim().replace("</Model>", coupled))
-    assert any("at knee_flex_r = 11.5 deg" in n or "at knee_flex_r = 11.4 deg" in n for n in told.notes)
-    np.testing.assert_allclose(start(told)[0], 0.02 - 0.05 * 0.2, atol=0.05 * 1e-3)
+    report = imported(tmp_path / "coupled", seen(), osim().replace("</Model>", coupled))
+    assert any("at knee_flex_r = 11.5 deg" in n or "at knee_flex_r = 11.4 deg" in n for n in report.notes)
+    np.testing.assert_allclose(start(report)[0], 0.02 - 0.05 * 0.2, atol=0.05 * 1e-3)
 
 
 def test_a_left_out_marker_changes_the_fit_and_is_named_by_either_name(tmp_path: Path) -> None:
     extra = {**PLACES, "femur_r": {**PLACES["femur_r"], "R.Thigh.D": (0.04, 0.05, 0.03)}}
     wrong = {**extra, "femur_r": {**extra["femur_r"], "R.Thigh.D": (0.04, 0.05, 0.08)}}
-    told = imported(tmp_path, seen(extra), osim(marker_set(wrong)))
-    note = next(n for n in told.notes if n.startswith("femur_r: 4 markers"))
+    report = imported(tmp_path, seen(extra), osim(marker_set(wrong)))
+    note = next(n for n in report.notes if n.startswith("femur_r: 4 markers"))
     assert "; without R_Thigh_D by 0.0 mm rms" in note
     for name in ("R.Thigh.D", "R_Thigh_D"):
         folder = tmp_path / name
@@ -191,8 +191,8 @@ def test_a_left_out_marker_changes_the_fit_and_is_named_by_either_name(tmp_path:
     line = {**PLACES, "femur_r": {f"R.Thigh.{k}": (0.01 * i, 0.1 * i, 0.03) for i, k in enumerate("ABC")}}
     line["femur_r"]["R.Thigh.D"] = (0.04, 0.05, 0.08)
     (tmp_path / "line").mkdir()  # without the fourth, the others are on a line: it is never proposed to its cost
-    told = imported(tmp_path / "line", seen(line), osim(marker_set(line)))
-    check_bone(load(told).motion.femur, motion()["femur_r"])
+    report = imported(tmp_path / "line", seen(line), osim(marker_set(line)))
+    check_bone(load(report).motion.femur, motion()["femur_r"])
     with pytest.raises(InputError, match=r"no marker 'R\.Thigh\.E' of the knee to leave out.*R_Thigh_A"):
         imported(tmp_path, seen(extra), without=["R.Thigh.E"])
 
@@ -200,14 +200,14 @@ def test_a_left_out_marker_changes_the_fit_and_is_named_by_either_name(tmp_path:
 def test_too_few_markers_are_named_with_what_can_be_done(tmp_path: Path) -> None:
     markers = seen()
     markers["R_Shank_C"][:] = np.nan
-    with pytest.raises(InputError) as told:
+    with pytest.raises(InputError) as report:
         imported(tmp_path, markers)
     for said in (
         "gait.trc: 2 of the markers on tibia_r are seen: R_Shank_A, R_Shank_B; expected: 3 or more",
         "the model has R.Shank.A, R.Shank.B, R.Shank.C there",
         "--markers FILE.xml",
     ):
-        assert said in str(told.value)
+        assert said in str(report.value)
     apart = seen()
     apart["R_Shank_C"][: FRAMES // 2] = np.nan
     apart["R_Thigh_A"][FRAMES // 2 :] = np.nan
@@ -313,7 +313,7 @@ def test_a_persons_gait(dm_knee: Path, tmp_path: Path) -> None:
     assert "femur_r: 3 markers are off a rigid body by 33.7 mm rms" in note
     with pytest.raises(InputError, match="most_marker_residual_mm"):
         load(plain)
-    told = import_osim(
+    report = import_osim(
         model,
         tmp_path / "gait",
         motion=gait,
@@ -323,7 +323,7 @@ def test_a_persons_gait(dm_knee: Path, tmp_path: Path) -> None:
         without=["R.Thigh.Lateral"],
         limits={"most_marker_residual_mm": 20.0},
     )
-    scene = load(told)
+    scene = load(report)
     assert scene.motion.n_frames == 370
     femur, tibia = (poses(part, scene.motion.times[::10]) for part in (scene.motion.femur, scene.motion.tibia))
     turns = Rotation.from_matrix(np.swapaxes(femur[1], 1, 2) @ tibia[1])
@@ -339,7 +339,7 @@ def test_a_persons_gait(dm_knee: Path, tmp_path: Path) -> None:
 @pytest.mark.filterwarnings("ignore:.*DM_smooth1_new")
 def test_a_persons_patella_goes_up_and_down_with_the_knee(dm_knee: Path, tmp_path: Path) -> None:
     """Half a second of gait from the files to the comparison, as docs/bring_your_own_knee.md does with all of it."""
-    scene, told = tmp_path / "gait" / "scene.toml", tmp_path / "told.json"
+    scene, report = tmp_path / "gait" / "scene.toml", tmp_path / "validation.json"
     runner, options = CliRunner(), ["--side", "right", "--joint-centers", "--without", "R_Thigh_Lateral"]
     files = [str(dm_knee / "DM.osim"), "--motion", str(dm_knee / "DM_smooth1_new.trc")]
     command = ["import", *files, *options, "--quadriceps", "200", "-o", str(tmp_path / "gait")]
@@ -347,9 +347,9 @@ def test_a_persons_patella_goes_up_and_down_with_the_knee(dm_knee: Path, tmp_pat
     assert done.exit_code == 0, done.output
     text = scene.read_text()
     scene.write_text(text.replace("[motion]\n", "[motion]\nstart_time_s = 1.1\nend_time_s = 1.6\n"))
-    done = runner.invoke(app, ["validate", str(scene), "--json", str(told)])
+    done = runner.invoke(app, ["validate", str(scene), "--json", str(report)])
     assert done.exit_code == 0, done.output
-    found = json.loads(told.read_text())
+    found = json.loads(report.read_text())
     assert found["status_frames"]["energy_from_nowhere"] == 0
     assert found["mean_distance"] is None
     row = found["skin_markers"]["r_patella.x"]

@@ -41,24 +41,24 @@ def knee(tmp_path_factory):
     folder = tmp_path_factory.mktemp("muscles")
     forces = model().index("<Millard2012EquilibriumMuscle")
     path = write_knee(folder / "model", model()[:forces] + MUSCLES + model()[forces:])
-    told = import_osim(path, folder / "scene", quadriceps=42.0)
-    return load_scene_file(told.scene).scene, told
+    report = import_osim(path, folder / "scene", quadriceps=42.0)
+    return load_scene_file(report.scene).scene, report
 
 
 def test_a_tension_is_shared_by_strength(knee):
     """Of 900, 2100, 1200 N and the 5000 N of the model's own muscle."""
-    _, told = knee
+    _, report = knee
     whole = 900 + 2100 + 1200 + 5000
     expected = {"vas int": 900 * 42 / whole, "vaslat": 2100 * 42 / whole, "recfem": 1200 * 42 / whole}
-    assert told.tensions == pytest.approx(expected | {"vasint_r": 5000 * 42 / whole})
-    assert any(note.startswith("tensions, constant, by maximum isometric force") for note in told.notes)
-    assert not {part.name for part in told.left_out} & {*told.tensions}
-    assert "pes" in {part.name for part in told.left_out}
+    assert report.tensions == pytest.approx(expected | {"vasint_r": 5000 * 42 / whole})
+    assert any(note.startswith("tensions, constant, by maximum isometric force") for note in report.notes)
+    assert not {part.name for part in report.left_out} & {*report.tensions}
+    assert "pes" in {part.name for part in report.left_out}
 
 
 def test_they_pull_along_the_last_straight_piece_of_their_paths(knee):
     """That from the ground, to which the femur is welded in this model, from the femur too."""
-    scene, told = knee
+    scene, report = knee
     welded = Rotation.from_euler("y", 0.1).inv().apply(np.array([0.0, 0.9, 0.02]) - FEMUR_AT)
     lines = {
         "recfem": (welded, (0.0, 0.018, 0.001)),
@@ -69,8 +69,8 @@ def test_they_pull_along_the_last_straight_piece_of_their_paths(knee):
     effect = scene.effect("quadriceps")
     tension, origin = (np.asarray(a) for a in (effect.at(0.0)[0], effect.at(0.0)[1].array()))
     for name, (start, end) in lines.items():
-        k = int(np.argmin(np.abs(tension - told.tensions[name])))
-        assert float(tension[k]) == pytest.approx(told.tensions[name], rel=1e-6)
+        k = int(np.argmin(np.abs(tension - report.tensions[name])))
+        assert float(tension[k]) == pytest.approx(report.tensions[name], rel=1e-6)
         np.testing.assert_allclose(origin[k], ANATOMICAL @ start, atol=1e-7)
         np.testing.assert_allclose(np.asarray(effect.insertion.array())[k], ANATOMICAL @ end, atol=1e-7)
     assert (len(tension), effect.body) == (4, "femur")
@@ -103,8 +103,8 @@ def only(folder, forces: str, **options):
 
 
 def test_a_path_may_begin_at_the_patella(tmp_path):
-    told = only(tmp_path, muscle("a", 900, *PATH) + muscle("b", 900, (PATELLA, (0.0, 0.0, 0.0)), *PATH[::-1]))
-    (a, b) = told.muscles
+    report = only(tmp_path, muscle("a", 900, *PATH) + muscle("b", 900, (PATELLA, (0.0, 0.0, 0.0)), *PATH[::-1]))
+    (a, b) = report.muscles
     np.testing.assert_allclose(a.origin, b.origin)
     np.testing.assert_allclose(a.insertion, b.insertion)
     assert a.takes_tension
@@ -115,10 +115,10 @@ def test_points_that_move_and_paths_over_the_patella_are_left_out(tmp_path):
     point = r'<PathPoint (name="moving1".*?)</PathPoint>'
     moving = re.sub(point, r"<ConditionalPathPoint \1</ConditionalPathPoint>", muscle("moving", 900, *PATH))
     over = muscle("over", 900, *PATH, (TIBIA, (0.045, -0.07, 0.0)))
-    told = only(tmp_path, moving + over)
-    assert [m.takes_tension for m in told.muscles] == [False, False]
-    np.testing.assert_allclose(told.muscles[0].origin, (0.04, 0.12, 0.01))
-    why = {part.name: part.why for part in told.left_out}
+    report = only(tmp_path, moving + over)
+    assert [m.takes_tension for m in report.muscles] == [False, False]
+    np.testing.assert_allclose(report.muscles[0].origin, (0.04, 0.12, 0.01))
+    why = {part.name: part.why for part in report.left_out}
     for name in ("moving", "over"):
         assert why[name].startswith("its points move, or it passes over the patella")
 
@@ -129,9 +129,9 @@ def test_a_muscle_without_length_is_left_out_by_name(tmp_path):
     origin = (PATELLA, (0.0, 0.0, 0.0))
     forces = muscle("pulls", 900, *PATH) + muscle("none", 900, (FEMUR, place), origin)
     forces += muscle("twice", 900, origin, origin) + muscle("once", 900, origin)
-    told = only(tmp_path, forces, quadriceps=10.0)
-    assert told.tensions == {"pulls": 10.0}
-    why = {part.name: part.why for part in told.left_out}
+    report = only(tmp_path, forces, quadriceps=10.0)
+    assert report.tensions == {"pulls": 10.0}
+    why = {part.name: part.why for part in report.left_out}
     assert why["none"].startswith("its line has no length where the model has the patella; insertion_m = [0, 0, 0]")
     assert why["twice"] == why["once"] == "its path has no length: all its points are in the same place"
 
@@ -154,12 +154,12 @@ def test_nothing_is_written_where_a_tension_is_refused(tmp_path):
 
 def test_a_tension_at_flexions_keeps_its_shares(knee, tmp_path):
     """At each of them the tension is the constant one, until one is changed."""
-    constant, told = knee
+    constant, report = knee
     forces = model().index("<Millard2012EquilibriumMuscle")
     path = write_knee(tmp_path / "model", model()[:forces] + MUSCLES + model()[forces:])
     made = import_osim(path, tmp_path / "scene", quadriceps=42.0, quadriceps_knots=(0, 30, 75.5))
     scene = load_scene_file(made.scene).scene
-    assert made.tensions == told.tensions
+    assert made.tensions == report.tensions
     now = starting_instant(scene)
     effect, other = scene.effect("quadriceps"), constant.effect("quadriceps")
     np.testing.assert_allclose(effect.tension, [42, 42, 42])

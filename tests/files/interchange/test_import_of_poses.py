@@ -46,11 +46,11 @@ def imported(folder, bodies: dict[str, np.ndarray], **options):
 
 
 def test_bones_move_as_measured_and_the_patella_is_what_is_compared(tmp_path):
-    told = imported(tmp_path, motion())
-    assert "motion: poses of femur_r, tibia_r, patella_r from" in told.notes[0]
-    assert "the patella's are what was measured" in told.notes[0]
-    assert "not used" not in told.notes[0]
-    scene, bodies = load_scene_file(told.scene).scene, motion()
+    report = imported(tmp_path, motion())
+    assert "motion: poses of femur_r, tibia_r, patella_r from" in report.notes[0]
+    assert "the patella's are what was measured" in report.notes[0]
+    assert "not used" not in report.notes[0]
+    scene, bodies = load_scene_file(report.scene).scene, motion()
     np.testing.assert_allclose(scene.motion.times, (1 + np.arange(FRAMES)) / 30)
     seen = np.linalg.inv(bodies["femur_r"]) @ bodies["patella_r"]
     assert scene.measured is not None
@@ -82,15 +82,15 @@ def test_the_command_names_frames_that_are_out_of_line(tmp_path):
 
 def test_bodies_of_the_file_that_are_not_used_are_named(tmp_path):
     bodies = motion()
-    told = imported(tmp_path, bodies | {"talus_r": bodies["tibia_r"], "patela_r": bodies.pop("patella_r")})
-    assert "starts where the model has it in femur_r; not used: talus_r, patela_r; " in told.notes[0]
+    report = imported(tmp_path, bodies | {"talus_r": bodies["tibia_r"], "patela_r": bodies.pop("patella_r")})
+    assert "starts where the model has it in femur_r; not used: talus_r, patela_r; " in report.notes[0]
 
 
 def test_a_patella_that_was_not_measured_starts_where_the_model_has_it(tmp_path):
     """In the femur's frame: as where the knee is bent through its range."""
-    told = imported(tmp_path, motion(patella=False))
-    assert "patella_r starts where the model has it in femur_r" in told.notes[0]
-    loaded = load_scene_file(told.scene)
+    report = imported(tmp_path, motion(patella=False))
+    assert "patella_r starts where the model has it in femur_r" in report.notes[0]
+    loaded = load_scene_file(report.scene)
     assert loaded.scene.measured is None
     by_model = import_osim(tmp_path / "bare.osim", tmp_path / "bent")
     other = load_scene_file(by_model.scene).scene
@@ -115,12 +115,12 @@ def test_what_is_missing_is_named(tmp_path):
 
 
 def test_a_scene_file_takes_such_poses_with_their_rate(tmp_path):
-    told = imported(tmp_path, motion())
-    text = told.scene.read_text()
-    scene, path = told.scene.with_name("direct.toml"), told.scene.with_name("measured.sto")
+    report = imported(tmp_path, motion())
+    text = report.scene.read_text()
+    scene, path = report.scene.with_name("direct.toml"), report.scene.with_name("measured.sto")
     (tmp_path / "measured.sto").rename(path)
     scene.write_text(text.replace('poses = "poses.csv"', 'poses = "measured.sto"\nrate_Hz = 30'))
-    direct, through = (load_scene_file(path).scene.measured for path in (scene, told.scene))
+    direct, through = (load_scene_file(path).scene.measured for path in (scene, report.scene))
     assert direct is not None
     assert through is not None
     np.testing.assert_allclose(direct.center, through.center, atol=1e-11)

@@ -29,22 +29,22 @@ def test_meshes_are_searched_beside_the_model_only(tmp_path):
     folder = tmp_path / "model"
     folder.mkdir()
     (folder / "knee.osim").write_text(text)
-    told = import_osim(folder / "knee.osim", tmp_path / "scene")
-    why = {part.name: part.why for part in told.left_out}
+    report = import_osim(folder / "knee.osim", tmp_path / "scene")
+    why = {part.name: part.why for part in report.left_out}
     assert "no mesh 'femur.stl'" in why["pf_contact"]
     assert "no mesh 'femur.stl'" in why["femur_r_bone"]
-    assert any("needs a [contact] of your own" in note for note in told.notes)
-    assert import_osim(folder / "knee.osim", tmp_path / "other", geometry=[secret]).left_out != told.left_out
+    assert any("needs a [contact] of your own" in note for note in report.notes)
+    assert import_osim(folder / "knee.osim", tmp_path / "other", geometry=[secret]).left_out != report.left_out
 
 
 def test_names_cannot_write_into_the_scene(tmp_path):
     evil = 'a"\n[gravity]\nx = 1 \x7f é'
     shown = evil.replace('"', "&quot;").replace("\n", "&#10;").replace("\x7f", "&#127;")
     text = model(forces=ligament(shown, (PATELLA, PT[0]), (TIBIA, PT[1]), k=1, slack=0.1), meshes=False)
-    told = bare(tmp_path, text.replace('name="small_knee"', f'name="{shown}"'))
+    report = bare(tmp_path, text.replace('name="small_knee"', f'name="{shown}"'))
     import tomllib
 
-    data = tomllib.loads(told.scene.read_text())
+    data = tomllib.loads(report.scene.read_text())
     assert data["name"] == 'a" [gravity] x = 1   é'
     assert set(data["gravity"]) == {"acceleration_m_per_s2"}
     assert data["strands"][0]["name"].isidentifier()

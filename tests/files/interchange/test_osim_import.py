@@ -28,8 +28,8 @@ ANATOMICAL = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])  # pr
 def knee(tmp_path_factory):
     """The whole model, imported: the scene file's content, and what was told."""
     folder = tmp_path_factory.mktemp("import")
-    told = import_osim(write_knee(folder / "model"), folder / "scene")
-    return load_scene_file(told.scene), told, folder
+    imported = import_osim(write_knee(folder / "model"), folder / "scene")
+    return load_scene_file(imported.scene), imported, folder
 
 
 def bare(folder: Path, text: str, **options):
@@ -103,8 +103,8 @@ def test_the_knee_is_bent_through_its_range(knee):
 
 
 def test_what_is_left_out_is_listed_with_its_reason(knee):
-    _, told, folder = knee
-    why = {part.name: part.why for part in told.left_out}
+    _, imported, folder = knee
+    why = {part.name: part.why for part in imported.left_out}
     assert set(why) == {"MCL1", "LPFL1", "vasint_r"}
     assert why["MCL1"] == "it joins femur and tibia, whose motion is prescribed"
     assert "3 points" in why["LPFL1"]
@@ -130,10 +130,10 @@ def test_a_frame_within_a_body_carries_its_mesh(tmp_path):
     surface = '<Smith2018ContactMesh name="femur_cartilage">'
     assert f"{surface}<socket_frame>{FEMUR}</socket_frame>" in text
     text = text.replace(f"{surface}<socket_frame>{FEMUR}</socket_frame>", surface + on_it)
-    told = import_osim(write_knee(tmp_path / "model", text), tmp_path / "scene")
+    imported = import_osim(write_knee(tmp_path / "model", text), tmp_path / "scene")
     own = load_mesh(tmp_path / "model" / "femur.stl", units="m").vertices.mean(axis=0)
     for name, moved in (("femur_cartilage", place), ("component", place), ("femur_r_bone", np.zeros(3))):
-        written = load_mesh(told.scene.parent / "geometry" / f"{name}.stl", units="m").vertices.mean(axis=0)
+        written = load_mesh(imported.scene.parent / "geometry" / f"{name}.stl", units="m").vertices.mean(axis=0)
         np.testing.assert_allclose(written, own + moved, atol=1e-7, err_msg=name)
 
 
@@ -154,9 +154,9 @@ def test_the_case_of_the_folder_of_meshes_does_not_matter(tmp_path, name):
     (tmp_path / "model" / name).mkdir()
     for mesh in (tmp_path / "model").glob("*.stl"):
         mesh.rename(tmp_path / "model" / name / mesh.name)
-    told = import_osim(path, tmp_path / "scene")
-    assert any(p.name == "femur_cartilage.stl" for p in told.files)
-    assert not any("no mesh" in part.why for part in told.left_out)
+    imported = import_osim(path, tmp_path / "scene")
+    assert any(p.name == "femur_cartilage.stl" for p in imported.files)
+    assert not any("no mesh" in part.why for part in imported.left_out)
 
 
 def test_blanks_and_underscores_in_a_files_name_do_not_matter(tmp_path):
@@ -179,16 +179,16 @@ def test_strands_that_cannot_wrap_are_reported_in_one_note(tmp_path):
         ligament(name, (PATELLA, PT[0]), (TIBIA, PT[1]), k=1, slack=0.1, more=wrap.format(over))
         for name, over in numbered
     )
-    told = bare(tmp_path, model(forces=forces, meshes=False))
-    assert [n for n in told.notes if "wrapped" in n] == [
+    imported = bare(tmp_path, model(forces=forces, meshes=False))
+    assert [n for n in imported.notes if "wrapped" in n] == [
         "PT1 to PT3 (3 strands): not wrapped over PatTen_r (the model has no such object)",
         "MPFL: not wrapped over condyle (the model has no such object)",
     ]
 
 
 def test_every_file_is_there(knee):
-    _, told, folder = knee
-    names = sorted(str(p.relative_to(folder / "scene")) for p in told.files)
+    _, imported, folder = knee
+    names = sorted(str(p.relative_to(folder / "scene")) for p in imported.files)
     assert names == [
         "geometry/femur_cartilage.stl",
         "geometry/femur_r_bone.stl",
@@ -198,7 +198,7 @@ def test_every_file_is_there(knee):
         "poses.csv",
         "scene.toml",
     ]
-    assert all(p.is_file() for p in told.files)
+    assert all(p.is_file() for p in imported.files)
 
 
 def test_a_file_that_is_there_is_not_overwritten(knee):
@@ -211,11 +211,11 @@ def test_a_file_that_is_there_is_not_overwritten(knee):
 
 def test_a_left_knee_is_recognised_by_its_names_and_mirrored(tmp_path):
     text = model(forces=ligaments(), meshes=False)
-    told = bare(tmp_path, as_left(text))
-    scene = load_scene_file(told.scene).scene
+    imported = bare(tmp_path, as_left(text))
+    scene = load_scene_file(imported.scene).scene
     lateral = effect(scene, "pt").insertion.array()[1, 1]
     assert lateral == pytest.approx(-0.004)  # to the right of a left knee is medial
-    assert 'side = "left"' in told.scene.read_text()
+    assert 'side = "left"' in imported.scene.read_text()
 
 
 def test_a_bone_of_the_other_side_is_not_taken(tmp_path):
@@ -245,8 +245,8 @@ def test_a_motion_of_coordinates_moves_the_bones(tmp_path):
 
     result = small_result()
     export(result, tmp_path / "walk.mot")
-    told = bare(tmp_path, model(forces=ligaments(), meshes=False), motion=tmp_path / "walk.mot")
-    scene = load_scene_file(told.scene).scene
+    imported = bare(tmp_path, model(forces=ligaments(), meshes=False), motion=tmp_path / "walk.mot")
+    scene = load_scene_file(imported.scene).scene
     assert not scene.synthetic  # as far as the import can know
     motion = scene.motion
     assert motion.n_frames == result.times.size
@@ -255,13 +255,13 @@ def test_a_motion_of_coordinates_moves_the_bones(tmp_path):
     np.testing.assert_allclose(tibia_position(motion), result.tibia[0], atol=1e-9)
     found = tibiofemoral_angles(tibia_orientation(motion))
     np.testing.assert_allclose(found.flexion, result.knee.flexion, atol=1e-8)
-    assert told.notes[0].startswith("motion: 12 coordinates from")
-    assert "not used" not in told.notes[0]
+    assert imported.notes[0].startswith("motion: 12 coordinates from")
+    assert "not used" not in imported.notes[0]
     changed = (tmp_path / "walk.mot").read_text().replace("knee_tx_r", "shank_tx_r")
     (tmp_path / "misspelt.mot").write_text(changed)
-    told = import_osim(tmp_path / "bare.osim", tmp_path / "other", motion=tmp_path / "misspelt.mot")
-    assert "motion: 11 coordinates from" in told.notes[0]
-    assert "; not used: shank_tx_r" in told.notes[0]
+    imported = import_osim(tmp_path / "bare.osim", tmp_path / "other", motion=tmp_path / "misspelt.mot")
+    assert "motion: 11 coordinates from" in imported.notes[0]
+    assert "; not used: shank_tx_r" in imported.notes[0]
 
 
 def test_the_command(knee, tmp_path):
@@ -300,10 +300,10 @@ def test_flexions_of_a_tension_rise_and_are_of_a_knee(knee, tmp_path, flexions):
     with pytest.raises(InputError, match=r"at least two flexions, each larger than .*, from -180 to 180 deg"):
         import_osim(knee[2] / "model" / "knee.osim", tmp_path / "s", quadriceps=25.0, quadriceps_knots=flexions)
     assert not (tmp_path / "s").exists()
-    told = import_osim(
+    imported = import_osim(
         knee[2] / "model" / "knee.osim", tmp_path / "s", quadriceps=25.0, quadriceps_knots=np.array([0.0, 30.0])
     )
-    assert "at_flexion_deg = [0, 30]" in told.scene.read_text()
+    assert "at_flexion_deg = [0, 30]" in imported.scene.read_text()
 
 
 def test_the_command_takes_flexions_of_a_tension(knee, tmp_path):
@@ -343,11 +343,11 @@ def test_an_imported_knee_simulates(tmp_path):
     from pftwin import Status, simulate
 
     quadriceps = ligament("QT1", (PATELLA, (-0.008, 0.02, 0.0)), (FEMUR, (0.035, 0.22, 0.012)), k=3000, slack=0.19)
-    told = import_osim(
+    imported = import_osim(
         write_knee(tmp_path / "m", model().replace("<objects><Blank", f"<objects>{quadriceps}<Blank", 1)),
         tmp_path / "s",
     )
-    result = simulate(load_scene_file(told.scene).scene, dt=2e-3)
+    result = simulate(load_scene_file(imported.scene).scene, dt=2e-3)
     assert result.equilibrium.converged
     assert Status.NOT_FINITE not in result.status
     assert result.effects["contact"]["force"].max() > 1

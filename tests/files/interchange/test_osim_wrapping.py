@@ -195,8 +195,8 @@ def scene_of(folder: Path, *lines: tuple[str, str, tuple[str, ...]], side: str =
     assert here in text
     text = text.replace(here, here + wrap_set(CYLINDER, ELLIPSOID, SPHERE, TORUS, OFF, HALF, HALF_SPHERE), 1)
     text = as_left(text) if side == "left" else text
-    told = import_osim(write_knee(folder / "model", text), folder / "scene", side=side)
-    return load_scene(told.scene), told
+    report = import_osim(write_knee(folder / "model", text), folder / "scene", side=side)
+    return load_scene(report.scene), report
 
 
 def wrap_of(scene: Any, name: str) -> Any:
@@ -209,7 +209,7 @@ ANATOMICAL = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]])
 
 
 def test_cylinders_ellipsoids_and_spheres_are_taken_over(tmp_path):
-    scene, told = scene_of(
+    scene, report = scene_of(
         tmp_path,
         ("A1", FEMUR, ("KnExt",)),
         ("A2", FEMUR, ("KnExt",)),
@@ -234,8 +234,8 @@ def test_cylinders_ellipsoids_and_spheres_are_taken_over(tmp_path):
     shape = axes @ np.diag(np.array([0.01, 0.02, 0.015]) ** -2) @ axes.T
     own = np.asarray(b.orientation.rotation().array())
     np.testing.assert_allclose(own @ np.diag(np.asarray(b.radii.array()) ** -2) @ own.T, shape, rtol=1e-6, atol=1e-3)
-    assert any("cylinders are taken as endless" in note for note in told.notes)
-    assert not any("not wrapped" in note for note in told.notes)
+    assert any("cylinders are taken as endless" in note for note in report.notes)
+    assert not any("not wrapped" in note for note in report.notes)
 
 
 def test_a_left_knee_has_their_mirror_images(tmp_path):
@@ -259,7 +259,7 @@ def test_a_left_knee_has_their_mirror_images(tmp_path):
 
 
 def test_wraps_that_a_scene_cannot_have_are_reported(tmp_path):
-    scene, told = scene_of(
+    scene, report = scene_of(
         tmp_path,
         ("A1", FEMUR, ("torus",)),
         ("A2", FEMUR, ("torus",)),
@@ -268,7 +268,7 @@ def test_wraps_that_a_scene_cannot_have_are_reported(tmp_path):
         ("D1", FEMUR, ("ball", "KnExt")),
         ("E1", FEMUR, ("dome", "sphere")),
     )
-    assert [note for note in told.notes if "not wrapped" in note] == [
+    assert [note for note in report.notes if "not wrapped" in note] == [
         "A1 to A2 (2 strands): not wrapped over torus (a <WrapTorus>)",
         "B1: not wrapped over nothing (the model has no such object)",
         "C1: not wrapped over half (of its sides only x)",
@@ -279,8 +279,8 @@ def test_wraps_that_a_scene_cannot_have_are_reported(tmp_path):
 
 
 def test_the_vasti_of_a_published_model_wrap_each_over_their_own(dm_knee, tmp_path):
-    told = import_osim(dm_knee / "DM.osim", tmp_path / "scene", side="right", quadriceps=100.0)
-    scene = load_scene(told.scene)
+    report = import_osim(dm_knee / "DM.osim", tmp_path / "scene", side="right", quadriceps=100.0)
+    scene = load_scene(report.scene)
     assert sorted(np.asarray(wrap_of(scene, "quadriceps").radius)) == [0.0274, 0.0295, 0.0295]
     assert wrap_of(scene, "lpfl").body == "femur"
     assert wrap_of(scene, "pt").body == "patella"

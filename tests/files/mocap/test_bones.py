@@ -102,10 +102,10 @@ def test_both_bones_of_a_fixed_femur_and_several_stretches():
 )
 def test_longer_stretches_and_ends_are_refused_by_frames(frames, named):
     femur, tibia = knee()
-    with pytest.raises(InputError) as told:
+    with pytest.raises(InputError) as error:
         mended_bones(femur, spoiled(tibia, list(frames), 90.0, 0.0), **LIMITS)
-    assert str(told.value).startswith(f"tibia: femur and tibia jump against each other in {named} of 120 (counted")
-    assert "at most 0.1 s (max_gap_s) to fill, not at the end" in str(told.value)
+    assert str(error.value).startswith(f"tibia: femur and tibia jump against each other in {named} of 120 (counted")
+    assert "at most 0.1 s (max_gap_s) to fill, not at the end" in str(error.value)
 
 
 def test_measured_and_simulated_knees_are_not_changed(healthy_knee, dm_knee):

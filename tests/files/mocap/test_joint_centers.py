@@ -73,10 +73,10 @@ def test_noise_that_is_alike_in_successive_frames_tells_less():
     scale = 1e-3 / np.std(smooth)
     found = [sphere_center(points + scale * s) for s in smooth]
     worst = np.linalg.eigh(bound(points, 1e-3))[1][:, -1]
-    spread = np.std([(f.point - CENTER) @ worst for f in found])
-    told = np.mean([f.deviation for f in found])
-    assert spread > 3 * np.sqrt(worst @ bound(points, 1e-3) @ worst)  # had the frames been independent
-    assert told == pytest.approx(spread, rel=0.25)
+    observed = np.std([(f.point - CENTER) @ worst for f in found])
+    estimated = np.mean([f.deviation for f in found])
+    assert observed > 3 * np.sqrt(worst @ bound(points, 1e-3) @ worst)  # had the frames been independent
+    assert estimated == pytest.approx(observed, rel=0.25)
 
 
 @pytest.mark.parametrize("size", [0.0, 1e-3])

@@ -58,9 +58,9 @@ def test_matrices_are_read_with_axes_in_columns(tmp_path):
     femur, patella = matrices(1), matrices(2)
     poses = read_poses(written(tmp_path / "a.sto", {"femur_r": femur, "patella_r": patella}))
     assert list(poses) == ["femur_r", "patella_r"]
-    for body, told in (("femur_r", femur), ("patella_r", patella)):
-        np.testing.assert_allclose(poses[body].matrices(), told[:, :3, :3], atol=1e-12)
-        np.testing.assert_allclose(poses[body].positions, told[:, :3, 3])
+    for body, expected in (("femur_r", femur), ("patella_r", patella)):
+        np.testing.assert_allclose(poses[body].matrices(), expected[:, :3, :3], atol=1e-12)
+        np.testing.assert_allclose(poses[body].positions, expected[:, :3, 3])
         np.testing.assert_allclose(poses[body].times, 0.02 * np.arange(FRAMES))
     relative = poses["patella_r"].relative_to(poses["femur_r"])
     np.testing.assert_allclose(relative.positions, (np.linalg.inv(femur) @ patella)[:, :3, 3], atol=1e-12)
@@ -80,10 +80,10 @@ def test_the_header_is_not_trusted_and_frames_numbers_need_a_rate(tmp_path):
     np.testing.assert_allclose(poses["femur"].times, (1 + np.arange(FRAMES)) / 30)
     with (
         warnings.catch_warnings(action="ignore"),
-        pytest.raises(InputError, match="time counts frames, 1 to 7") as told,
+        pytest.raises(InputError, match="time counts frames, 1 to 7") as error,
     ):
         read_poses(path)
-    assert "rate_Hz in [motion], --rate" in str(told.value)
+    assert "rate_Hz in [motion], --rate" in str(error.value)
 
 
 @pytest.mark.parametrize("numbers", [[1, 3, 5, 7, 9, 11, 13], [1, 2, 4, 5, 6, 8, 9]])

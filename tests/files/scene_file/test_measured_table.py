@@ -78,10 +78,10 @@ def test_readings_and_weights_are_at_the_frames_in_the_effects_units(toy: Path) 
     np.testing.assert_allclose(seen.readings["contact.force_medial"][10], 0.2, atol=1e-9)
     assert seen.weights is not None
     np.testing.assert_array_equal(seen.weights[[0, 5, 10, 11, 20]], [0, 0, 0, 1, 1])
-    told = refused(toy, text.replace('"out_mm"', '"medial"'))
-    assert "[measured] readings" in told
-    assert "its unit is N" in told
-    assert "expected: a unit of m" in told
+    message = refused(toy, text.replace('"out_mm"', '"medial"'))
+    assert "[measured] readings" in message
+    assert "its unit is N" in message
+    assert "expected: a unit of m" in message
     assert "no observable 'm1.w'" in refused(toy, text.replace('"m1.x"', '"m1.w"'))
     assert "no column called 'far'" in refused(toy, text.replace('"out_mm"', '"far"'))
     bare = LIGHT + READINGS + measured.replace('forces = "forces.csv"\n', "")

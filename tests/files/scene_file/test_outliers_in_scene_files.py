@@ -48,8 +48,8 @@ def test_of_three_markers_the_frame_is_refused_or_named(toy: Path) -> None:
     assert "rms in frame 21 (from 1): names swapped?" in refused(toy, text)
     text = changed("limits = {", "limits = { most_marker_residual_mm = 50, most_marker_residual_ratio = 1e9,", text)
     notes = origins(toy, text)[1]
-    told = "P1, P2, P3 jump against each other in frame 21 of 41 (counted from 1), and are left as they are"
-    assert any(n.startswith(told) for n in notes)
+    note = "P1, P2, P3 jump against each other in frame 21 of 41 (counted from 1), and are left as they are"
+    assert any(n.startswith(note) for n in notes)
 
 
 def jumping(folder: Path, frames: list[int]) -> str:

@@ -41,13 +41,13 @@ def test_a_flat_button_is_as_deep_as_its_layers_ask_for():
     report = equilibrium(scene)
     stiffness = FLAT.area / float(scene.effect("contact").law.compliance())
     depth = brentq(lambda d: stiffness * d - pull(d), 0.0, 1e-3, xtol=1e-15)
-    seen = report.effects["contact"]
+    shown = report.effects["contact"]
     assert report.converged
     assert not report.relaxed
     assert report.kind == "stable" or report.kind == "neutral"
-    assert seen["indentation"] == pytest.approx(depth, rel=1e-9)
-    assert seen["force_z"] == pytest.approx(pull(depth), abs=1e-6)
-    assert seen["mean_pressure"] == pytest.approx(pull(depth) / FLAT.area, rel=1e-9)
+    assert shown["indentation"] == pytest.approx(depth, rel=1e-9)
+    assert shown["force_z"] == pytest.approx(pull(depth), abs=1e-6)
+    assert shown["mean_pressure"] == pytest.approx(pull(depth) / FLAT.area, rel=1e-9)
     assert report.position[2] == pytest.approx(-depth, abs=1e-12)
 
 
@@ -56,22 +56,22 @@ def test_a_logarithmic_layer_is_as_deep_as_its_law_asks_for():
     scene = alone(FLAT, modulus=2e6)
     law = scene.effect("contact").law
     stiff = eqx.tree_at(lambda s: s.effects[-1].law, scene, LogarithmicFoundation(law.femur, law.button))
-    seen = equilibrium(stiff).effects["contact"]
+    shown = equilibrium(stiff).effects["contact"]
     k, h = float(law.femur.confined_modulus()), 3e-3  # two layers alike: each bears -k ln(1 - d / 2 h)
     depth = brentq(lambda d: -k * np.log1p(-d / (2 * h)) * FLAT.area - pull(d), 0.0, 5.9e-3, xtol=1e-15)
     assert depth > 5e-4
-    assert seen["indentation"] == pytest.approx(depth, rel=1e-9)
+    assert shown["indentation"] == pytest.approx(depth, rel=1e-9)
 
 
 @pytest.mark.slow
 def test_a_dome_is_as_deep_as_the_volume_it_displaces():
     scene = alone(DOMED)
-    seen = equilibrium(scene).effects["contact"]
+    shown = equilibrium(scene).effects["contact"]
     k = 1 / float(scene.effect("contact").law.compliance())
     depth = brentq(lambda d: k * np.pi * d**2 * (DOME - d / 3) - pull(d), 0.0, 2e-3)
-    assert seen["indentation"] == pytest.approx(depth, rel=0.05)  # of its centroids: the apex is no centroid
-    assert seen["force_z"] == pytest.approx(pull(depth), rel=0.01)
-    assert seen["area"] == pytest.approx(2 * np.pi * DOME * depth, rel=0.1)
+    assert shown["indentation"] == pytest.approx(depth, rel=0.05)  # of its centroids: the apex is no centroid
+    assert shown["force_z"] == pytest.approx(pull(depth), rel=0.01)
+    assert shown["area"] == pytest.approx(2 * np.pi * DOME * depth, rel=0.1)
 
 
 @pytest.fixture(scope="module")
@@ -83,14 +83,14 @@ def fallen():
 
 @pytest.mark.slow
 def test_a_damped_fall_ends_in_the_equilibrium(fallen):
-    scene, (path, seen) = fallen
+    scene, (path, shown) = fallen
     report = equilibrium(scene)
-    assert np.asarray(seen.effects["contact"]["force"])[0] == 0
-    assert np.asarray(seen.status)[0] == Status.NO_CONTACT
-    end = np.array([float(getattr(seen.patella.position, k)[-1]) for k in "xyz"])
+    assert np.asarray(shown.effects["contact"]["force"])[0] == 0
+    assert np.asarray(shown.status)[0] == Status.NO_CONTACT
+    end = np.array([float(getattr(shown.patella.position, k)[-1]) for k in "xyz"])
     np.testing.assert_allclose(end, report.position, atol=1e-7)
     assert float(path.states.velocity.norm()[-1]) < 1e-5
-    assert float(seen.effects["contact"]["force"][-1]) == pytest.approx(report.effects["contact"]["force_z"], rel=1e-3)
+    assert float(shown.effects["contact"]["force"][-1]) == pytest.approx(report.effects["contact"]["force_z"], rel=1e-3)
 
 
 @pytest.mark.slow
@@ -98,9 +98,9 @@ def test_what_the_fall_loses_is_accounted_for(fallen):
     scene, _ = fallen
     gaps, lost = [], 0.0
     for substeps in (10, 80):
-        path, seen = run(scene, starting_as_it_is(scene), J(substeps))
-        total = seen.kinetic_energy + sum(seen.potential_energy.values(), start=jnp.zeros(()))
-        taken = path.ledger.numerical_dissipation(seen.kinetic_energy)
+        path, shown = run(scene, starting_as_it_is(scene), J(substeps))
+        total = shown.kinetic_energy + sum(shown.potential_energy.values(), start=jnp.zeros(()))
+        taken = path.ledger.numerical_dissipation(shown.kinetic_energy)
         gap = total - total[0] - path.ledger.work + path.ledger.heat + taken
         gaps.append(float(jnp.abs(gap[-1])))
         lost = float(path.ledger.heat[-1])

@@ -52,7 +52,7 @@ def loaded(effect, now):
 
 def test_a_plate_pushes_by_the_law_alone():
     depth = 1e-4
-    load, total, seen = loaded(on(PLATE), look((0.0012, 0.0031, RADIUS - depth)))
+    load, total, shown = loaded(on(PLATE), look((0.0012, 0.0031, RADIUS - depth)))
     force = 2e8 * depth**1.5
     assert isinstance(load, Load)
     np.testing.assert_allclose(total.force.array(), [0, 0, force], rtol=1e-9, atol=1e-9)
@@ -60,34 +60,34 @@ def test_a_plate_pushes_by_the_law_alone():
     (term,) = load.stiff
     assert term.unilateral
     np.testing.assert_allclose(term.stiffness, 1.5 * force / depth, rtol=1e-9)
-    np.testing.assert_allclose(seen["point_medial"], [0.0012, 0.0031, 0], atol=1e-12)
-    np.testing.assert_allclose(seen["indentation_medial"], depth, rtol=1e-9)
-    assert float(seen["overflow"]) == 0
-    assert float(seen["off_patch"]) == 0
-    assert set(seen) == set(MeshSphereContact.observables)
+    np.testing.assert_allclose(shown["point_medial"], [0.0012, 0.0031, 0], atol=1e-12)
+    np.testing.assert_allclose(shown["indentation_medial"], depth, rtol=1e-9)
+    assert float(shown["overflow"]) == 0
+    assert float(shown["off_patch"]) == 0
+    assert set(shown) == set(MeshSphereContact.observables)
 
 
 def test_both_sides_of_a_vee_are_separate_contacts():
     depth, aside = 1e-4, 2e-5
     z = (RADIUS - depth) / np.cos(SLOPE)
-    _, total, seen = loaded(on(VEE), look((0.001, aside, z)))
+    _, total, shown = loaded(on(VEE), look((0.001, aside, z)))
     for facet, side in (("medial", -1), ("lateral", 1)):
         expected = depth + side * aside * np.sin(SLOPE)
-        np.testing.assert_allclose(seen[f"indentation_{facet}"], expected, rtol=1e-6)
-        np.testing.assert_allclose(seen[f"force_{facet}"], 2e8 * expected**1.5, rtol=1e-6)
-        assert np.sign(seen[f"point_{facet}"][1]) == side
-    np.testing.assert_allclose(seen["force"], seen["force_medial"] + seen["force_lateral"])
-    np.testing.assert_allclose(total.force.array(), [seen["force_x"], seen["force_y"], seen["force_z"]], atol=1e-9)
+        np.testing.assert_allclose(shown[f"indentation_{facet}"], expected, rtol=1e-6)
+        np.testing.assert_allclose(shown[f"force_{facet}"], 2e8 * expected**1.5, rtol=1e-6)
+        assert np.sign(shown[f"point_{facet}"][1]) == side
+    np.testing.assert_allclose(shown["force"], shown["force_medial"] + shown["force_lateral"])
+    np.testing.assert_allclose(total.force.array(), [shown["force_x"], shown["force_y"], shown["force_z"]], atol=1e-9)
 
 
 def test_leaning_on_one_side_the_seam_is_no_second_contact():
     """A sphere deep in one flank: the other facet's nearest point is on the seam, on the way to the first."""
     y = 0.012
     z = y * np.tan(SLOPE) + (RADIUS - 1e-4) / np.cos(SLOPE)
-    _, _, seen = loaded(on(VEE), look((0.001, y, z)))
-    assert float(seen["force_medial"]) == 0
-    assert np.isnan(seen["indentation_medial"])
-    np.testing.assert_allclose(seen["indentation_lateral"], 1e-4, rtol=1e-6)
+    _, _, shown = loaded(on(VEE), look((0.001, y, z)))
+    assert float(shown["force_medial"]) == 0
+    assert np.isnan(shown["indentation_medial"])
+    np.testing.assert_allclose(shown["indentation_lateral"], 1e-4, rtol=1e-6)
 
 
 @pytest.mark.slow
@@ -112,14 +112,14 @@ def test_the_meshed_implant_is_the_smooth_one(femur):
     effect = on(femur, radius=BUTTON)
 
     @eqx.filter_jit
-    def seen(e, now):
+    def shown(e, now):
         return e.observe(now, e.remember(now))
 
     touched = 0
     for degrees in range(-60, 30, 10):
         a = np.radians(degrees)
         now = look((0.0489 * np.sin(a), 0.1 * a * 0.0248, 0.0489 * np.cos(a)))
-        mesh, ideal = seen(effect, now), seen(smooth, now)
+        mesh, ideal = shown(effect, now), shown(smooth, now)
         assert float(mesh["overflow"]) == 0
         for facet in ("medial", "lateral"):
             if float(mesh[f"force_{facet}"]) > 0 and float(ideal[f"force_{facet}"]) > 0:
@@ -170,14 +170,14 @@ def test_derivatives_are_finite_and_the_force_is_the_energys(spot, bumps, slopes
 
 
 def test_a_button_inside_is_pushed_out_and_one_beyond_the_rim_is_not_sucked_in():
-    _, total, seen = loaded(on(PLATE), look((0.0, 0.0, -0.001)))
-    np.testing.assert_allclose(seen["indentation_medial"], RADIUS + 0.001, rtol=1e-9)
+    _, total, shown = loaded(on(PLATE), look((0.0, 0.0, -0.001)))
+    np.testing.assert_allclose(shown["indentation_medial"], RADIUS + 0.001, rtol=1e-9)
     assert float(total.force.z) > 0
-    _, _, seen = loaded(on(PLATE), look((0.03 + RADIUS + 0.001, 0.0, -0.002)))
-    assert float(seen["force"]) == 0
-    _, total, seen = loaded(on(PLATE), look((0.032, 0.0, np.sqrt((RADIUS - 1e-4) ** 2 - 0.002**2))))
-    np.testing.assert_allclose(seen["indentation_medial"], 1e-4, rtol=1e-6)
-    np.testing.assert_allclose(seen["off_patch"], 0.002, rtol=1e-6)
+    _, _, shown = loaded(on(PLATE), look((0.03 + RADIUS + 0.001, 0.0, -0.002)))
+    assert float(shown["force"]) == 0
+    _, total, shown = loaded(on(PLATE), look((0.032, 0.0, np.sqrt((RADIUS - 1e-4) ** 2 - 0.002**2))))
+    np.testing.assert_allclose(shown["indentation_medial"], 1e-4, rtol=1e-6)
+    np.testing.assert_allclose(shown["off_patch"], 0.002, rtol=1e-6)
     assert float(total.force.x) > 0
 
 
@@ -231,8 +231,8 @@ def test_a_knee_moves_on_a_mesh_as_on_its_patch_and_a_search_without_room_is_in_
     still = first_guide(scene).instant(Patella.at_rest(start.pose.position, start.pose.orientation), 0.0)
     on_mesh = eqx.tree_at(lambda s: s.memories, start, System.of(scene).remember(still), is_leaf=lambda x: x is None)
     smooth, _ = run(patch, start)
-    path, seen = run(scene, on_mesh)
-    assert (np.asarray(seen.status) == 0).all()
+    path, shown = run(scene, on_mesh)
+    assert (np.asarray(shown.status) == 0).all()
     way = np.linalg.norm((path.states.position - smooth.states.position).array(), axis=1)
     assert 0 < way.max() < 0.1e-3
     assert float(np.ptp(np.asarray(smooth.states.position.array()), axis=0).max()) > 0.2e-3

@@ -36,13 +36,13 @@ def loaded(effect, now):
 
 @pytest.mark.parametrize("depth", [1e-6, 1e-4, 1e-3])
 def test_on_a_plate_the_indentation_is_the_depth_itself(depth):
-    _, total, seen = loaded(PLATE, look((0.0012, 0.0031, RADIUS - depth)))
-    np.testing.assert_allclose(seen["indentation_medial"], depth, rtol=2e-5)
+    _, total, shown = loaded(PLATE, look((0.0012, 0.0031, RADIUS - depth)))
+    np.testing.assert_allclose(shown["indentation_medial"], depth, rtol=2e-5)
     np.testing.assert_allclose(total.force.array(), [0, 0, K * depth**1.5], rtol=1e-4, atol=1e-9)
-    np.testing.assert_allclose(seen["area_medial"], np.pi * (2 * RADIUS * depth - depth**2), rtol=1e-8)
-    np.testing.assert_allclose(seen["point_medial"], [0.0012, 0.0031, 0], atol=1e-9)
-    assert set(seen) == set(MeshVolumeContact.observables)
-    assert float(seen["overflow"]) == float(seen["off_patch"]) == 0
+    np.testing.assert_allclose(shown["area_medial"], np.pi * (2 * RADIUS * depth - depth**2), rtol=1e-8)
+    np.testing.assert_allclose(shown["point_medial"], [0.0012, 0.0031, 0], atol=1e-9)
+    assert set(shown) == set(MeshVolumeContact.observables)
+    assert float(shown["overflow"]) == float(shown["off_patch"]) == 0
 
 
 @pytest.mark.slow
@@ -55,13 +55,13 @@ def test_a_plate_of_two_triangles_holds_a_sphere_as_well():
 
 def test_both_sides_of_a_vee_are_separate_volumes():
     depth, aside = 1e-4, 2e-5
-    _, total, seen = loaded(VEE, look((0.001, aside, (RADIUS - depth) / np.cos(SLOPE))))
+    _, total, shown = loaded(VEE, look((0.001, aside, (RADIUS - depth) / np.cos(SLOPE))))
     for facet, side in (("medial", -1), ("lateral", 1)):
         expected = depth + side * aside * np.sin(SLOPE)
-        np.testing.assert_allclose(seen[f"indentation_{facet}"], expected, rtol=1e-4)
-        np.testing.assert_allclose(seen[f"force_{facet}"], K * expected**1.5, rtol=1e-4)
-        assert np.sign(seen[f"point_{facet}"][1]) == side
-    np.testing.assert_allclose(total.force.array(), [seen["force_x"], seen["force_y"], seen["force_z"]], atol=1e-9)
+        np.testing.assert_allclose(shown[f"indentation_{facet}"], expected, rtol=1e-4)
+        np.testing.assert_allclose(shown[f"force_{facet}"], K * expected**1.5, rtol=1e-4)
+        assert np.sign(shown[f"point_{facet}"][1]) == side
+    np.testing.assert_allclose(total.force.array(), [shown["force_x"], shown["force_y"], shown["force_z"]], atol=1e-9)
 
 
 @pytest.mark.slow
@@ -79,7 +79,7 @@ def test_a_contact_across_the_seam_of_a_plain_surface_is_one():
 def test_one_contact_across_the_border_has_the_plates_closed_form(y):
     """Force and energy of the whole cap, its area cut in two by the border's chord; far from it one facet's alone."""
     depth = 1e-4
-    load, total, seen = loaded(HALVED, look((0.001, y, RADIUS - depth)))
+    load, total, shown = loaded(HALVED, look((0.001, y, RADIUS - depth)))
     cap = 2 * RADIUS * depth - depth**2  # square of the circle's radius
     beyond = np.clip(y / np.sqrt(cap), -1, 1)
     share = (np.arccos(-beyond) + beyond * np.sqrt(1 - beyond**2)) / np.pi
@@ -87,20 +87,20 @@ def test_one_contact_across_the_border_has_the_plates_closed_form(y):
     np.testing.assert_allclose(total.moment.array(), 0, atol=1e-7)
     np.testing.assert_allclose(load.energy, K * depth**2.5 / 2.5, rtol=1e-4)
     for facet, part in (("medial", 1 - share), ("lateral", share)):
-        np.testing.assert_allclose(seen[f"area_{facet}"], part * np.pi * cap, rtol=1e-6, atol=1e-12)
+        np.testing.assert_allclose(shown[f"area_{facet}"], part * np.pi * cap, rtol=1e-6, atol=1e-12)
         expected = depth if part > 0 else np.nan
-        np.testing.assert_allclose(seen[f"indentation_{facet}"], expected, rtol=1e-4)
-    np.testing.assert_allclose(seen["force_medial"] + seen["force_lateral"], K * depth**1.5, rtol=1e-4)
+        np.testing.assert_allclose(shown[f"indentation_{facet}"], expected, rtol=1e-4)
+    np.testing.assert_allclose(shown["force_medial"] + shown["force_lateral"], K * depth**1.5, rtol=1e-4)
 
 
 def test_half_the_rims_length_inside_the_sphere_is_said():
     """The plate ends at x = 30 mm: a chord of the sphere, as far from its centre as the edge is."""
     depth, short = 1e-3, 2e-3
-    seen = loaded(PLATE, look((0.03 - short, 0.0031, RADIUS - depth)))[2]
+    shown = loaded(PLATE, look((0.03 - short, 0.0031, RADIUS - depth)))[2]
     half = np.sqrt(RADIUS**2 - (RADIUS - depth) ** 2 - short**2)
-    np.testing.assert_allclose(seen["off_patch"], half, rtol=1e-9)
-    seen = loaded(PLATE, look((0.03 - 8e-3, 0.0031, RADIUS - depth)))[2]  # the cap's circle is 6.6 mm wide
-    assert float(seen["off_patch"]) == 0
+    np.testing.assert_allclose(shown["off_patch"], half, rtol=1e-9)
+    shown = loaded(PLATE, look((0.03 - 8e-3, 0.0031, RADIUS - depth)))[2]  # the cap's circle is 6.6 mm wide
+    assert float(shown["off_patch"]) == 0
 
 
 def test_on_the_edge_of_a_plate_the_force_leans_as_the_volume_falls():
@@ -211,10 +211,10 @@ def test_derivatives_are_finite_and_those_of_differences(spot, rates):
 
 def test_deep_inside_is_pushed_out_or_flagged():
     """A sphere whose centre is behind a plate goes the long way; one that has no surface in it is at least seen."""
-    _, total, seen = loaded(PLATE, look((0.0, 0.0, -0.018)))
+    _, total, shown = loaded(PLATE, look((0.0, 0.0, -0.018)))
     assert float(total.force.z) > 0
-    assert float(seen["indentation_medial"]) > RADIUS
+    assert float(shown["indentation_medial"]) > RADIUS
     ball = contact(icosphere(0.03, 16))
-    _, total, seen = loaded(ball, look((0.001, 0.0, 0.0)))
-    assert float(seen["force"]) == 0
-    np.testing.assert_allclose(seen["indentation_medial"], RADIUS + 0.029, atol=2e-4)
+    _, total, shown = loaded(ball, look((0.001, 0.0, 0.0)))
+    assert float(shown["force"]) == 0
+    np.testing.assert_allclose(shown["indentation_medial"], RADIUS + 0.029, atol=2e-4)

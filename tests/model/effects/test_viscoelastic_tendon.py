@@ -83,8 +83,8 @@ def test_pulled_steadily_it_is_exact_whatever_the_step(step):
     pull = driven(solid(), J(v * t), J(0.0), step)
     exact = K * v * t + K1 * v * TAU * (1 - np.exp(-t / TAU))
     np.testing.assert_allclose(pull.tension, exact[1:], rtol=1e-12)
-    told, slope = stiffness_and_slope(solid(), J(v * step), J(step))
-    assert float(told) == pytest.approx(float(slope), rel=1e-12)  # what an implicit step is told
+    stiffness, slope = stiffness_and_slope(solid(), J(v * step), J(step))
+    assert float(stiffness) == pytest.approx(float(slope), rel=1e-12)  # what an implicit step uses
 
 
 @pytest.mark.parametrize("frequency", [0.3, 3.0, 30.0])

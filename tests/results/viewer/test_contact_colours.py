@@ -99,9 +99,9 @@ def test_a_legend_of_colours_has_a_colour_bar():
 
 def test_layers_tell_their_pressure_at_a_depth():
     """Two layers of 3 mm, E 20 MPa, nu 0.4: confined moduli in series."""
-    told = geometry(pressed(disc(1 / DOME)))["pressure"]
+    values = geometry(pressed(disc(1 / DOME)))["pressure"]
     stiffness = 20e6 * 0.6 / (1.4 * 0.2) / 6e-3
-    np.testing.assert_allclose(told, stiffness * told["pressed_depth"], rtol=1e-6)
+    np.testing.assert_allclose(values, stiffness * values["pressed_depth"], rtol=1e-6)
     assert "pressure" not in small_result().geometry()
 
 
@@ -109,10 +109,10 @@ def test_where_the_contact_tells_pressure_colours_are_of_it():
     """A law of 3 MPa/mm in the place of the small knee's; beside a knee without one, both are coloured by depth."""
     result = small_result()
     deep = dataclasses.replace(result, position=result.position - [0, 0, 0.0005])
-    by_depth, told = Recorded.of(deep), deep.geometry()
-    told["pressure"] = ("pressed_depth", 3e9 * np.array([0.0, 5e-3]))
-    told["pressed_depth"] = [0.0, 5e-3]
-    by_pressure = dataclasses.replace(by_depth, geometry=told)
+    by_depth, values = Recorded.of(deep), deep.geometry()
+    values["pressure"] = ("pressed_depth", 3e9 * np.array([0.0, 5e-3]))
+    values["pressed_depth"] = [0.0, 5e-3]
+    by_pressure = dataclasses.replace(by_depth, geometry=values)
     for results, unit, factor in (([by_pressure], "MPa", 3.0), ([by_pressure, by_depth], "mm", 1.0)):
         drawn, _ = plot(results, side_by_side=True)
         plain, _ = plot([by_depth])

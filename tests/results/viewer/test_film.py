@@ -30,12 +30,12 @@ def test_a_film_shows_the_knee_move_at_the_speed_asked_for(plot, tmp_path):
         pytest.skip("no chromium on the path")
     from PIL import Image
 
-    told = []
-    write_film(plot, tmp_path / "knee.gif", camera="lateral", speed=0.5, size=SIZE, progress=lambda *a: told.append(a))
+    calls = []
+    write_film(plot, tmp_path / "knee.gif", camera="lateral", speed=0.5, size=SIZE, progress=lambda *a: calls.append(a))
     film = Image.open(tmp_path / "knee.gif")
     count = 1 + int(0.4 / 0.5 * RATE)  # 0.4 s
     assert (film.n_frames, film.info["duration"], film.info["loop"]) == (count, 1000 // RATE, 0)
-    assert told == [(k + 1, count) for k in range(count)]
+    assert calls == [(k + 1, count) for k in range(count)]
     pictures = []
     for k in (0, count // 2):
         film.seek(k)

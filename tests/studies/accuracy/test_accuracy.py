@@ -142,10 +142,10 @@ def test_the_command(tmp_path):
     given = ["accuracy", "--case", "2", "--integrator", "linear_implicit", "--out", str(out), "--json", "-"]
     answer = CliRunner().invoke(app, given)
     assert answer.exit_code == 0, answer.output
-    told = json.loads(answer.stdout)["rows"]
-    assert len(told) == 6
-    assert all(list(r["status_frames"]) == [str(flag.name).lower() for flag in FLAGS] for r in told)
-    assert all((r["status"] == "ok") == (not any(r["status_frames"].values())) for r in told)
+    rows = json.loads(answer.stdout)["rows"]
+    assert len(rows) == 6
+    assert all(list(r["status_frames"]) == [str(flag.name).lower() for flag in FLAGS] for r in rows)
+    assert all((r["status"] == "ok") == (not any(r["status_frames"].values())) for r in rows)
     assert (out / "accuracy_P5.png").exists()
 
 

@@ -39,16 +39,16 @@ def scene() -> Scene:
 
 
 @pytest.fixture(scope="module")
-def told() -> list[tuple[int, int, str]]:
+def calls() -> list[tuple[int, int, str]]:
     """What the audit below tells while it runs."""
     return []
 
 
 @pytest.fixture(scope="module")
-def found(told) -> Audit:
+def found(calls) -> Audit:
     """Tendons alone hold it, and few rows are wanted: of its programs none takes long to compile."""
     wanted = ("gravity", "tendons' damping", "patella inertia x 2", "steps half as long", "friction")
-    return audit(scene(), only=wanted, progress=lambda *now: told.append(now))
+    return audit(scene(), only=wanted, progress=lambda *now: calls.append(now))
 
 
 @pytest.fixture(scope="module")
@@ -96,15 +96,15 @@ def test_rows_that_are_wanted_stand_by_their_kind(found):
     assert found.programs == 1 + 2 + 3 + 1  # simulate's; equilibria with weight and without; motions; numbers differ
 
 
-def test_it_tells_how_far_it_is(found, told):
+def test_progress_is_reported(found, calls):
     """Two rows that differ in numbers only run together, two alone; before and after them the scene itself."""
-    assert [what for _, _, what in told] == [
+    assert [what for _, _, what in calls] == [
         *["the scene itself"] * 2,
         "2 that differ in numbers",
         *("gravity", "steps half as long"),
         *["times, in turn"] * 2,
     ]
-    assert [(done, of) for done, of, _ in told] == [(k, 6) for k in range(7)]
+    assert [(done, of) for done, of, _ in calls] == [(k, 6) for k in range(7)]
 
 
 def test_what_is_audited_is_what_is_simulated(found):
@@ -280,9 +280,9 @@ def test_the_command_writes_everything(found, tmp_path, monkeypatch):
 
     with xarray.open_dataset(folder / "audit.nc") as data:
         assert list(data.coords["variant"].values) == [r.name for r in found.rows]
-    told = json.loads((tmp_path / "a.json").read_text())
-    assert told["synthetic"] is True
-    assert told["machine"]["load"]
+    data = json.loads((tmp_path / "a.json").read_text())
+    assert data["synthetic"] is True
+    assert data["machine"]["load"]
     assert "synthetic" in done.output
 
 

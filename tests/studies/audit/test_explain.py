@@ -29,14 +29,14 @@ def rough() -> Scene:
 
 
 @pytest.fixture(scope="module")
-def told() -> list[tuple[int, int, str]]:
+def calls() -> list[tuple[int, int, str]]:
     """What the explanation below tells while it is made."""
     return []
 
 
 @pytest.fixture(scope="module")
-def found(told) -> Explanation:
-    return explain(rough(), progress=lambda *now: told.append(now))
+def found(calls) -> Explanation:
+    return explain(rough(), progress=lambda *now: calls.append(now))
 
 
 @pytest.mark.slow
@@ -50,9 +50,9 @@ def test_what_is_explained_is_what_is_simulated(found):
 
 
 @pytest.mark.slow
-def test_it_tells_how_far_it_is(found, told):
-    assert [(done, of) for done, of, _ in told] == [(k, 8) for k in range(9)]
-    assert [what for _, _, what in told[3:8]] == [f"without {part.name}" for part in found.parts]
+def test_progress_is_reported(found, calls):
+    assert [(done, of) for done, of, _ in calls] == [(k, 8) for k in range(9)]
+    assert [what for _, _, what in calls[3:8]] == [f"without {part.name}" for part in found.parts]
 
 
 @pytest.mark.slow

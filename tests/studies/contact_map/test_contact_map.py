@@ -36,9 +36,9 @@ def test_a_ball_on_a_plate(files, tmp_path):
     import xarray as xr
 
     nc, png, facts = (tmp_path / n for n in ("out.nc", "out.png", "facts.json"))
-    told = run(files, "-o", str(nc), "--figure", str(png), "--json", str(facts))
-    assert told.exit_code == 0, told.output
-    assert "2 of 3 frames in contact" in told.output
+    result = run(files, "-o", str(nc), "--figure", str(png), "--json", str(facts))
+    assert result.exit_code == 0, result.output
+    assert "2 of 3 frames in contact" in result.output
     stiffness = 46.3e6 * 0.54 / (1.46 * 0.08) / 10e-3
     with xr.open_dataset(nc, engine="h5netcdf") as data:
         expected = stiffness * np.pi * RADIUS * np.array([4e-4, 5e-4, 0]) ** 2
@@ -64,9 +64,9 @@ def test_a_ball_on_a_plate(files, tmp_path):
 @pytest.mark.slow
 def test_a_stiffer_layer_and_the_logarithmic_law_bear_more(files):
     def force(*more: str) -> float:
-        told = run(files, "--from", "0.1", "--to", "0.1", "--json", "-", *more)
-        assert told.exit_code == 0, told.output
-        return json.loads(told.stdout)["largest_force_N"]
+        result = run(files, "--from", "0.1", "--to", "0.1", "--json", "-", *more)
+        assert result.exit_code == 0, result.output
+        return json.loads(result.stdout)["largest_force_N"]
 
     soft, rigid = force(), force("--modulus-mpa", "46.3,1e9")
     assert rigid == pytest.approx(2 * soft, rel=1e-6)
@@ -99,10 +99,10 @@ def test_what_cannot_be_is_refused_in_a_line(files, changes, options, words):
     write_poses(files / "apart.csv", [-5e-4, -6e-4])
     write_poses(files / "far.csv", [-0.5, -0.6])
     write_poses(files / "deep.csv", [8e-3, 9e-3])
-    told = run(files, *options, **changes)
-    assert told.exit_code == 2, told.output
-    assert words in told.output.replace("\n", " ")
-    assert "Traceback" not in told.output
+    result = run(files, *options, **changes)
+    assert result.exit_code == 2, result.output
+    assert words in result.output.replace("\n", " ")
+    assert "Traceback" not in result.output
 
 
 @pytest.mark.filterwarnings("default::pftwin.base.errors.PftwinWarning")
@@ -110,8 +110,8 @@ def test_single_frames_that_are_too_deep_are_flagged(files, tmp_path):
     import xarray as xr
 
     write_poses(files / "some.csv", [4e-4, 6e-3])
-    told = run(files, "-o", str(tmp_path / "some.nc"), poses="some.csv")
-    assert told.exit_code == 3, told.output  # done and written, and flagged
-    assert "1 of 2 frames are deeper than 5 mm" in told.output
+    result = run(files, "-o", str(tmp_path / "some.nc"), poses="some.csv")
+    assert result.exit_code == 3, result.output  # done and written, and flagged
+    assert "1 of 2 frames are deeper than 5 mm" in result.output
     with xr.open_dataset(tmp_path / "some.nc", engine="h5netcdf") as data:
         assert data.status.values.tolist() == [0, 2]

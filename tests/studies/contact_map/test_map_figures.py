@@ -118,9 +118,9 @@ def test_an_axis_that_is_none_is_refused(tmp_path):
     names = ("--femur", "--patella", "--poses")
     files = [x for name in names for x in (name, str(tmp_path / "absent"))]
     command = ["contact-map", *files, "--units", "m"]
-    told = CliRunner().invoke(app, [*command, "--lateral", "sideways", "--figure", str(tmp_path / "map.png")])
-    assert told.exit_code == 2
-    assert "--lateral: found 'sideways'" in told.output
-    told = CliRunner().invoke(app, [*command, "--lateral=-z"])
-    assert told.exit_code == 2
-    assert "--lateral: names the sides of a figure, and none is drawn" in told.output
+    result = CliRunner().invoke(app, [*command, "--lateral", "sideways", "--figure", str(tmp_path / "map.png")])
+    assert result.exit_code == 2
+    assert "--lateral: found 'sideways'" in result.output
+    result = CliRunner().invoke(app, [*command, "--lateral=-z"])
+    assert result.exit_code == 2
+    assert "--lateral: names the sides of a figure, and none is drawn" in result.output

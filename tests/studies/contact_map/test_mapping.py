@@ -68,8 +68,8 @@ def test_pressures_and_areas(found):
 def test_depths_are_reported_down_to_the_band(found):
     """A millimetre outside by default: 0.5 mm apart is told, 2 mm is not."""
     np.testing.assert_allclose(found.largest_depth, np.maximum(DEPTHS, 0), atol=1e-12)
-    told = np.where(DEPTHS > -1e-3, DEPTHS, np.nan)
-    np.testing.assert_allclose(found.depth, np.tile(told[:, None], len(BUTTON.faces)), rtol=1e-5)
+    expected = np.where(DEPTHS > -1e-3, DEPTHS, np.nan)
+    np.testing.assert_allclose(found.depth, np.tile(expected[:, None], len(BUTTON.faces)), rtol=1e-5)
 
 
 def test_deeper_than_five_millimetres_is_too_deep(found):

@@ -105,18 +105,18 @@ SMALL = (  # a few of every topic; the slow tests of the matrix have them all
 def test_every_cell_is_counted_once_while_the_matrix_runs():
     """Two scenes that are refused, on P5 and P2: by newmark in two float types, by ali3p in one and on P5 alone."""
     chosen = Selection(("P5", "P2"), (method_named("newmark"), method_named("ali3p")))
-    cases, told = [case_named("mass_zero"), case_named("motion_uneven")], []
-    cells = run_matrix(cases, chosen, count=told.append)
-    assert chosen.cells_of(cases) == sum(told) == len(cells) == 2 * (2 + 1 + 2)
+    cases, counts = [case_named("mass_zero"), case_named("motion_uneven")], []
+    cells = run_matrix(cases, chosen, count=counts.append)
+    assert chosen.cells_of(cases) == sum(counts) == len(cells) == 2 * (2 + 1 + 2)
 
 
 @pytest.fixture(scope="module")
 def cells() -> list[Cell]:
     """One contact and the default integrator, with derivatives."""
     chosen = Selection(("P5",), (method_named("linear_implicit"),), ("float64",), batch_independence=False)
-    told: list[int] = []
-    found = run_matrix([case_named(name) for name in SMALL], chosen, count=told.append)
-    assert sum(told) == len(found) == chosen.cells_of([case_named(name) for name in SMALL])
+    counts: list[int] = []
+    found = run_matrix([case_named(name) for name in SMALL], chosen, count=counts.append)
+    assert sum(counts) == len(found) == chosen.cells_of([case_named(name) for name in SMALL])
     return found
 
 

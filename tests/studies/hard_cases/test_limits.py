@@ -27,7 +27,7 @@ OK, CREATED, LOST = Status.OK, Status.ENERGY_FROM_NOWHERE, Status.SEARCH_OVERFLO
 UNBALANCED, RIM = Status.START_NOT_IN_EQUILIBRIUM, Status.LEFT_PATCH
 
 
-def told(contact: str, flags: list[Status]) -> bool:
+def is_limit(contact: str, flags: list[Status]) -> bool:
     look: Any = SimpleNamespace(
         case=case_named("tendon_soft"), contact=contact, flags=np.array([int(f) for f in flags])
     )
@@ -51,15 +51,15 @@ def test_limits_are_of_kinds_of_contact_and_say_why():
     ],
 )
 def test_contours_may_create_energy_but_nothing_else_first(flags, refused):
-    assert told("contours", flags) == refused
-    assert not told("P5", flags)
+    assert is_limit("contours", flags) == refused
+    assert not is_limit("P5", flags)
 
 
 def test_a_volume_creates_energy_only_over_a_rim():
-    assert not told("volume", [OK, CREATED])
-    assert told("volume", [RIM, CREATED])
-    assert not told("volume", [OK, CREATED, RIM])  # too late
-    assert not told("volume", [RIM | LOST, CREATED])
+    assert not is_limit("volume", [OK, CREATED])
+    assert is_limit("volume", [RIM, CREATED])
+    assert not is_limit("volume", [OK, CREATED, RIM])  # too late
+    assert not is_limit("volume", [RIM | LOST, CREATED])
 
 
 def test_contours_without_inertia_are_refused_in_words_before_anything_is_computed():

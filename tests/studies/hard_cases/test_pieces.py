@@ -101,10 +101,10 @@ def test_what_is_missing_is_run_and_what_is_there_is_not(tmp_path, monkeypatch):
         whole.run_missing(tmp_path, chosen, processes=1, cache_dir="")
     assert len(list(tmp_path.glob("*.json"))) == len(ran) == 11
     before = list(ran)
-    told: list[tuple[int, int]] = []
-    tell = {"progress": lambda *counts: told.append(counts)}
+    calls: list[tuple[int, int]] = []
+    tell = {"progress": lambda *counts: calls.append(counts)}
     written = whole.run_missing(tmp_path, chosen, processes=1, cache_dir="", **tell)
-    assert (told[0], told[-1]) == ((0, len(written)), (len(written), len(written)))
+    assert (calls[0], calls[-1]) == ((0, len(written)), (len(written), len(written)))
     assert [(c, m) for c, names in wanted.items() for m in names] == ran
     assert len(written) == len(ran) - len(before) > 0
     assert {(c.contact, c.integrator) for p in read_pieces(tmp_path) for c in p.rows} == set(ran)

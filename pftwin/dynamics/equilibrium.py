@@ -23,7 +23,7 @@ from pftwin.dynamics.solve import eliminate
 from pftwin.dynamics.state import Guide, System
 from pftwin.dynamics.static_load import Surroundings, displaced_pose, look_around, patella_at_rest, residual
 
-REACH = 2e-3  # longest step [m]
+LONGEST_STEP = 2e-3  # longest step [m]
 SEARCH_STEPS = 4  # evaluations that refine the rough initial memories before the pose moves
 MOST_ITERATIONS = 200
 PATIENCE = 50  # iterations after which a step that increases the residual makes the next steps shorter
@@ -157,9 +157,9 @@ def _improved(system: System, guide: Guide, at: _Iterate) -> _Iterate:
     size = _size(r)
     changed = jnp.clip(at.caution * jnp.where(size > at.residual, 4.0, 0.5), 1.0, MOST_CAUTION)
     caution = jnp.where(at.count < PATIENCE, 1.0, changed)  # above 1 where the search has stalled
-    d, definite = downhill(there, caution * size / REACH)
+    d, definite = downhill(there, caution * size / LONGEST_STEP)
     length = _size(d)
-    shorter = jnp.minimum(1.0, 2 * REACH / jnp.maximum(length, 1e-12))
+    shorter = jnp.minimum(1.0, 2 * LONGEST_STEP / jnp.maximum(length, 1e-12))
     rounding = _rounding(system, at.pose, there)
     tolerance = jnp.maximum(jnp.asarray(tolerance_of(size.dtype), size.dtype), rounding)
     floor = (size < tolerance) & (size > 0.5 * at.residual) & moved  # rounding prevents further improvement

@@ -23,7 +23,7 @@ from pftwin.base.spatial import Vec3
 from pftwin.dynamics.observe import Observation
 from pftwin.dynamics.status import MOST_ERROR_SHARE, MOST_FORCE_ERROR, MOST_PATH_ERROR, Status
 
-REACH = 0.02  # distance from the tracked point of the patella's points that the path's error covers [m]
+COVERED_DISTANCE = 0.02  # distance from the tracked point of the patella's points that the path's error covers [m]
 FORCE_POWER = 0.5  # assumed order of convergence of forces at single frames
 LEAST_FORCE = 0.05  # errors of force below this are never flagged [N]
 
@@ -135,7 +135,7 @@ def course_difference(a: Course, b: Course, xp: Any = np) -> ErrorEstimate:
         cosine = xp.abs(_dot(a.quaternion, b.quaternion))
         turned = 2 * xp.arctan2(xp.sqrt(xp.clip(1 - cosine**2, 0, 1)), cosine)
         force = _length(a.force - b.force, xp)
-        found = moved + REACH * turned, force, xp.abs(a.medial - b.medial), xp.abs(a.lateral - b.lateral)
+        found = moved + COVERED_DISTANCE * turned, force, xp.abs(a.medial - b.medial), xp.abs(a.lateral - b.lateral)
         sizes = [_length(x.force, xp) for x in (a, b)]
     peaks = [xp.where(xp.isfinite(x), x, 0.0).max() for x in sizes]
     most = xp.clip(MOST_ERROR_SHARE * xp.minimum(*peaks), LEAST_FORCE, MOST_FORCE_ERROR)

@@ -20,7 +20,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from pftwin.base.spatial import Scalar
-from pftwin.dynamics.equilibrium import REACH, entries, step_of, tolerance_of
+from pftwin.dynamics.equilibrium import LONGEST_STEP, entries, step_of, tolerance_of
 from pftwin.dynamics.quasi_static.branch import Branch, norm
 from pftwin.dynamics.solve import Six, inverse_with_pivots
 from pftwin.dynamics.static_load import Surroundings
@@ -91,7 +91,7 @@ def _improved(branch: Branch, guess: Six, at: Iterate) -> Iterate:
     balanced = (size < tolerance_of(dtype)) & (held == 0)
     lost = ~jnp.isfinite(length) | ~jnp.isfinite(size)
     stays = lost | (balanced & (length >= POLISH))
-    scale = jnp.where(stays, 0.0, jnp.minimum(1.0, REACH / jnp.maximum(length, 1e-12)))
+    scale = jnp.where(stays, 0.0, jnp.minimum(1.0, LONGEST_STEP / jnp.maximum(length, 1e-12)))
     d = [jnp.where(stays, a, a + scale * b) for a, b in zip(at.d, step, strict=True)]
     strayed = _distance(d, guess) > FARTHEST
     done = balanced | lost | (strayed & (branch.rates > 0))
@@ -116,11 +116,11 @@ def _downhill(branch: Branch, there: Surroundings, tangent: Array, size: Scalar)
     """Newton's step, and whether the tangent at rest, without dashpots, is stable.
 
     Where the tangent is indefinite, the positive semidefinite stiffness of the stiff terms replaces it. A shift of
-    both, which vanishes with the residual, bounds a step by `REACH`.
+    both, which vanishes with the residual, bounds a step by `LONGEST_STEP`.
     """
     one, r = jnp.eye(6, dtype=size.dtype), there.residual()
     at_rest = tangent - (branch.rates / branch.span()) * _matrix(there.viscosity())
-    shift = (size / REACH) * one
+    shift = (size / LONGEST_STEP) * one
     matrices = jnp.stack([tangent + shift, _matrix(there.convex()) + shift])
     steps, definite = jax.vmap(lambda matrix: step_of(entries(matrix), r))(matrices)
     return [jnp.where(definite[0], a[0], a[1]) for a in steps], is_stable(at_rest)

@@ -162,7 +162,7 @@ def mean_cluster(markers: MarkerTrajectories, names: Sequence[str]) -> dict[str,
 
 
 def spans_plane(points: NDArray[np.float64], present: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Which frames (n,) have three or more points (n, m, 3) that are seen (n, m) and not collinear."""
+    """Which frames (n,) have three or more points (n, m, 3) that are `present` (n, m) and not collinear."""
     count = np.maximum(present.sum(axis=1), 1)[:, None, None]
     there = np.where(present[:, :, None], points, 0.0)
     centred = np.where(present[:, :, None], there - there.sum(axis=1, keepdims=True) / count, 0.0)

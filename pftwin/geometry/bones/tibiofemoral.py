@@ -59,10 +59,10 @@ class FemurShape:
         """Corners of a bounding box [mm]."""
         a = self.anatomy
         ridges = a.trochlear_radius_mm + max(a.lateral_height_mm, a.medial_height_mm)
-        reach = max(a.condyle_radius_mm - FLEXION_AXIS[0], ridges) + 8
+        extent = max(a.condyle_radius_mm - FLEXION_AXIS[0], ridges) + 8
         wide = 0.5 * a.epicondylar_width_mm + 6
         back = max(a.condyle_radius_mm - FLEXION_AXIS[1], SHAFT_DEPTH + a.prominence_mm - a.trochlear_radius_mm) + 8
-        return (-reach, -wide, -back), (SHAFT_LENGTH + 6, wide, reach + max(0.0, -a.prominence_mm))
+        return (-extent, -wide, -back), (SHAFT_LENGTH + 6, wide, extent + max(0.0, -a.prominence_mm))
 
     def _joint(self, points: Floats) -> Floats:
         x, y, z = points.T

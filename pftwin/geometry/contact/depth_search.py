@@ -31,10 +31,10 @@ class TouchingLeaves(NamedTuple):
 
 
 def touching_leaves(
-    width: int, band: float, reach: float, button: PressingSurface, femur: PressedSurface, at: Vec3, rotation: Rotation
+    width: int, band: float, limit: float, button: PressingSurface, femur: PressedSurface, at: Vec3, rotation: Rotation
 ) -> TouchingLeaves:
     """See `PressedSurface.touching`; for one element of a batch. `at` is the position of the button's frame."""
-    pieces, count = _pieces(button, femur, at, rotation, band, reach)
+    pieces, count = _pieces(button, femur, at, rotation, band, limit)
 
     def take(k: Array, now: tuple[Array, Array]) -> tuple[Array, Array]:
         table, total = now
@@ -46,7 +46,7 @@ def touching_leaves(
         def look(lane: Array, wanted: Array) -> Array:
             p, place = jax.tree.map(lambda a: a[lane], points), places[lane]
             depth, rim = signed_depth(femur, p, place)
-            return wanted | ((depth >= -band) & (depth <= reach) & ~rim & (index[lane] >= 0))
+            return wanted | ((depth >= -band) & (depth <= limit) & ~rim & (index[lane] >= 0))
 
         wanted = jax.lax.fori_loop(jnp.int32(0), jnp.int32(button.lanes), look, jnp.zeros((), bool))
         row = jnp.concatenate([leaf[None], places])
@@ -60,7 +60,7 @@ def touching_leaves(
 
 
 def _pieces(
-    button: PressingSurface, femur: PressedSurface, position: Vec3, rotation: Rotation, band: float, reach: float
+    button: PressingSurface, femur: PressedSurface, position: Vec3, rotation: Rotation, band: float, limit: float
 ) -> tuple[Array, Array]:
     """The button's leaves that may be in the femur, each with a near place of the femur, (leaves, 2); their number."""
     inner = jnp.int32(button.first.shape[0])
@@ -74,7 +74,7 @@ def _pieces(
         depth, rim = signed_depth(femur, middle, near.place)
         # Beyond the rim of an open mesh a node is undecided; its triangles decide.
         outside = (depth < -(radius + band)) & ~rim
-        wanted = ~outside & (jnp.abs(depth) <= radius + reach)
+        wanted = ~outside & (jnp.abs(depth) <= radius + limit)
         child = button.first[number // FAN] + number % FAN
         is_leaf = child >= inner
         row = jnp.stack([child - inner, near.place])

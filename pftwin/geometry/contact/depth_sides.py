@@ -77,17 +77,17 @@ class PressedSurface(eqx.Module):
         return self
 
     def touching(
-        self, button: PressingSurface, position: Vec3, rotation: Rotation, *, width: int, band: float, reach: float
+        self, button: PressingSurface, position: Vec3, rotation: Rotation, *, width: int, band: float, limit: float
     ) -> TouchingLeaves:
-        """Leaves of a button that have a centroid with a depth from -band to reach.
+        """Leaves of a button that have a centroid with a depth from -band to limit.
 
         Args:
             button, position, rotation: the other surface, and the pose of its frame in this one's.
             width: capacity for leaves.
             band: largest distance outside the surface [m].
-            reach: largest depth [m].
+            limit: largest depth [m].
         """
-        search = member_by_member(partial(touching_leaves, width, band, reach))
+        search = member_by_member(partial(touching_leaves, width, band, limit))
         return search(button, self, position, rotation)
 
     def below(self, place: Array, point: Vec3, vector: Vec3) -> Below:

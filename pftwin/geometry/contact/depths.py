@@ -20,7 +20,7 @@ from pftwin.geometry.contact.depth_search import centroid
 from pftwin.geometry.contact.depth_sides import PressedSurface, PressingSurface, gathered
 from pftwin.geometry.contact.distance_grid import DistanceGrid
 
-REACH = 0.010  # [m] largest depth of the search
+MAX_DEPTH = 0.010  # [m] largest depth of the search
 DEEPEST = 0.005  # [m] larger depths are implausible and point to a wrong pose, scale or side
 
 
@@ -56,7 +56,7 @@ def depths(
         position, rotation: of the button's frame in the femur's.
         band: distance outside up to which triangles are listed too [m].
     """
-    found = femur.touching(button, position, rotation, width=button.leaves, band=band, reach=REACH)
+    found = femur.touching(button, position, rotation, width=button.leaves, band=band, limit=MAX_DEPTH)
     there = jnp.arange(button.leaves, dtype=jnp.int32) < found.total
     return depths_in(button, femur, position, rotation, found.leaf, found.place, there, band=band)
 
@@ -89,7 +89,7 @@ def depths_in(
     along = rotation.unapply(normal)
     projected = 0.5 * vector.dot(along)
     facing = jnp.where(stop_gradient(projected) < 0, -1.0, 1.0)  # independent of the mesh's orientation
-    inside = (stop_gradient(depth) >= -band) & (stop_gradient(depth) <= REACH) & ~rim
+    inside = (stop_gradient(depth) >= -band) & (stop_gradient(depth) <= MAX_DEPTH) & ~rim
     return Depths(
         depth=depth,
         listed=inside & (index >= 0) & jnp.repeat(there, button.lanes),

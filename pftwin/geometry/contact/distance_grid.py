@@ -52,7 +52,7 @@ class DistanceGrid(eqx.Module):
     shape: tuple[int, int, int] = eqx.field(static=True)  # nodes along each axis
 
     def touching(
-        self, button: PressingSurface, position: Vec3, rotation: Rotation, *, width: int, band: float, reach: float
+        self, button: PressingSurface, position: Vec3, rotation: Rotation, *, width: int, band: float, limit: float
     ) -> TouchingLeaves:
         """Like `PressedSurface.touching`, but with bounds on the leaves' depths, from the depths of their middles."""
         position, rotation = stop_gradient((position, rotation))
@@ -64,7 +64,7 @@ class DistanceGrid(eqx.Module):
         along = jnp.abs(slope.dot(rotation.apply(normal)))
         tilted = jnp.sqrt(jnp.maximum(slope.squared_norm() - along**2, 0.0))
         room = radius * tilted + half * along + 0.5 * _SHARPEST * radius**2 + _OFF * stop_gradient(self.spacing)
-        wanted = (depth >= -(room + band)) & (depth <= room + reach)
+        wanted = (depth >= -(room + band)) & (depth <= room + limit)
         leaf = jnp.nonzero(wanted, size=width, fill_value=0)[0].astype(jnp.int32)
         return TouchingLeaves(leaf, jnp.zeros((width, button.lanes), jnp.int32), jnp.sum(wanted, dtype=jnp.int32))
 

@@ -36,7 +36,7 @@ FAN = tuple(SPACING * k for k in range(-6, 7))  # positions of the samples, in r
 LONGEST = 0.12  # longest Newton step, in radii
 NEAR = 0.03  # clearance, in radii, below which a converged point is kept against the fan
 MERGED = 0.02  # separation, in radii, below which two points count as one
-REACH = 2.2  # validity of the polynomial through five samples, in spacings from the fan's middle
+VALID_SPACINGS = 2.2  # validity of the polynomial through five samples, in spacings from the fan's middle
 FLAT = 1e-10  # a much lower ridge does not count [m]
 SECTION = 33  # samples of a section across the surface
 SHALLOW = 1e-4  # a shallower groove does not count [m]
@@ -158,7 +158,7 @@ def _other_minimum(section: GrooveSection, here: Scalar) -> Scalar:
     square = middle * middle - 6 * section.second * scale + 2 * middle * here
     half = safe_sqrt(jnp.where(square > 0, square, 0.0))
     other = middle + jnp.where(middle > here, half, -half)
-    found = opens & (square > 0) & (jnp.abs(other) < REACH) & (jnp.abs(middle - here) > half)
+    found = opens & (square > 0) & (jnp.abs(other) < VALID_SPACINGS) & (jnp.abs(middle - here) > half)
     return jnp.where(found, other - here, 0.0)
 
 

@@ -162,7 +162,7 @@ def _volumes(patch: PatchMesh, centers: jax.Array, radius: jax.Array) -> tuple[j
     return jax.lax.map(one, centers)
 
 
-def beside_groove(mesh: SurfaceMesh, region: TrochlearRegion, reach: float) -> NDArray[np.bool_]:
-    """Which vertices are in a region and within `reach` [m] of its groove line, (n,): where a button tracks."""
+def beside_groove(mesh: SurfaceMesh, region: TrochlearRegion, distance: float) -> NDArray[np.bool_]:
+    """Which vertices are in a region and within `distance` [m] of its groove line, (n,): where a button tracks."""
     gap = np.linalg.norm(mesh.vertices[:, None] - region.groove[None], axis=2).min(axis=1)
-    return region.mask & (gap <= reach)
+    return region.mask & (gap <= distance)

@@ -27,7 +27,7 @@ from pftwin.geometry.patch.closest import Surface
 from pftwin.model.effects.base import AggregateStiffness, Ground, Instant, Load, Observable
 from pftwin.model.effects.contact import FACETS, FORCE, ButtonMesh
 from pftwin.model.effects.foundation_law import FoundationLaw
-from pftwin.model.effects.foundation_sums import Bedded, Pressures, triangle_sums
+from pftwin.model.effects.foundation_sums import PressedPair, Pressures, triangle_sums
 
 
 class ElasticFoundation(ButtonMesh):
@@ -64,7 +64,7 @@ class ElasticFoundation(ButtonMesh):
         "too_deep": Observable("1", "1 where a triangle is implausibly deep, or too deep for the search"),
     }
 
-    def pressed(self, now: Instant) -> Bedded:
+    def pressed(self, now: Instant) -> PressedPair:
         """The button and the femur's surface with their relative pose and motion, for `triangle_sums`."""
         patella, femur = now.patella, now.femur
         velocity = femur.relative_velocity(patella.velocity, patella.position)
@@ -74,7 +74,7 @@ class ElasticFoundation(ButtonMesh):
         if (turn := self._turn()) is not None:
             origin, spin = turn.unapply(origin), turn.unapply(spin)
             rotation = Rotation(*(rotation.apply(axis) for axis in (turn.ex, turn.ey, turn.ez)))
-        return Bedded(
+        return PressedPair(
             femur=self.femur,
             button=self.button,
             law=self.law,
@@ -126,7 +126,7 @@ class ElasticFoundation(ButtonMesh):
             report[f"point_{facet}"] = jnp.where(loaded, p.moment[k] / jnp.where(loaded, p.borne[k], 1.0), jnp.nan)
         return report, forces.energy
 
-    def _enclosed(self, at: Bedded, found: Pressures) -> Array:
+    def _enclosed(self, at: PressedPair, found: Pressures) -> Array:
         """Whether the button is too deep for the search: no triangle is in contact, but one is behind the surface."""
         middle = at.position + at.rotation.apply(centroid(Triangle.of_rows(self.button.corners[0, :, 0])))
         femur = self.femur.exact

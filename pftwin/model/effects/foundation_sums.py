@@ -20,7 +20,7 @@ from pftwin.base.spatial import Rotation, Scalar, Vec3
 from pftwin.geometry.bvh.loops import member_by_member, most_in_batch
 from pftwin.geometry.contact.depth_search import TouchingLeaves
 from pftwin.geometry.contact.depth_sides import PressedSurface, PressingSurface
-from pftwin.geometry.contact.depths import REACH, Depths, depths_in
+from pftwin.geometry.contact.depths import MAX_DEPTH, Depths, depths_in
 from pftwin.geometry.contact.distance_grid import DistanceGrid
 from pftwin.model.effects.foundation_law import FoundationLaw
 
@@ -31,7 +31,7 @@ _PLACE = np.zeros((6, 6), int)
 _PLACE[_ROWS, _COLUMNS] = _PLACE[_COLUMNS, _ROWS] = range(len(_ROWS))
 
 
-class Bedded(eqx.Module):
+class PressedPair(eqx.Module):
     """A button, the femur's surface, and their relative pose and motion."""
 
     femur: PressedSurface | DistanceGrid
@@ -100,16 +100,16 @@ class Lanes(NamedTuple):
         return forces, Pressures(self.area, borne, moment, facets, self.most, self.deepest)
 
 
-def triangle_sums(at: Bedded) -> tuple[Forces, Pressures]:
+def triangle_sums(at: PressedPair) -> tuple[Forces, Pressures]:
     """Sums over all triangles in contact. Supports jit, vmap, and forward and reverse differentiation."""
-    found = at.femur.touching(at.button, at.position, at.rotation, width=at.button.leaves, band=0.0, reach=REACH)
+    found = at.femur.touching(at.button, at.position, at.rotation, width=at.button.leaves, band=0.0, limit=MAX_DEPTH)
     return _sum_contacts(at, found).stacked()
 
 
 # Under vmap the axis of the batch must be in the same place in a result and in what its derivative rule returns: JAX
 # does not check that, and `jnp.stack` puts it elsewhere than the loop over members does. So both return arrays ().
 @eqx.filter_custom_jvp
-def _sum_contacts(at: Bedded, found: TouchingLeaves) -> Lanes:
+def _sum_contacts(at: PressedPair, found: TouchingLeaves) -> Lanes:
     return member_by_member(_sum_of_all)(at, found)
 
 
@@ -133,7 +133,7 @@ def _summed_jvp(primals: Any, tangents: Any) -> tuple[Lanes, Lanes]:
     return jax.jvp(total, (moving,), (tangents[0],))
 
 
-def _sum_of_all(at: Bedded, found: TouchingLeaves) -> Lanes:
+def _sum_of_all(at: PressedPair, found: TouchingLeaves) -> Lanes:
     def piece(state: tuple[Array, Lanes]) -> tuple[Array, Lanes]:
         start, so_far = state
         return start + PIECE, so_far.plus(_lanes_of_leaves(at, found, start))
@@ -142,7 +142,7 @@ def _sum_of_all(at: Bedded, found: TouchingLeaves) -> Lanes:
     return jax.lax.while_loop(lambda s: s[0] < found.total, piece, start)[1].total()
 
 
-def _zero_lanes(at: Bedded) -> Lanes:
+def _zero_lanes(at: PressedPair) -> Lanes:
     zero = jnp.zeros(min(PIECE, at.button.leaves) * at.button.lanes, at.position.x.dtype)
     vectors = [[zero] * 3 for _ in range(2)]
     return Lanes(
@@ -160,7 +160,7 @@ def _zero_lanes(at: Bedded) -> Lanes:
     )
 
 
-def _lanes_of_leaves(at: Bedded, found: TouchingLeaves, start: Array) -> Lanes:
+def _lanes_of_leaves(at: PressedPair, found: TouchingLeaves, start: Array) -> Lanes:
     """The piece of leaves that begins at `start`."""
     # The last piece starts early enough to be full, and counts only leaves that no other piece has counted.
     first = jnp.minimum(start, max(at.button.leaves - PIECE, 0))
@@ -200,7 +200,7 @@ def _lanes_of_leaves(at: Bedded, found: TouchingLeaves, start: Array) -> Lanes:
     )
 
 
-def _wrench(at: Bedded, d: Depths, forces: Vec3) -> list[Array]:
+def _wrench(at: PressedPair, d: Depths, forces: Vec3) -> list[Array]:
     """Wrenches of forces at the centroids (femur axes): force in world axes, and moment about the centre of mass in
     axes of the mesh."""
     moment = (d.local + at.origin).cross(at.rotation.unapply(forces))

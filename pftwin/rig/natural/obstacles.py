@@ -21,7 +21,7 @@ from pftwin.geometry.wrapping.ellipsoid import Ellipsoid
 # towards the side [deg]; they leave from a point behind that axis, aside by a share of the half width.
 AROUND, ASIDE = (-15.0, 100.0, 14), (5.0, 80.0, 11)
 BEHIND, CENTRE_ASIDE = 4.0, 0.4  # [mm], [-]
-REACH = 60.0  # of the rays [mm]
+RAY_LENGTH = 60.0  # of the rays [mm]
 GAP = 0.4  # by which an ellipsoid stays within the epicondyle, where ligaments begin [mm]
 # Of an ellipsoid: centre's height, its distance aside as a share of the half width, its z; radii along x and z.
 FIRST = (-1.0, 0.4, -3.0, 28.0, 32.0)
@@ -68,7 +68,7 @@ def _surface(anatomy: Anatomy, side: int) -> Floats:
     across = np.cos(aside)
     way = np.stack([-np.sin(around) * across, side * np.sin(aside), np.cos(around) * across], axis=-1).reshape(-1, 3)
     start = np.array([0.0, side * CENTRE_ASIDE * 0.5 * anatomy.epicondylar_width_mm, -BEHIND])
-    steps = np.arange(0.0, REACH, 0.5)
+    steps = np.arange(0.0, RAY_LENGTH, 0.5)
     inside = body((start + steps[:, None, None] * way).reshape(-1, 3)).reshape(len(steps), -1) > 0
     low = steps[len(steps) - 1 - np.argmax(inside[::-1], axis=0)]
     high = low + steps[1]

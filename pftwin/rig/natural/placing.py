@@ -21,7 +21,7 @@ from pftwin.rig.natural.motion import tibia_turn
 STRANDS = {"patellar_tendon": 5, "mpfl": 3, "lpfl": 3}
 SIDES = {"mpfl": -1, "lpfl": 1}  # of the knee: medial, lateral
 TENDON_WIDTH = 24.0  # width of the patellar tendon at the patella [mm]; two thirds of it at the tuberosity
-REACH = 200.0  # length of a muscle's line from its insertion to its end on the femur [mm]
+LINE_LENGTH = 200.0  # length of a muscle's line from its insertion to its end on the femur [mm]
 # Quadriceps: share of the force by cross-section, and angle to the femoral shaft, lateral positive [deg], from
 # Farahmand, Senavongse & Amis 1998, J Orthop Res 16:136. Long and oblique heads are combined; the division of the 35 %
 # of the two central muscles is a choice.
@@ -55,7 +55,7 @@ def muscles(anatomy: Anatomy) -> Ends:
     place, turn = rest_pose(anatomy, 0.0)
     angle = np.radians([a for _, a in QUADRICEPS.values()])
     way = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
-    return Ends(patella, place + turn.apply(patella) + REACH * way)
+    return Ends(patella, place + turn.apply(patella) + LINE_LENGTH * way)
 
 
 def patellar_tendon(anatomy: Anatomy) -> Ends:

@@ -79,8 +79,8 @@ def run_matrix(
 ) -> list[Cell]:
     """Runs and judges cases; returns a cell for each combination of case, contact, integrator and float type.
 
-    `say` receives progress messages, `count` the number of cells done since its last call; in all it is told of as many
-    as `Selection.cells_of` states.
+    `say` receives progress messages, `count` the number of cells done since its last call; their sum
+    is that of `Selection.cells_of`.
     """
     cells: list[Cell] = []
     for contact in selection.contacts:

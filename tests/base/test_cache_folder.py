@@ -37,7 +37,7 @@ def test_without_a_folder_nothing_is_stored(place):
 
 def test_a_folder_that_cannot_be_written_to_is_a_warning(place):
     (place / "things").write_text("a file where the folder would be")
-    with pytest.warns(PftwinWarning, match="nothing can be kept here"):
+    with pytest.warns(PftwinWarning, match="nothing can be stored here"):
         folder.write("things", "a", b"content")
 
 

@@ -31,9 +31,9 @@ class InputError(PftwinError, ValueError):
         self.problem, self.where, self.expected, self.remedy = problem, where, expected, remedy
         said = _UNREADABLE.sub(lambda long: f"{long[0][:60]}... ({len(long[0])} characters)", problem)
         text = f"{where}: {said}" if where is not None else said
-        for lead, part in (("expected", expected), ("try", remedy)):
+        for label, part in (("expected", expected), ("try", remedy)):
             if part:
-                text = f"{text.rstrip('.')}; {lead}: {part}"
+                text = f"{text.rstrip('.')}; {label}: {part}"
         super().__init__(text)
 
 

@@ -83,8 +83,8 @@ def attributes_of(result: Result) -> dict[str, Any]:
         attributes["restitution"] = result.impact.describe()
     if result.constraint_drift is not None:
         attributes["largest_constraint_drift_m"] = result.constraint_drift
-    plain = {k: netcdf_attribute(v) for k, v in result.settings.items()}
-    return {**attributes, **plain, **{f"timing_{k}": float(v) for k, v in result.timing.items()}}
+    settings = {k: netcdf_attribute(v) for k, v in result.settings.items()}
+    return {**attributes, **settings, **{f"timing_{k}": float(v) for k, v in result.timing.items()}}
 
 
 def _kinematics(result: Result) -> Variables:

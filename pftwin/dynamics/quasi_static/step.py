@@ -78,8 +78,8 @@ def solved(branch: Branch) -> NextEquilibrium:
         guess = [jnp.where(tries > 0, b, a) for a, b in zip(ahead, none, strict=True)]
         at = newton(there, guess, branch.origin.solver_state.remainder, tries == 0)
         residual = jnp.where(at.settled, 0.0, at.size)
-        again = ~(at.settled & at.stable) & (tries == 0)
-        return NextEquilibrium(at.d, place, snapped, residual, at.remainder, at.trial), tries + 1, again
+        retry = ~(at.settled & at.stable) & (tries == 0)
+        return NextEquilibrium(at.d, place, snapped, residual, at.remainder, at.trial), tries + 1, retry
 
     zero = jnp.zeros_like(branch.step)
     origin = branch.origin

@@ -170,8 +170,8 @@ def _stretch(
     """
     counts = {}  # (n + 1, m): number of earlier frames in which each marker is present
     for part, names in segments.items():
-        seen = ~markers.select(names).missing
-        counts[part] = np.concatenate([np.zeros((1, len(names)), int), np.cumsum(seen, axis=0)])
+        present = ~markers.select(names).missing
+        counts[part] = np.concatenate([np.zeros((1, len(names)), int), np.cumsum(present, axis=0)])
 
     def known(a: int, b: int) -> bool:
         return all(np.count_nonzero(c[b] - c[a] == b - a) >= least[part] for part, c in counts.items())

@@ -96,7 +96,7 @@ def _candidates(search: PairSearch, X: Pose, leaves: Queue) -> Queue:
         of_a, of_b = (
             jax.lax.dynamic_index_in_dim(x, y, 0, keepdims=False) for x, y in zip(search.triangles, (i, j), strict=True)
         )
-        yes = triangles_within_reach(of_a, of_b, X, search.near)
+        yes = triangles_may_touch(of_a, of_b, X, search.near)
         at = k * LANES
         return pushed_where(found, yes, lambda lane: at + lane)
 
@@ -148,7 +148,7 @@ def leaves_with_planes(tree: MeshTree) -> Array:
     return jnp.swapaxes(rows.reshape(-1, tree.leaf, rows.shape[-1]), 1, 2)
 
 
-def triangles_within_reach(of_a: Rows, of_b: Rows, X_AB: Pose, room: Scalar) -> Array:
+def triangles_may_touch(of_a: Rows, of_b: Rows, X_AB: Pose, room: Scalar) -> Array:
     """Which triangles of two leaves reach each other's planes, or come within `room` [m] of them, (4, 4) bool."""
     rotation, position = X_AB.orientation.rotation(), X_AB.position
     (corners_a, normal_a, height_a), (corners_b, normal_b, height_b) = (_parts(r) for r in (of_a, of_b))

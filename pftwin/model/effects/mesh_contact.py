@@ -79,7 +79,7 @@ class MeshContact(ButtonMesh):
             for corner, (_, _, outer) in zip(corners, pairs, strict=True)
         ]
 
-    def _beyond_reach(self, found: Contacts) -> Array:
+    def _corner_missed(self, found: Contacts) -> Array:
         """Whether the search found no corner within reach inside a contour that is wide enough to enclose one."""
         largest = jnp.max(Triangle.of_rows(self.patella.tree.triangles).area_vector().norm())
         missed = [(c.indentation <= 0) & (c.area > WIDE * largest) for c in found.each]
@@ -127,7 +127,7 @@ class MeshContact(ButtonMesh):
             report[f"indentation_{facet}"] = jnp.where(here, inside.depth, report[f"indentation_{facet}"])
         medial = report["indentation_medial"]
         report["indentation_medial"] = jnp.where(engulfed.there & ~inside.there, engulfed.depth, medial)
-        too_deep = found.too_deep | inside.there | engulfed.there | self._beyond_reach(found)
+        too_deep = found.too_deep | inside.there | engulfed.there | self._corner_missed(found)
         flags = {"merged": found.merged, "at_rim": found.at_rim, "overflow": found.overflow, "too_deep": too_deep}
         report |= {name: flag.astype(forces[0].dtype) for name, flag in flags.items()}
         return report, load_of(normal_forces)[0].energy

@@ -51,7 +51,7 @@ def contact_arrows(result: Recorded) -> list[ContactArrow]:
     only the magnitudes per facet: their arrow is the total force, at the mean point weighted by those magnitudes.
     """
     contacts = [str(n).removesuffix("_force_medial") for n in result.data.data_vars if str(n).endswith("_force_medial")]
-    return [push for name in contacts for push in _of(result, name)]
+    return [arrow for name in contacts for arrow in _of(result, name)]
 
 
 def _of(result: Recorded, contact: str) -> list[ContactArrow]:

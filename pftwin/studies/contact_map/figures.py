@@ -115,10 +115,11 @@ def _surface(axes: Axes, mesh: SurfaceMesh, across: int, up: int, towards: NDArr
     view[depth] = np.sign(towards[depth]) or 1.0
     facing = mesh.area_vectors @ view / np.linalg.norm(mesh.area_vectors, axis=1)
     corners = 1e3 * mesh.vertices[mesh.faces]
-    seen = np.flatnonzero(facing > 0)
-    seen = seen[np.argsort(corners[seen].mean(axis=1) @ view)]
-    greys = [str(g) for g in _DARKEST + (_PALEST - _DARKEST) * facing[seen]]
-    shaded = PolyCollection(list(corners[seen][:, :, [across, up]]), facecolors=greys, edgecolors=greys, linewidths=0.2)
+    visible = np.flatnonzero(facing > 0)
+    visible = visible[np.argsort(corners[visible].mean(axis=1) @ view)]
+    greys = [str(g) for g in _DARKEST + (_PALEST - _DARKEST) * facing[visible]]
+    flat = list(corners[visible][:, :, [across, up]])
+    shaded = PolyCollection(flat, facecolors=greys, edgecolors=greys, linewidths=0.2)
     shaded.set(rasterized=True, zorder=1, label="femur")
     axes.add_collection(shaded)
     axes.autoscale_view()

@@ -114,12 +114,12 @@ def _frame(
     at = Vec3.from_array(position)
     found = depths(button, femur, at, Quaternion.from_array(quaternion).rotation(), band=band)
     answer = law.press(jnp.where(found.listed, found.depth, -1.0))
-    push = (found.area * answer.pressure) * found.normal
+    forces = (found.area * answer.pressure) * found.normal
     arm = found.point - Vec3(*(jnp.broadcast_to(a, found.depth.shape) for a in (at.x, at.y, at.z)))
     return {
         **_summary(found, answer.pressure),
-        "force": push.sum().array(),
-        "moment": arm.cross(push).sum().array(),
+        "force": forces.sum().array(),
+        "moment": arm.cross(forces).sum().array(),
         "listed": found.listed,
         "triangle": found.triangle,
         "depth": found.depth,

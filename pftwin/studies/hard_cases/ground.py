@@ -185,8 +185,8 @@ def _defective_mesh(change: Change) -> Callable[[TiltedGround], SurfaceMesh]:
     """A function that makes the ground's mesh with a defect and applies the repairs that keep the surface."""
 
     def made(ground: TiltedGround) -> SurfaceMesh:
-        plain = mesh_on(ground)
-        return repaired(*change(plain.vertices.copy(), plain.faces.copy()), source="a broken ground")[0]
+        unbroken = mesh_on(ground)
+        return repaired(*change(unbroken.vertices.copy(), unbroken.faces.copy()), source="a broken ground")[0]
 
     return made
 

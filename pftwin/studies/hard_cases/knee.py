@@ -154,8 +154,8 @@ def _with(**changes: Callable[[Floats], Floats]) -> Callable[[], PoseSeries]:
     """A function that makes the plain motion with changed times, positions or quaternions."""
 
     def made() -> PoseSeries:
-        plain, same = swinging(), lambda a: a
-        arrays = (changes.get(n, same)(getattr(plain, n)) for n in ("times", "positions", "quaternions"))
+        original, same = swinging(), lambda a: a
+        arrays = (changes.get(n, same)(getattr(original, n)) for n in ("times", "positions", "quaternions"))
         return PoseSeries(*arrays, source="tibia")
 
     return made

@@ -99,7 +99,7 @@ def silent_error(ran: CaseRun, truth: Truth, remarked: Callable[[], bool] = lamb
     (wrong, frames), said = expected_flags(off), Status(int(np.bitwise_or.reduce(flags)))
     enough = Status.INACCURATE | UNKNOWN
     pairs = (Status.INACCURATE, enough), (Status.FACETS_INACCURATE, Status.FACETS_INACCURATE | enough)
-    if any((wrong & int(flag)).any() and not said & told for flag, told in pairs):
+    if any((wrong & int(flag)).any() and not said & reported for flag, reported in pairs):
         words = f"off a converged run by {off.describe()}, and no frame says so"
     elif frames > most_frames(Status.INACCURATE, flags.size) and verdict_of(flags & ~_UNRELATED).valid:
         words = f"off a converged run in {frames} of {flags.size} frames, by {off.describe()}, and called valid"

@@ -17,7 +17,6 @@ from pftwin.cli.plugins import with_former_names
 if TYPE_CHECKING:
     from pftwin.geometry.mesh.mesh import SurfaceMesh
     from pftwin.geometry.patch.fit import PatchFit
-    from pftwin.geometry.patch.region import TrochlearRegion
 
 
 @with_former_names({"tolerance": "--tolerance-mm", "half_width": "--half-width-mm"})
@@ -59,12 +58,17 @@ def fit_surface(
     terminal.start_computing()
     from pftwin.geometry.mesh.mesh import load_mesh
     from pftwin.geometry.patch.fit import fit_named
+    from pftwin.geometry.patch.region import trochlear_region
 
     with terminal.spinner(f"reading {mesh}"):
         surface = load_mesh(mesh, units=units)
     with terminal.spinner("searching for the trochlea"):
         limits = math.radians(angles[0]), math.radians(angles[1])
-        region = _region(surface, directions, {"half_width": half, "angles": limits}, output)
+        wanted: dict[str, Any] = {"half_width": half, "angles": limits}
+        try:
+            region = trochlear_region(surface, **directions, **wanted)
+        except InputError as error:
+            raise _with_directions(error, surface, wanted, output) from None
     with terminal.spinner("fitting"):
         fits = [fit_named(surface, name, chart=chart, region=region, **asked) for name in names]
     found = [_fit_facts(f) for f in fits]
@@ -112,18 +116,6 @@ def _sheet(title: str, fits: list[PatchFit]) -> Sheet:
         for f in fits
     )
     return Sheet(title, headings, tuple(rows), words=())
-
-
-def _region(
-    surface: SurfaceMesh, directions: dict[str, Any], wanted: dict[str, Any], output: Path | None
-) -> TrochlearRegion:
-    """The trochlear region; the error of a failed search proposes directions."""
-    from pftwin.geometry.patch.region import trochlear_region
-
-    try:
-        return trochlear_region(surface, **directions, **wanted)
-    except InputError as error:
-        raise _with_directions(error, surface, wanted, output) from None
 
 
 def _with_directions(

@@ -25,7 +25,7 @@ from pftwin.dynamics.ali3p.natural_coordinates import (
 )
 from pftwin.dynamics.solve import six
 from pftwin.dynamics.state import Guide, GuideAt, State, System
-from pftwin.model.effects.base import Instant, Load, Patella, StiffTerm
+from pftwin.model.effects.base import Instant, Load, Patella
 from pftwin.model.motion import Frame
 
 
@@ -109,7 +109,7 @@ class Bodies(eqx.Module):
         slope, terms = jnp.zeros((6, 6), q.dtype), [term for load in loads for term in load.stiff]
         if terms:
             each = [jnp.atleast_1d(by_place * t.stiffness + by_velocity * t.damping) for t in terms]
-            along = [_columns(t) for t in terms]
+            along = [jnp.stack([jnp.atleast_1d(x) for x in six(t.direction, t.moment)]) for t in terms]  # (6, k) each
             weights, along = jnp.maximum(jnp.concatenate(each), 0.0), jnp.concatenate(along, axis=1)
             slope = (along * weights[None, :]) @ along.T
         for load in loads:
@@ -121,11 +121,6 @@ class Bodies(eqx.Module):
         to_natural = wrench_map(q[0])
         own = jnp.broadcast_to(jnp.diag(masses(self.system)), (q.shape[0], 12, 12))
         return own.at[0].add(to_natural @ slope @ to_natural.T)
-
-
-def _columns(term: StiffTerm) -> Array:
-    """Wrench directions (6, k) of a group of k terms."""
-    return jnp.stack([jnp.atleast_1d(x) for x in six(term.direction, term.moment)])
 
 
 def _rates_of_parts(load: Load) -> list[Array]:

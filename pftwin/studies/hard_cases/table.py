@@ -71,7 +71,9 @@ def reasons(cells: Sequence[Cell], outcome: str) -> Sheet:
     for key, group in _grouped((c for c in cells if c.outcome == outcome), "case", "integrator").items():
         where = _grouped(group, "contact").items()
         bits = (f"{contact} ({'/'.join(c.dtype.removeprefix('float') for c in found)})" for (contact,), found in where)
-        rows.append((*key, ", ".join(bits), _short(group[0].reason)))
+        why = group[0].reason
+        why = why if len(why) <= LONGEST_REASON else why[: LONGEST_REASON - 3].rstrip() + "..."
+        rows.append((*key, ", ".join(bits), why))
     title = "what fails" if outcome == "fail" else f"what is {outcome}"
     return Sheet(title, ("case", "integrator", "contacts", "why (of the first)"), tuple(rows))
 
@@ -102,10 +104,6 @@ def markdown(cells: Sequence[Cell], cases: Sequence[HardCase], pieces: Sequence[
         cases="\n\n".join("\n".join([f"### {t[0].upper()}{t[1:]}", *lines]) for t, lines in topics.items()),
         runs=runs(pieces).grid(),
     )
-
-
-def _short(text: str) -> str:
-    return text if len(text) <= LONGEST_REASON else text[: LONGEST_REASON - 3].rstrip() + "..."
 
 
 _EXPECTED = "what pftwin hard-cases --json has written"

@@ -154,7 +154,7 @@ def readings(objective: Objective, trials: Floats) -> Iterator[Reading]:
             yield Reading((one, other), "swapped", straight / swapped)
 
 
-def unexplained(
+def residual_doubts(
     objective: Objective,
     residuals: Floats,
     limits: Limits,

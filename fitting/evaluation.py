@@ -87,12 +87,12 @@ class Evaluator:
         self._program = programs.FitProgram(self.parameters.places, self.computed or self.channels, mesh)
         self._unnamed_scene = self.scene.unnamed()
         self._readings = programs.reading_units(self.scene, self.channels)
-        self._without_slopes = True
+        self._values_requested = True
         self._recent: list[tuple[Floats, int, Prediction]] = []
 
     def prepare(self, widest: int | None) -> None:
         """Sets the batch size from the largest request without derivatives; None if there will be no such request."""
-        self._without_slopes = widest is not None
+        self._values_requested = widest is not None
         if self.in_turns:
             self.chunk = 1
         elif self._accelerated:
@@ -103,7 +103,7 @@ class Evaluator:
 
     def begin(self) -> Callable[[], None]:
         """Traces the program that a fit needs first; the returned function compiles it. Call `prepare` before."""
-        slopes = not self._without_slopes
+        slopes = not self._values_requested
         width = self._call_width(self.slope_chunk if slopes else self.chunk)
         theta = jnp.asarray(np.zeros((width, len(self.parameters))), dtype=float)
         guesses = _selected(jax.tree.map(lambda a: np.asarray(a)[None], self.scene.start), np.zeros(width, int))
@@ -267,7 +267,7 @@ class Evaluator:
     @cached_property
     def _start_equilibria(self) -> tuple[Floats, Pose]:
         """Equilibria throughout the bounds: parameters as shares of their range (m, p), poses (m,); nominal first."""
-        slopes = not self._without_slopes
+        slopes = not self._values_requested
         width = self._call_width(self.slope_chunk if slopes else self.chunk)
         start = jax.tree.map(lambda a: np.asarray(a)[None], self.scene.start)
         members = self.parameters.scattered(_STARTS, np.random.default_rng(_SEED))

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from fitting.channel_checks import Limits, step_doubts, unexplained
+from fitting.channel_checks import Limits, residual_doubts, step_doubts
 from fitting.estimate import Estimate, FittedTrial
 from fitting.evaluation import Prediction, StepError
 from fitting.methods.problem import Method, Problem, State
@@ -163,7 +163,7 @@ def estimate_of(
     trial_rmse = {name: _rmse(own, r[rows]) for name, own, rows in of_trials} if len(scenes) > 1 else {}
     shifts, late = _time_shifts(problem, fitted, limits)
     noise = None if target.noise is None else noise_beside(target.noise, nuisance, target)
-    left = per_trial(scenes, target, lambda own, rows: unexplained(own, r[rows], limits, noise, doubts))
+    left = per_trial(scenes, target, lambda own, rows: residual_doubts(own, r[rows], limits, noise, doubts))
     moved = [s.change for s in shifts.values() if s.exceeds(limits["shift"][0])]
     draws = found.draws
     if draws is not None:

@@ -67,7 +67,7 @@ class Work:
         variants = [combinations(amounts) for amounts in self.cohort.treatments]
         scene = self._scene(patient)
         data = predict(scene, variants, estimate, progress=lambda done, of: tell(done / max(of, 1)), **settings)
-        if bool(data["failed"].run()):
+        if bool(data["failed"].all()):
             raise InputError(main_finding(data), where=patient.name, remedy="pftwin simulate, which says more")
         return data
 

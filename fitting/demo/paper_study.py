@@ -167,5 +167,5 @@ def simulated(case: int, springs: str, scene: Scene, dt: float = STEP) -> Run:
         raise PftwinError(f"{result.tracking} (case {case}, springs: {springs})")
     assert result.surface is not None
     _, offset = groove_offset(result.surface, measured.center)
-    seen = find_dislocations(measured.times, offset, result.knee.flexion)
-    return Run(case, result, validate(result, measured), predicted, seen)
+    observed = find_dislocations(measured.times, offset, result.knee.flexion)
+    return Run(case, result, validate(result, measured), predicted, observed)

@@ -29,7 +29,7 @@ BLOCK = 128  # points whose residuals are in memory at once
 _SMALLEST = 1e-12  # eigenvalues of the scaled information below this share of the largest are rounding
 
 
-class Seen(NamedTuple):
+class EvaluatedPoints(NamedTuple):
     """The density at N points, and its residuals projected onto p directions."""
 
     theta: Floats  # (N, p)
@@ -73,12 +73,12 @@ class Density:
         squeeze = np.eye(p) if covariance is None else tempering(information, covariance)
         return Density(problem, centre, squeeze, np.linalg.qr(slopes[0] @ squeeze)[0])
 
-    def __call__(self, theta: Floats) -> Seen:
+    def __call__(self, theta: Floats) -> EvaluatedPoints:
         """Evaluates the density at points (N, p), which may lie outside the bounds."""
         residuals, slopes, usable = _residuals(self.problem, self.centre + (theta - self.centre) @ self.squeeze.T)
         log_density = np.where(usable, -0.5 * np.sum(residuals**2, axis=1), -np.inf)
         slope = np.einsum("kq,nkp->nqp", self.frame, slopes) @ self.squeeze
-        return Seen(theta, log_density, residuals @ self.frame, slope, usable)
+        return EvaluatedPoints(theta, log_density, residuals @ self.frame, slope, usable)
 
     @property
     def bounds(self) -> tuple[Floats, Floats]:
@@ -89,23 +89,23 @@ class Density:
 def _residuals(problem: Problem, theta: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
     """Residuals in units of their noise, priors last (N, k), derivatives (N, k, p), and which are usable (N,)."""
     target, parameters = problem.objective, problem.parameters
-    seen = problem.evaluator.with_slopes(theta, problem.evaluator.fine)
-    sigma, (n, p), (r, j) = target.noise_columns / np.sqrt(target.share), theta.shape, target.linear(seen)
+    predictions = problem.evaluator.with_slopes(theta, problem.evaluator.fine)
+    sigma, (n, p), (r, j) = target.noise_columns / np.sqrt(target.share), theta.shape, target.linear(predictions)
     r, j = (r / sigma).reshape(n, -1), (j / sigma[:, None]).reshape(n, -1, p)
     known = [i for i, item in enumerate(parameters.items) if item.prior is not None]
     if known:
         mean, sd = np.array([parameters.items[i].prior for i in known], dtype=np.float64).T
         r = np.concatenate([r, (theta[:, known] - mean) / sd], axis=1)
         j = np.concatenate([j, np.broadcast_to(np.eye(p)[known] / sd[:, None], (n, len(known), p))], axis=1)
-    return r, j, seen.usable
+    return r, j, predictions.usable
 
 
 def tempering(information: Floats, covariance: Floats) -> Floats:
     """Matrix A (p, p) with A' H A = C^-1, independent of the parameters' units; H information, C covariance. Raises
     InputError if the covariance is singular: a combination of parameters is not determined."""
     scale = np.sqrt(np.diagonal(information))
-    spread = np.linalg.eigvalsh(covariance * np.outer(scale, scale))
-    if not (np.isfinite(spread).all() and spread[0] > _SMALLEST * spread[-1]):
+    eigenvalues = np.linalg.eigvalsh(covariance * np.outer(scale, scale))
+    if not (np.isfinite(eigenvalues).all() and eigenvalues[0] > _SMALLEST * eigenvalues[-1]):
         raise _open()
     root = np.linalg.cholesky(information / np.outer(scale, scale)) * scale[:, None]  # H = root root'
     widths, vectors = np.linalg.eigh(root.T @ covariance @ root)

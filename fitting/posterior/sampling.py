@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from fitting.estimate import Estimate
 from fitting.methods.problem import standard_promotion
-from fitting.posterior.density import BLOCK, Density, Seen
+from fitting.posterior.density import BLOCK, Density, EvaluatedPoints
 from fitting.posterior.result import Posterior
 from fitting.uncertainty import SERIAL
 from pftwin.base.arrays import Floats
@@ -127,7 +127,7 @@ def proposals(
     within the bounds."""
     start = density(density.centre[None])
     lower, upper = density.bounds
-    found: list[Seen] = []
+    found: list[EvaluatedPoints] = []
     have = tried = outside = evaluations = 0
     while have < count:
         eta = random.standard_normal((BLOCK, len(density.centre)))
@@ -145,12 +145,12 @@ def proposals(
             )
         if progress is not None:
             progress(min(have, count))
-    seen = jax.tree.map(lambda *a: np.concatenate(a)[:count], *found)
-    log_proposal = np.linalg.slogdet(seen.slope)[1] - 0.5 * np.sum(seen.along**2, axis=1)
-    return Proposals(seen.theta, seen.log_density, log_proposal, outside, tried - have - outside, evaluations)
+    points = jax.tree.map(lambda *a: np.concatenate(a)[:count], *found)
+    log_proposal = np.linalg.slogdet(points.slope)[1] - 0.5 * np.sum(points.along**2, axis=1)
+    return Proposals(points.theta, points.log_density, log_proposal, outside, tried - have - outside, evaluations)
 
 
-def _solved(density: Density, start: Seen, eta: Floats) -> tuple[Seen, NDArray[np.bool_], int]:
+def _solved(density: Density, start: EvaluatedPoints, eta: Floats) -> tuple[EvaluatedPoints, NDArray[np.bool_], int]:
     """Solves Q'f = eta (N, p) from one start: the points reached, whether they are solutions, and evaluations.
 
     Newton's method for all in one batch. A step is shortened if the next one, with the old slope, would not be smaller

@@ -58,7 +58,7 @@ def check_trust(result: Result) -> None:
 
 
 def check_trust_of_files(*paths: Path) -> None:
-    """Ends with `FLAGGED` if the motion in a file of results is not valid."""
+    """Ends with `FLAGGED` if the motion in any of these files of results is not valid."""
     from pftwin.files.result_files import load_dataset
     from pftwin.results.verdict import verdict_of_file
 

@@ -14,7 +14,7 @@ import numpy as np
 from pftwin.base.arrays import Floats
 from pftwin.base.errors import InputError
 from pftwin.files.interchange.osim_document import OsimFrame
-from pftwin.files.interchange.osim_model import LeftOut, Mesh, OsimModel, loose_name, scene_name
+from pftwin.files.interchange.osim_model import LeftOut, Mesh, OsimModel, loose_name, valid_name
 from pftwin.geometry.mesh.files import read_triangles
 from pftwin.geometry.mesh.mesh import SurfaceMesh
 
@@ -123,7 +123,7 @@ def load_mesh(mesh: Mesh, knee: OsimKnee, places: list[Path]) -> Written:
     points = (vertices * mesh.scale) @ pose[:3, :3].T + pose[:3, 3]
     if np.prod(mesh.scale) < 0:
         faces = faces[:, ::-1].copy()
-    return Written(part, f"{FOLDER}/{scene_name(mesh.name)}.stl", SurfaceMesh(points, faces, mesh.file))
+    return Written(part, f"{FOLDER}/{valid_name(mesh.name)}.stl", SurfaceMesh(points, faces, mesh.file))
 
 
 def bones(knee: OsimKnee, places: list[Path], taken: set[str], left: list[LeftOut]) -> Iterator[Written]:

@@ -16,7 +16,7 @@ from pftwin.base.errors import InputError
 from pftwin.base.text_files import refuse_repeated
 from pftwin.files.interchange.osim_document import Element
 from pftwin.files.interchange.osim_knee import OsimKnee
-from pftwin.files.interchange.osim_model import LIGAMENT, LeftOut, OsimLigament, path_wraps, scene_name
+from pftwin.files.interchange.osim_model import LIGAMENT, LeftOut, OsimLigament, path_wraps, valid_name
 from pftwin.files.interchange.osim_motion import Motion
 from pftwin.files.interchange.osim_wraps import OsimWrap, Wraps
 
@@ -64,7 +64,7 @@ class PatellarMuscle(NamedTuple):
     @property
     def line(self) -> str:
         """Name in a scene."""
-        return scene_name(self.name)
+        return valid_name(self.name)
 
     @property
     def takes_tension(self) -> bool:

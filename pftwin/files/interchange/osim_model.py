@@ -191,7 +191,7 @@ def _contact(element: Element) -> OsimContact:
     return OsimContact(element.name, (target, casting), law, element.words("use_lumped_contact_model") != "false")
 
 
-def scene_name(name: str) -> str:
+def valid_name(name: str) -> str:
     """Converts a name to one that is valid in a scene file, in lower case."""
     words = re.sub(r"[^A-Za-z0-9_]+", "_", name).strip("_").lower()
     return words if words[:1].isalpha() else f"part_{words}"

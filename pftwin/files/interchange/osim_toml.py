@@ -12,7 +12,7 @@ import numpy as np
 from pftwin.base.arrays import Floats
 from pftwin.files.interchange.osim_knee import PARTS, OsimKnee, Written
 from pftwin.files.interchange.osim_lines import OsimStrand, PatellarMuscle
-from pftwin.files.interchange.osim_model import LeftOut, OsimContact, scene_name
+from pftwin.files.interchange.osim_model import LeftOut, OsimContact, valid_name
 from pftwin.files.interchange.osim_motion import Motion
 from pftwin.files.interchange.osim_wraps import OsimWrap, of_group
 from pftwin.files.toml_text import render_toml
@@ -106,7 +106,7 @@ def _marker_effects(markers: Mapping[str, Floats], labels: Iterable[str]) -> lis
     """Name of the effect, name of the marker, and its position, for each marker of the patella."""
     taken, found = {*labels, "contact", "gravity"}, []
     for marker, place in markers.items():
-        label = scene_name(marker)
+        label = valid_name(marker)
         name = f"{label}_marker" if label in taken or label.startswith("quadriceps") else label
         taken.add(name)
         found.append((name, marker, place))
@@ -121,7 +121,7 @@ def _groups(lines: Iterable[tuple[str, OsimStrand | PatellarMuscle, OsimWrap | N
         alike.setdefault((name, line.body, wrap and wrap.like), []).append((line, wrap))
     for (name, body, _), group in alike.items():
         wraps = [wrap for _, wrap in group if wrap is not None]
-        label = _unlike(scene_name(name), body, found)
+        label = _unlike(valid_name(name), body, found)
         found[label] = LineGroup([line for line, _ in group], body, of_group(wraps) if wraps else None)
     return found
 
@@ -134,7 +134,7 @@ def _unlike(name: str, body: str, taken: Collection[str]) -> str:
 
 def body_label(body: str) -> str:
     """Name of a body in the scene's poses: as in the model, so that other recordings of it can be used too."""
-    return body if re.fullmatch(r"[\w.-]+", body) else scene_name(body)
+    return body if re.fullmatch(r"[\w.-]+", body) else valid_name(body)
 
 
 def poses_csv(motion: Motion) -> str:

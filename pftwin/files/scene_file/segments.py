@@ -137,8 +137,11 @@ class JointCenterSection(Section):
         found = sphere_center(local, source=turning.source)
         markers, angle = ", ".join(turning.names), np.degrees(found.reach)
         if 1e3 * found.deviation > (most := limits.most_center_deviation_mm):
-            accuracy = f"to {1e3 * found.deviation:.3g} mm only" if np.isfinite(found.deviation) else "not on all axes"
-            words = f"{markers} turn about it by up to {angle:.2g} deg from their mean, which determines it {accuracy}"
+            known = np.isfinite(found.deviation)
+            accuracy = (
+                f"determines it to {1e3 * found.deviation:.3g} mm only" if known else "does not determine all of it"
+            )
+            words = f"{markers} turn about it by up to {angle:.2g} deg from their mean, which {accuracy}"
             raise beyond("most_center_deviation_mm", most, words, 1e3 * found.deviation)
         notes.append(
             f"{name}: {markers} turn about it by up to {angle:.0f} deg from their mean and keep their distance "

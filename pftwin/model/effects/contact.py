@@ -141,7 +141,7 @@ def force_along(
         law, now: the normal contact law, and the instant.
         indentation, rate: indentation [m] and its rate [m/s].
         direction, moment: unit force on the patella, world axes; its moment about the centre of mass, patella axes [m].
-        approach_speed: `ContactPush.approach_speed` of the last load [m/s].
+        approach_speed: `NormalForce.approach_speed` of the last load [m/s].
         share: fraction of the law's force that this contact bears.
         stored: fraction of the law's energy that this contact stores; `share` by default.
     """

@@ -142,7 +142,7 @@ class WithFriction(ButtonSphere):
         square = along[0][1] * along[0][1] + along[1][1] * along[1][1]
         law, speed = self.friction, safe_sqrt(square)
         per_speed = law.coefficient / jnp.sqrt(square + law.slip_speed * law.slip_speed)
-        secant = per_speed * normal_force(term, before, now)
+        secant = per_speed * friction_normal(term, before, now)
         zero = jnp.zeros_like(secant)
         terms = [StiffTerm(t, applied_at(lever, patella, t), secant * v, zero, zero, secant, v) for t, v in along]
         return Sliding((terms[0], terms[1]), speed, per_speed * speed)
@@ -169,7 +169,7 @@ def _normal_terms(load: Load) -> list[StiffTerm]:
     return [term for term in load.stiff if term.unilateral]
 
 
-def normal_force(term: StiffTerm, last: LastNormalForce, now: Instant) -> Scalar:
+def friction_normal(term: StiffTerm, last: LastNormalForce, now: Instant) -> Scalar:
     """Normal force that friction is proportional to [N], at least 0; at the end of a step, that of the last step.
 
     The force about which a step linearises is not the force at its end: where a stiff contact has just begun it is

@@ -5,11 +5,13 @@ from __future__ import annotations
 import json
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from cheap_cohort import HEAD, CheapWork, cheap, write_cohort
 
 from fitting.cohort import read_cohort, run_cohort
 from fitting.cohort.folder import check_cohort, opened
+from fitting.cohort.run import Work
 from fitting.cohort.summary import read_store
 from fitting.estimate import Estimate
 from pftwin.base.errors import InputError, OutputError
@@ -271,3 +273,20 @@ def test_a_chosen_folder(tmp_path):
     head = HEAD.replace('name = "cheap"', 'name = "cheap"\noutput = "mine"')
     run_cohort(cheap(tmp_path, 1, head), work=CheapWork())
     assert (tmp_path / "mine/manifest.json").is_file()
+
+
+@pytest.mark.parametrize("failed", [[False, True], [True, True]])
+def test_predictions_of_which_none_could_be_simulated_are_refused(tmp_path, monkeypatch, failed):
+    """By the real work, with outcomes in the place of simulations."""
+    import xarray
+
+    cohort = cheap(tmp_path, 1)
+    outcomes = xarray.Dataset({"failed": ("variant", np.array(failed))}, attrs={"objection": "INVALID: no knee moves"})
+    monkeypatch.setattr("fitting.prediction.predicting.predict", lambda *_, **__: outcomes)
+    work = Work(cohort)
+    monkeypatch.setattr(work, "_scene", lambda patient: None)
+    if all(failed):
+        with pytest.raises(InputError, match="no knee moves"):
+            work.predict(cohort.patients[0], None, lambda share: None)
+    else:
+        assert work.predict(cohort.patients[0], None, lambda share: None) is outcomes

@@ -165,7 +165,7 @@ class TrainedPosterior:
         ends = []
         for each in (self.probes.recordings[prediction.usable], moved):
             random = np.random.default_rng(self.seed)  # the same for both
-            u = self.learned.coordinates_drawn(self.learned.seen(each), _DRAWN, random)
+            u = self.learned.coordinates_drawn(self.learned.scaled_summaries(each), _DRAWN, random)
             ends.append((u.mean(axis=1), u.std(axis=1)))
         (mean, sd), (other, _) = ends
         return np.asarray(np.sqrt(np.mean(((other - mean) / sd) ** 2, axis=0)))

@@ -134,8 +134,8 @@ def _steps_needed(problem: Problem, learned: Learned, answer: Answer, substeps: 
         runs = [evaluator.values(there[None], n) for n in (substeps, 2 * substeps)]
         if not all(run.usable[0] for run in runs):
             break
-        apart = (problem.objective.residuals(run.values)[0].astype(np.float32) for run in runs)
-        long, short = (learned.answer(each, DRAWS, np.random.default_rng(seed)).draws for each in apart)
+        residuals = (problem.objective.residuals(run.values)[0].astype(np.float32) for run in runs)
+        long, short = (learned.answer(each, DRAWS, np.random.default_rng(seed)).draws for each in residuals)
         if (np.abs(short.mean(axis=0) - long.mean(axis=0)) <= _MOVED * long.std(axis=0)).all():
             break
         substeps *= 2
@@ -153,12 +153,12 @@ def _round(
 ) -> tuple[Learned, Answer, int, float]:
     """One round's posterior, number of simulations without equilibrium or finite motion, and their least objective."""
     theta = region.drawn(simulations, random)
-    seen = problem.evaluator.values(theta, substeps)
-    theta, values = theta[seen.usable], seen.values[seen.usable]
+    predictions = problem.evaluator.values(theta, substeps)
+    theta, values = theta[predictions.usable], predictions.values[predictions.usable]
     check_enough(len(theta), simulations, problem)
-    apart = problem.objective.residuals(sensed(values, nuisance, problem, random)).astype(np.float32)
-    nothing = np.zeros_like(apart[0])  # the measurements, relative to themselves
-    learned = learn(region, theta, apart, nothing, problem.objective, noise, random)
+    recordings = problem.objective.residuals(sensed(values, nuisance, problem, random)).astype(np.float32)
+    nothing = np.zeros_like(recordings[0])  # the measurements, relative to themselves
+    learned = learn(region, theta, recordings, nothing, problem.objective, noise, random)
     cost = problem.objective.value(Prediction(values, None, np.ones(len(values), bool)))
     best = float(np.min(cost + problem.parameters.prior_terms(theta)[0]))
     answer = learned.answer(nothing, DRAWS, random)

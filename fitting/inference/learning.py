@@ -55,15 +55,15 @@ class Learned(NamedTuple):
     added: SummaryNoise  # the same in summaries
     usual: float  # root mean square of the unexplained part of noise alone, in its units
 
-    def seen(self, recordings: Rows) -> Floats:
+    def scaled_summaries(self, recordings: Rows) -> Floats:
         """Scaled summaries (N, k) of recordings (N, n, m), which are relative to the same motion as in training."""
         return (self.summaries(self.table.rows(recordings)) - self.middle) / self.size
 
     def answer(self, recording: Rows, count: int, random: np.random.Generator, wider: Floats | float = 1.0) -> Answer:
-        """The posterior of a recording (n, m), as in `seen`, with `count` draws of the requested parameters; `wider`
-        (d,): factors by which it is widened. Raises PftwinError if hardly any of the networks' posterior lies within
-        the region."""
-        at = self.seen(recording[None])[0]
+        """The posterior of a recording (n, m), as in `scaled_summaries`, with `count` draws of requested parameters;
+        `wider` (d,): factors by which it is widened. Raises PftwinError if hardly any of the networks' posterior lies
+        within the region."""
+        at = self.scaled_summaries(recording[None])[0]
         left = self.summaries.unexplained(self.table.rows(recording[None]))
         distance = float(np.abs(at).max())
         return Answer(self._draws(at, count, random, wider), distance, float(np.sqrt(np.mean(left**2))) / self.usual)

@@ -75,9 +75,9 @@ class PosteriorNetwork(eqx.Module):
         with standard_promotion():
             at = jax.tree.map(np.asarray, _mixtures(self, jnp.asarray(summaries, jnp.float32)))
         rows = np.arange(len(summaries))[:, None]
-        shares = np.cumsum(np.exp(at.log_weights.astype(float)), axis=1)
-        drawn = random.uniform(size=(len(rows), count, 1)) * shares[:, None, -1:]
-        which = np.sum(drawn > shares[:, None, :-1], axis=2)
+        cumulative = np.cumsum(np.exp(at.log_weights.astype(float)), axis=1)
+        drawn = random.uniform(size=(len(rows), count, 1)) * cumulative[:, None, -1:]
+        which = np.sum(drawn > cumulative[:, None, :-1], axis=2)
         back = np.swapaxes(np.linalg.inv(at.roots.astype(float)), 2, 3)[rows, which]
         normal = random.standard_normal((len(rows), count, self.parameters))
         return at.means[rows, which] + np.einsum("ncij,ncj->nci", back, normal)
@@ -107,8 +107,10 @@ def trained(summaries: Floats, parameters: Floats, noise: SummaryNoise, seed: in
     order = random.permutation(len(summaries))[:size]
     aside = max(1, int(_ASIDE * size))
     x, y = (jnp.asarray(a[order], jnp.float32) for a in (summaries, parameters))
-    kept = tuple(np.tile(a[order[:aside]], (_NOISES_ASIDE, 1)) for a in (summaries, parameters))
-    x_aside, y_aside = (jnp.asarray(a, jnp.float32) for a in (kept[0] + noise.drawn(len(kept[0]), random), kept[1]))
+    held_out = tuple(np.tile(a[order[:aside]], (_NOISES_ASIDE, 1)) for a in (summaries, parameters))
+    x_aside, y_aside = (
+        jnp.asarray(a, jnp.float32) for a in (held_out[0] + noise.drawn(len(held_out[0]), random), held_out[1])
+    )
     root, keys = jnp.asarray(noise.root, jnp.float32), jax.random.split(jax.random.key(seed), _EPOCHS)
     net = PosteriorNetwork(x.shape[1], y.shape[1], seed)
     steps = max(1, (size - aside) // _BATCH)

@@ -54,15 +54,17 @@ def with_nuisance(
     draws = np.concatenate([asked, parameters.scattered(len(asked), random)[:, d:]], axis=1)
     for _ in range(_ITERATIONS):
         some = draws[: max(_KNEES, _PER_PARAMETER * len(parameters))]
-        seen = problem.evaluator.values(some, substeps)
-        freedom = int(seen.usable.sum()) - len(parameters) - 1
+        predictions = problem.evaluator.values(some, substeps)
+        freedom = int(predictions.usable.sum()) - len(parameters) - 1
         if freedom < 1.2 * learned.middle.size:  # too few to estimate a covariance
             break
-        values = seen.values[seen.usable]
-        x = learned.seen(held.residuals(values).astype(np.float32))
-        misread = learned.seen(held.residuals(sensed(values, nuisance, problem, random)).astype(np.float32)) - x
-        fitted = _LinearModel.of(some[seen.usable], x, misread, learned.added.root)
-        mean, root = fitted.given(learned.seen(recording[None])[0], asked, parameters)
+        values = predictions.values[predictions.usable]
+        x = learned.scaled_summaries(held.residuals(values).astype(np.float32))
+        misread = (
+            learned.scaled_summaries(held.residuals(sensed(values, nuisance, problem, random)).astype(np.float32)) - x
+        )
+        fitted = _LinearModel.of(some[predictions.usable], x, misread, learned.added.root)
+        mean, root = fitted.given(learned.scaled_summaries(recording[None])[0], asked, parameters)
         draws = np.concatenate([asked, _within(mean, root, parameters, random)], axis=1)
     return draws
 
@@ -78,8 +80,10 @@ class _LinearModel(NamedTuple):
     @staticmethod
     def of(theta: Floats, x: Floats, misread: Floats, noise_root: Floats) -> _LinearModel:
         """Fits summaries (N, k) of simulated knees (N, p); `misread` (N, k) are the changes due to sensor errors."""
-        center, at, spread = theta.mean(axis=0), x.mean(axis=0), theta.std(axis=0)
-        scale = np.where(spread > _CONSTANT * np.abs(center), spread, np.inf)  # a constant parameter has no slope
+        center, at, deviations = theta.mean(axis=0), x.mean(axis=0), theta.std(axis=0)
+        scale = np.where(
+            deviations > _CONSTANT * np.abs(center), deviations, np.inf
+        )  # a constant parameter has no slope
         t = (theta - center) / scale
         slopes = np.linalg.lstsq(t, x - at, rcond=None)[0]
         left = x - at - t @ slopes
@@ -138,9 +142,9 @@ def at_own_lengths(problem: Problem, nuisance: Nuisance, draws: Floats) -> tuple
         found = working_of(problem.evaluator.scenes_at(draws.mean(axis=0)), tuple(places))
     except PftwinError:  # a mean beyond the scene's limits
         return nuisance, draws
-    known, told = dict(nuisance.working), draws.copy()
+    known, converted = dict(nuisance.working), draws.copy()
     for name, own in places.items():
         there = np.stack(known[name].converted_to(found[name], *draws[:, own].T), axis=1)
         if np.isfinite(there).all() and (there[:, :2] > 0).all() and found[name].taut(there[:, 1].max()):
-            told[:, own], known[name] = there, found[name]
-    return replace(nuisance, working=tuple(known.items())), told
+            converted[:, own], known[name] = there, found[name]
+    return replace(nuisance, working=tuple(known.items())), converted

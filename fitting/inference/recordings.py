@@ -86,8 +86,8 @@ class Table(NamedTuple):
     def rows(self, residuals: Rows) -> Rows:
         """Rows (N, d) of recordings (N, n, m)."""
         count, n, m = residuals.shape
-        kept = n // self.block * self.block
-        means = residuals[:, :kept].reshape(count, -1, self.block, m).mean(axis=2) / self.scale
+        whole = n // self.block * self.block
+        means = residuals[:, :whole].reshape(count, -1, self.block, m).mean(axis=2) / self.scale
         return means.reshape(count, -1).astype(np.float32)
 
 
@@ -102,15 +102,15 @@ class Summaries(NamedTuple):
     def of(rows: Rows, count: int) -> Summaries:
         """Principal components of rows without noise (N, d)."""
         mean = rows.mean(axis=0)
-        apart = (rows - mean).astype(np.float64)
+        centered = (rows - mean).astype(np.float64)
         tall = len(rows) > rows.shape[1]
-        products = apart.T @ apart if tall else apart @ apart.T
+        products = centered.T @ centered if tall else centered @ centered.T
         most = len(products)
         values, vectors = eigh(products, subset_by_index=[max(most - count, 0), most - 1])
         there = values > _ROUNDING * values[-1]
         directions = vectors[:, there]
         if not tall:
-            directions = apart.T @ (directions / np.sqrt(values[there]))
+            directions = centered.T @ (directions / np.sqrt(values[there]))
         return Summaries(mean, directions.astype(np.float32), values[there] / len(rows))
 
     def __call__(self, rows: Rows) -> Floats:
@@ -119,8 +119,8 @@ class Summaries(NamedTuple):
 
     def unexplained(self, rows: Rows) -> Rows:
         """Residual of rows (N, d), in units of the noise, after removing components whose variance exceeds it."""
-        apart, strong = rows - self.mean, self.directions[:, self.variances > 1]
-        return np.asarray(apart - (apart @ strong) @ strong.T, dtype=np.float32)
+        centered, strong = rows - self.mean, self.directions[:, self.variances > 1]
+        return np.asarray(centered - (centered @ strong) @ strong.T, dtype=np.float32)
 
 
 class SummaryNoise(NamedTuple):
@@ -133,10 +133,10 @@ class SummaryNoise(NamedTuple):
     def of(noise: Noise, objective: Objective, table: Table, summaries: Summaries) -> SummaryNoise:
         """From the noise of recordings, of which summaries are linear functions."""
         m, k = objective.present.shape[1], summaries.directions.shape[1]
-        shares = np.repeat(summaries.directions.reshape(-1, m, k) / table.block, table.block, axis=0)
-        there, covariance = objective.present[: len(shares)], np.zeros((k, k))
+        projections = np.repeat(summaries.directions.reshape(-1, m, k) / table.block, table.block, axis=0)
+        there, covariance = objective.present[: len(projections)], np.zeros((k, k))
         for column, (sd, rho) in enumerate(zip(noise.deviations / table.scale, noise.correlations, strict=True)):
-            weights = sd * np.where(there[:, column, None], shares[:, column], 0.0)
+            weights = sd * np.where(there[:, column, None], projections[:, column], 0.0)
             for rows in objective.frames:  # the transpose of the filter in `Noise.drawn`
                 reacted = lfilter([1.0], [1.0, -rho], weights[rows][::-1], axis=0)[::-1].copy()
                 reacted[1:] *= np.sqrt(1 - rho**2)

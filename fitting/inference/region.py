@@ -63,9 +63,9 @@ class Region(NamedTuple):
     def around(self, draws: Floats) -> Region:
         """The part of the region that contains nearly all of a posterior with these draws (N, p)."""
         d, items = self.asked, list(self.parameters.items)
-        reach = _MARGIN * float(norm.ppf(0.5 + 0.5 * _INSIDE)) * draws.std(axis=0)
+        half_widths = _MARGIN * float(norm.ppf(0.5 + 0.5 * _INSIDE)) * draws.std(axis=0)
         for i in range(d, len(items)):
-            width = max(reach[i], _NARROWEST * (items[i].upper - items[i].lower))
+            width = max(half_widths[i], _NARROWEST * (items[i].upper - items[i].lower))
             middle = float(np.clip(draws[:, i].mean(), items[i].lower + width, items[i].upper - width))
             low, high = min(draws[:, i].mean(), middle) - width, max(draws[:, i].mean(), middle) + width
             items[i] = replace(items[i], lower=max(items[i].lower, low), upper=min(items[i].upper, high))
@@ -117,8 +117,8 @@ class Region(NamedTuple):
             trial = self.ellipsoid.drawn(count, random)
             trial = trial[self.contains(trial)]
             cost = priors.prior_terms(trial)[0]
-            kept = random.uniform(size=len(trial)) < np.exp(cost.min(initial=np.inf) - cost)
-            found = np.concatenate([found, trial[kept]])
+            accepted = random.uniform(size=len(trial)) < np.exp(cost.min(initial=np.inf) - cost)
+            found = np.concatenate([found, trial[accepted]])
             if len(found) >= count:
                 theta[:, : self.asked] = found[:count]
                 return theta

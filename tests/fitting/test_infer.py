@@ -123,9 +123,11 @@ def test_measurements_that_no_simulation_resembles_are_strange():
     theta = region.drawn(600, random)
     nothing = np.zeros((FRAMES, 4), np.float32)
     for case, expected in ((far, False), (strange, True)):
-        apart = case.objective.residuals(case.evaluator.values(theta, 1).values).astype(np.float32)
-        seen = learn(region, theta, apart, nothing, case.objective, noise, random).seen(nothing[None])
-        assert (np.abs(seen).max() > LIMITS["simulated"][0]) is np.bool_(expected)
+        residuals = case.objective.residuals(case.evaluator.values(theta, 1).values).astype(np.float32)
+        far_off = learn(region, theta, residuals, nothing, case.objective, noise, random).scaled_summaries(
+            nothing[None]
+        )
+        assert (np.abs(far_off).max() > LIMITS["simulated"][0]) is np.bool_(expected)
 
 
 @pytest.mark.slow
@@ -136,9 +138,9 @@ def test_nuisance_given_what_is_asked_for_is_that_of_bayes(sensors):
     region, nothing = Region(base.parameters), np.zeros((FRAMES, 4), np.float32)
     theta = region.drawn(1000, random)
     values = sensed(base.evaluator.values(theta, 1).values, sensors, base, random)
-    apart = base.objective.residuals(values).astype(np.float32)
+    recordings = base.objective.residuals(values).astype(np.float32)
     known_noise = Noise(SIGMA, np.full(4, RHO), 1.0)
-    learned = learn(region, theta, apart, nothing, base.objective, known_noise, random)
+    learned = learn(region, theta, recordings, nothing, base.objective, known_noise, random)
     mean, covariance = bayes(3, sensors)
     deviations = np.sqrt(np.diagonal(covariance)[:2])
     asked = mean[:2] + deviations * np.repeat([[1.0, -2.0], [0.0, 0.5]], 4000, axis=0)
@@ -164,7 +166,7 @@ def test_nuisance_that_all_lies_at_its_bound_stays_there():
     far = problem(reactions, reactions @ truth, many, {"position": SIGMA[0], "contact": SIGMA[3]})
     directions, nothing = 1e3 * random.normal(size=(FRAMES * 4, 80)), np.zeros((FRAMES, 4), np.float32)
     learned = SimpleNamespace(
-        seen=lambda recordings: recordings.reshape(len(recordings), -1) @ directions,
+        scaled_summaries=lambda recordings: recordings.reshape(len(recordings), -1) @ directions,
         middle=np.zeros(80),
         added=SimpleNamespace(root=np.eye(80)),
     )
@@ -189,8 +191,8 @@ def test_where_the_means_do_not_run_the_nearest_draw_stands(runs):
     noise, history = Noise(SIGMA, np.full(4, RHO), 1.0), [{"iteration": 1, "evaluations": 500.0}]
     found = Inferred(Answer(draws, 1.0, 1.0), noise, 500, 3, 1, history, "the posterior no longer changes")
     outcome = Outcome.of_simulations(replace(base, evaluator=evaluator), found, 0, LIMITS)
-    apart = np.linalg.norm((draws - mean) / draws.std(axis=0), axis=1)
-    np.testing.assert_allclose(outcome.theta, mean if runs else draws[np.argmin(apart)])
+    distance = np.linalg.norm((draws - mean) / draws.std(axis=0), axis=1)
+    np.testing.assert_allclose(outcome.theta, mean if runs else draws[np.argmin(distance)])
     assert [doubt[:36] for doubt in outcome.doubts] == ([] if runs else ["the posterior's means give no finite"])
     assert outcome.prediction.slopes is not None
     np.testing.assert_allclose(outcome.prediction.slopes, slopes()[None], atol=1e-8 * np.abs(slopes()).max())

@@ -14,8 +14,8 @@ from fitting.channel_checks import (
     merged_readings,
     misread_channels,
     readings,
+    residual_doubts,
     step_doubts,
-    unexplained,
 )
 from fitting.evaluation import StepError
 from pftwin.base.errors import InputError
@@ -157,18 +157,18 @@ def test_what_is_left_over_is_named_by_size_and_by_the_stated_noise():
     objective = target(("position", "one"), np.concatenate([POSITION, FORCES[:, :1]], axis=1), (3, 1))
     left = np.zeros((101, 4))
     left[:, 0], left[:, 3] = 0.012, 2.0
-    said = unexplained(objective, left, LIMITS, None)
+    said = residual_doubts(objective, left, LIMITS, None)
     size = np.sqrt(np.mean(FORCES[:, 0] ** 2))
     assert said == ["residual of position: 12 mm rms", f"residual of one: 2 N rms of {size:.3g} N measured"]
-    noisy = unexplained(objective, 0.1 * left, LIMITS, {"position": 1.2e-3 / np.sqrt(3) / 50, "one": 0.1})
+    noisy = residual_doubts(objective, 0.1 * left, LIMITS, {"position": 1.2e-3 / np.sqrt(3) / 50, "one": 0.1})
     assert noisy == ["residual of position: 1.2 mm rms, 50 times the stated noise"]
     with pytest.raises(InputError, match="residual of one: 8 N rms"):
-        unexplained(objective, 4 * left * [0, 0, 0, 1], LIMITS, None)
+        residual_doubts(objective, 4 * left * [0, 0, 0, 1], LIMITS, None)
     doubt = "measured one looks 4.45 times too small: in pounds-force"
     with pytest.raises(
         InputError, match=f"residual of one: 8 N rms.*try: {doubt}; check unit, sign and channel of one"
     ):
-        unexplained(objective, 4 * left * [0, 0, 0, 1], LIMITS, None, [doubt])
+        residual_doubts(objective, 4 * left * [0, 0, 0, 1], LIMITS, None, [doubt])
 
 
 def test_steps_whose_error_is_large_or_not_known_are_named():

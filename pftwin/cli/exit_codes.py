@@ -62,8 +62,8 @@ def check_trust_of_files(*paths: Path) -> None:
     from pftwin.files.result_files import load_dataset
     from pftwin.results.verdict import verdict_of_file
 
-    verdicts = {path.name: verdict_of_file(load_dataset(path)) for path in paths}
-    if doubts := [f"{v.describe()} ({name})" for name, v in verdicts.items() if not v.valid]:
+    verdicts = [(path, verdict_of_file(load_dataset(path))) for path in paths]
+    if doubts := [f"{verdict.describe()} ({path.name})" for path, verdict in verdicts if not verdict.valid]:
         exit_flagged("; ".join(doubts))
 
 

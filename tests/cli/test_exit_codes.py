@@ -7,11 +7,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import typer
 from commands import pftwin
 
 from pftwin.base.errors import InputError, MissingExtraError, OutputError, PftwinError
-from pftwin.cli.exit_codes import ExitCode, Interrupted, code_of, report_written_on_interrupt
+from pftwin.cli.exit_codes import ExitCode, Interrupted, check_trust_of_files, code_of, report_written_on_interrupt
 from pftwin.geometry.mesh.mesh import SurfaceMesh, save_mesh
+from pftwin.results.verdict import Verdict
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "command_line.md"
 
@@ -101,3 +103,16 @@ def test_the_page_has_every_code():
     text = PAGE.read_text()
     for code in ExitCode:
         assert f"| {code.value} |" in text, code
+
+
+@pytest.mark.parametrize("invalid", ["before", "after"])
+def test_one_of_two_files_of_one_name_that_is_invalid_is_code_3(monkeypatch, capsys, invalid):
+    """Results before and after a treatment, in two folders."""
+    verdicts = {Path(folder, "knee.nc"): Verdict() for folder in ("before", "after")}
+    verdicts[Path(invalid, "knee.nc")] = Verdict((f"no equilibrium {invalid}",))
+    monkeypatch.setattr("pftwin.files.result_files.load_dataset", lambda path: path)
+    monkeypatch.setattr("pftwin.results.verdict.verdict_of_file", verdicts.__getitem__)
+    with pytest.raises(typer.Exit) as left:
+        check_trust_of_files(*verdicts)
+    assert left.value.exit_code == ExitCode.FLAGGED
+    assert f"no equilibrium {invalid}" in capsys.readouterr().err

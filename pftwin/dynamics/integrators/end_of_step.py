@@ -124,7 +124,7 @@ def end_of_step(mass: Row | Lower, terms: Sequence[ConstraintRow], rest: Row) ->
 
     Args:
         mass: M, as its diagonal or its lower triangle.
-        terms: the terms, bilateral ones first.
+        terms: forces to be resolved at the end of the step, bilateral ones first.
         rest: R [N s, N m s].
     """
     dv, p, _ = _impulses(_eliminate(mass, terms), terms, rest, [x.impulse for x in terms], None)

@@ -125,7 +125,7 @@ def audit(
         programs=_programs(scene, [v for v, _ in runs], integrator),
         rows=tuple(rows),
         not_applicable=tuple(v for v in listed if isinstance(v, NotApplicable)),
-        missing=tuple(v.name for v in wanted if all(v is not ran for ran, _ in runs)),
+        missing=tuple(v.name for v in wanted if (v.name, v.kind) not in {(ran.name, ran.kind) for ran, _ in runs}),
     )
 
 
@@ -160,7 +160,8 @@ def _runs(
     substeps: int,
     before: Callable[[int, list[Variant]], None],
 ) -> list[tuple[Variant, VariantRun]]:
-    """Runs each group, in batches if its variants are alike; after Ctrl-C, returns the finished runs."""
+    """Runs each group, in batches if its variants are alike; after Ctrl-C, returns the finished runs. Their order
+    is that of `wanted`."""
     groups = _groups(wanted)
 
     def run(group: list[Variant]) -> list[VariantRun]:
@@ -170,7 +171,8 @@ def _runs(
 
     answers = run_each(groups, run, before=before)
     pairs = (pair for group, runs in zip(groups, answers, strict=False) for pair in zip(group, runs, strict=True))
-    return sorted(pairs, key=lambda pair: next(k for k, v in enumerate(wanted) if v is pair[0]))
+    place = {(v.name, v.kind): k for k, v in enumerate(wanted)}
+    return sorted(pairs, key=lambda pair: place[pair[0].name, pair[0].kind])
 
 
 def _programs(scene: Scene, wanted: list[Variant], integrator: Integrator) -> int:
